@@ -1,0 +1,42 @@
+# `make demo` and `make test` do all of their own set-up, in .venv and nowhere else.
+PYTHON ?= python3
+BIN := .venv/bin
+NATIVE := $(shell find src CMakeLists.txt -name '*.cpp' -o -name '*.h' -o -name CMakeLists.txt)
+
+.PHONY: setup demo test lint sanitize clean
+setup: .venv/.ready
+
+.venv/.ready: pyproject.toml $(NATIVE)
+	@.ci/needs $(PYTHON)
+	@echo "setting up .venv (takes a minute or two; only after changes of native code)"
+	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,exact,trot]'
+	@touch $@
+
+demo: setup
+	@$(BIN)/poise demo
+
+test: setup
+	@$(BIN)/python -m pytest -q
+
+lint: setup
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports
+
+# The placement core under the address and undefined-behaviour sanitizers.
+SITE := .venv/lib/$(shell $(PYTHON) -c 'import sys; print("python%d.%d" % sys.version_info[:2])')/site-packages
+sanitize: setup
+	@cmake -S . -B build/sanitize -DPOISE_SANITIZE=ON -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python >/dev/null
+	@cmake --build build/sanitize --target _core --parallel 2 >/dev/null
+	@rm -rf build/sanitize/site && mkdir -p build/sanitize/site
+	@cp -r $(SITE)/poise src/poise build/sanitize/site
+	@cp build/sanitize/_core*.so build/sanitize/site/poise/plan
+	@LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" ASAN_OPTIONS=detect_leaks=0 \
+	  PYTHONPATH=build/sanitize/site:$(SITE) $(BIN)/python -S -m pytest -q --timeout 600 \
+	  tests/plan/test_engine.py tests/plan/test_core_boundary.py
+
+clean:
+	rm -rf .venv build .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
