@@ -1,0 +1,25 @@
+"""What can be wrong with a robot whose file is well formed; pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from poise.model.check.connectors import check_chains, check_connectors
+from poise.model.check.demands import check_demands
+from poise.model.check.hosts import check_hosts
+from poise.model.check.names import check_names
+from poise.model.check.ports import check_ports, declared_ports
+from poise.model.check.sets import check_sets
+from poise.model.positions import Finding
+from poise.model.robot import Robot
+
+
+def check(robot: Robot) -> Iterator[Finding]:
+    """Yield everything that is wrong with `robot`, without a look at its code."""
+    yield from check_names(robot)
+    yield from check_hosts(robot)
+    yield from check_demands(robot)
+    yield from check_sets(robot)
+    yield from check_connectors(robot)
+    yield from check_chains(robot)
+    yield from check_ports(robot, declared_ports(robot))

@@ -1,0 +1,79 @@
+"""Calls that go round: two chains that cross there would lock each other up."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from collections.abc import Set as AbstractSet
+
+from poise.model.check.paths import connectors
+from poise.model.check.ports import Ports
+from poise.model.positions import Finding, Path
+from poise.model.robot import Connector, Robot
+
+_Graph = dict[str, list[tuple[Path, Connector]]]
+
+
+def check_cycles(
+    robot: Robot, ports: Ports, reentrant: AbstractSet[str]
+) -> Iterator[Finding]:
+    """Yield the connectors that close a cycle of calls.
+
+    A chain of calls keeps the turn of every component that it is in, but for the
+    re-entrant ones: so there is no lock-up when each cycle goes through one of those.
+
+    Parameters
+    ----------
+    ports
+        What is known of them; a port that is not known is not looked at.
+    reentrant
+        Names of the components that let others in while they wait.
+    """
+    graph = _calls(robot, ports, reentrant)
+    done: set[str] = set()
+    for start in graph:
+        if start not in done:
+            yield from _closing(graph, start, done)
+
+
+def _calls(robot: Robot, ports: Ports, reentrant: AbstractSet[str]) -> _Graph:
+    graph: _Graph = {}
+    for path, _, connector in connectors(robot):
+        source, target = connector.between
+        port = ports.get(source.component, {}).get(source.port)
+        ends = {source.component, target.component}
+        if port is not None and port.waits and reentrant.isdisjoint(ends):
+            graph.setdefault(source.component, []).append((path, connector))
+    return graph
+
+
+def _closing(graph: _Graph, start: str, done: set[str]) -> Iterator[Finding]:
+    """Yield a finding for every connector back to a component on the way to it."""
+    way: list[Connector] = []
+    steps = [iter(graph.get(start, ()))]
+    names = [start]
+    while steps:
+        path, connector = next(steps[-1], (None, None))
+        if path is None or connector is None:
+            done.add(names.pop())
+            steps.pop()
+            way = way[:-1]
+            continue
+        callee = connector.between[1].component
+        if callee in names:
+            cycle = [*way[names.index(callee) :], connector]
+            yield Finding(path, _message(cycle))
+        elif callee not in done:
+            names.append(callee)
+            way.append(connector)
+            steps.append(iter(graph.get(callee, ())))
+
+
+def _message(cycle: list[Connector]) -> str:
+    closing = cycle[-1]
+    callers = [connector.between[0].component for connector in cycle]
+    return (
+        f"calls go round: {', '.join(map(str, cycle))}. Two that cross there wait for "
+        f"each other. Make the methods called over {closing} one-way (`@oneway`), or "
+        "publish a topic instead; or let one of these components be re-entrant "
+        f"(`reentrant = True` in its class): {', '.join(callers)}"
+    )

@@ -1,0 +1,54 @@
+"""Where each component may run; a component that may run nowhere is a problem."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from poise.model.check.paths import components
+from poise.model.positions import Finding
+from poise.model.robot import Architecture, Component, Robot
+from poise.model.suggest import listed
+
+Hosts = frozenset[str]
+
+
+def allowed_hosts(robot: Robot) -> Mapping[str, Hosts]:
+    """Return component -> the computers it may run on; names must be known."""
+    everywhere = frozenset(computer.name for computer in robot.computers)
+    return {
+        component.name: everywhere.intersection(
+            *_limits(robot, architecture, component).values()
+        )
+        for _, architecture, component in components(robot)
+    }
+
+
+def check_hosts(robot: Robot) -> Iterator[Finding]:
+    """Yield the components whose pins, devices and home leave no computer."""
+    for path, architecture, component in components(robot):
+        limits = _limits(robot, architecture, component)
+        if limits and not frozenset.intersection(*limits.values()):
+            reasons = "; ".join(f"{r} {listed(sorted(h))}" for r, h in limits.items())
+            yield Finding(
+                path, f"component '{component.name}' can run nowhere: {reasons}"
+            )
+
+
+def _limits(
+    robot: Robot, architecture: Architecture, component: Component
+) -> dict[str, Hosts]:
+    """Return what limits a component, for people, -> the computers it leaves.
+
+    Names that are unknown limit nothing: they are problems of their own.
+    """
+    known = frozenset(computer.name for computer in robot.computers)
+    limits = {
+        f"device '{device.name}' is on": frozenset({device.computer})
+        for device in robot.devices
+        if device.name in component.devices
+    }
+    limits["`only` allows"] = frozenset(component.only)
+    if architecture.layer != "sequencing" and architecture.home is not None:
+        reason = f"the {architecture.layer} layer stays at its home"
+        limits[reason] = frozenset({architecture.home})
+    return {reason: hosts for reason, hosts in limits.items() if hosts & known}

@@ -1,0 +1,146 @@
+"""Names: every one that is used exists, and none is given twice."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from poise.model.check.paths import component_names, components
+from poise.model.positions import Finding, Path
+from poise.model.robot import Component, Robot
+from poise.model.suggest import unknown
+
+
+def check_names(robot: Robot) -> Iterator[Finding]:
+    """Yield the unknown and the doubled names of a robot."""
+    yield from _doubled_components(robot)
+    yield from _devices(robot)
+    yield from _links(robot)
+    yield from _architectures(robot)
+    yield from _components(robot)
+    yield from _tasks(robot)
+    yield from _resources(robot)
+
+
+def _doubled_components(robot: Robot) -> Iterator[Finding]:
+    first: dict[str, str] = {}
+    for path, architecture, component in components(robot):
+        if component.name in first:
+            yield Finding(
+                path,
+                f"there is a component '{component.name}' in architecture "
+                f"'{first[component.name]}' already; component names are robot-wide",
+            )
+        first.setdefault(component.name, architecture.name)
+
+
+def _devices(robot: Robot) -> Iterator[Finding]:
+    for device in robot.devices:
+        path = ("devices", device.name, "computer")
+        yield from _known(path, "computer", [device.computer], _computers(robot))
+
+
+def _links(robot: Robot) -> Iterator[Finding]:
+    first: dict[frozenset[str], int] = {}
+    for index, link in enumerate(robot.links):
+        path = ("links", index, "between")
+        yield from _each_known(path, "computer", link.between, _computers(robot))
+        ends = frozenset(link.between)
+        if len(ends) == 1:
+            yield Finding(path, f"a link joins '{link.between[0]}' to itself")
+        elif ends in first:
+            names = " and ".join(f"'{end}'" for end in link.between)
+            yield Finding(path, f"there are two links between {names}")
+        first.setdefault(ends, index)
+
+
+def _architectures(robot: Robot) -> Iterator[Finding]:
+    for architecture in robot.architectures:
+        path: Path = ("architectures", architecture.name)
+        if architecture.home is not None:
+            home = [architecture.home]
+            yield from _known((*path, "home"), "computer", home, _computers(robot))
+        elif architecture.layer != "sequencing":
+            yield Finding(
+                path,
+                f"architecture '{architecture.name}' is in the {architecture.layer} "
+                "layer, which stays where it is: it needs a `home` computer",
+            )
+
+
+def _components(robot: Robot) -> Iterator[Finding]:
+    devices = [device.name for device in robot.devices]
+    for path, _, component in components(robot):
+        yield from _each_known((*path, "devices"), "device", component.devices, devices)
+        yield from _each_known(
+            (*path, "only"), "computer", component.only, _computers(robot)
+        )
+        yield from _one_way_to_run(path, component)
+
+
+def _one_way_to_run(path: Path, component: Component) -> Iterator[Finding]:
+    if component.implementation and component.command:
+        yield Finding(
+            (*path, "command"),
+            f"component '{component.name}' has an implementation and a command; "
+            "it takes one of them",
+        )
+    if component.implementation and component.ports:
+        yield Finding(
+            (*path, "ports"),
+            f"component '{component.name}' has an implementation: its class declares "
+            "its ports, so leave `ports` out",
+        )
+
+
+def _tasks(robot: Robot) -> Iterator[Finding]:
+    functions = dict.fromkeys(a.function for a in robot.architectures)
+    for task in robot.tasks:
+        for index, action in enumerate(task.actions):
+            path: Path = ("tasks", task.name, "actions", index, "functions")
+            yield from _each_known(path, "function", action.functions, functions)
+
+
+def _resources(robot: Robot) -> Iterator[Finding]:
+    known = dict.fromkeys(r for c in robot.computers for r in c.capacity)
+    path: Path
+    for section in ("weights", "sizes"):
+        for resource in getattr(robot.objective, section):
+            path = ("objective", section, resource)
+            yield from _known(path, "resource", [resource], known)
+    for computer in robot.computers:
+        for resource in computer.reserve:
+            path = ("computers", computer.name, "reserve", resource)
+            yield from _known(path, "resource", [resource], computer.capacity)
+
+
+def _computers(robot: Robot) -> list[str]:
+    return [computer.name for computer in robot.computers]
+
+
+def _each_known(
+    path: Path, kind: str, names: Iterable[str], choices: Iterable[str]
+) -> Iterator[Finding]:
+    """Yield a finding at its own index for every name that is unknown or doubled."""
+    choices, seen = tuple(choices), set()
+    for index, name in enumerate(names):
+        yield from _known((*path, index), kind, [name], choices)
+        # A link from a computer to itself has a message of its own.
+        if name in seen and path[0] != "links":
+            yield Finding((*path, index), f"the {kind} '{name}' is listed twice")
+        seen.add(name)
+
+
+def _known(
+    path: Path, kind: str, names: Iterable[str], choices: Iterable[str]
+) -> Iterator[Finding]:
+    choices = tuple(choices)
+    for name in names:
+        if name not in choices:
+            yield Finding(path, unknown(kind, name, choices))
+
+
+def check_components_known(
+    robot: Robot, path: Path, names: Iterable[str]
+) -> Iterator[Finding]:
+    """Yield a finding for every name that is no component, or is there twice."""
+    yield from _each_known(path, "component", names, component_names(robot))

@@ -1,0 +1,142 @@
+"""Ports: what each end of a connector must be, whoever says what it is.
+
+The robot file says it for components without a class (`declared_ports`), the code for
+the others; both are held against the same rules.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Mapping
+
+from msgspec import Struct
+
+from poise.model.check.paths import components, connectors
+from poise.model.positions import Finding, Path
+from poise.model.robot import Connector, End, PortKind, Robot
+from poise.model.suggest import did_you_mean
+
+
+class KnownPort(Struct, frozen=True):
+    """A port of which the kind and type are known.
+
+    `type` is for people; two ports fit when their `meaning` is equal. `waits`: a caller
+    waits there for answers.
+    """
+
+    name: str
+    kind: PortKind
+    type: str
+    meaning: Hashable
+    waits: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.type}"
+
+
+Ports = Mapping[str, Mapping[str, KnownPort]]
+"""Component -> its ports by name. A component that is missing may have any port."""
+
+OPPOSITE: Mapping[PortKind, PortKind] = {
+    "publishes": "subscribes",
+    "requires": "provides",
+    "subscribes": "publishes",
+    "provides": "requires",
+}
+_FIRST = ("publishes", "requires")
+
+
+def declared_ports(robot: Robot) -> Ports:
+    """Return the ports of the components that declare theirs in the robot file."""
+    return {
+        component.name: {
+            port.name: KnownPort(port.name, port.kind, port.type, port.type)
+            for port in component.ports
+        }
+        for component in robot.components()
+        if component.ports
+    }
+
+
+def check_ports(robot: Robot, ports: Ports) -> Iterator[Finding]:
+    """Yield the connectors whose ends do not fit, as far as `ports` are known.
+
+    Two ends fit when the first publishes what the second subscribes to, or the first
+    requires what the second provides. A required port has one connector, not more.
+    """
+    taken: dict[str, Connector] = {}
+    for path, _, connector in connectors(robot):
+        between: Path = (*path, "between")
+        found = [_find(end, ports) for end in connector.between]
+        for index, end in enumerate(connector.between):
+            if end.component in ports and found[index] is None:
+                message = _no_such_port(end, ports[end.component])
+                yield Finding((*between, index), message)
+        yield from _misfit(between, connector, found)
+        if found[0] is not None and found[0].kind == "requires":
+            caller = str(connector.between[0])
+            if caller in taken:
+                yield Finding(
+                    (*between, 0),
+                    f"'{caller}' requires one provider, but has two connectors: "
+                    f"{taken[caller]} and {connector}",
+                )
+            taken.setdefault(caller, connector)
+
+
+def check_required(robot: Robot, ports: Ports) -> Iterator[Finding]:
+    """Yield the required ports that no connector serves."""
+    served = {str(connector.between[0]) for _, _, connector in connectors(robot)}
+    for path, _, component in components(robot):
+        for port in ports.get(component.name, {}).values():
+            end = str(End(component.name, port.name))
+            if port.kind == "requires" and end not in served:
+                yield Finding(
+                    path,
+                    f"'{end}' {port}, but no connector joins it to a provider: add "
+                    f"`{{between: [{end}, <component>.<port>]}}`",
+                )
+
+
+def _find(end: End, ports: Ports) -> KnownPort | None:
+    return ports.get(end.component, {}).get(end.port)
+
+
+def _no_such_port(end: End, ports: Mapping[str, KnownPort]) -> str:
+    choices = ", ".join(f"'{port.name}' ({port})" for port in ports.values()) or "none"
+    if not end.port:
+        return f"name the port of component '{end.component}' too; it has: {choices}"
+    return (
+        f"component '{end.component}' has no port '{end.port}'"
+        f"{did_you_mean(end.port, ports)}; ports: {choices}"
+    )
+
+
+def _misfit(
+    path: Path, connector: Connector, found: list[KnownPort | None]
+) -> Iterator[Finding]:
+    first, second = found
+    wrong_way = [
+        index
+        for index, port in enumerate(found)
+        if port is not None and (port.kind in _FIRST) != (index == 0)
+    ]
+    if first and second and OPPOSITE[first.kind] != second.kind:
+        yield Finding(
+            path,
+            f"'{connector.between[0]}' {first.kind} and '{connector.between[1]}' "
+            f"{second.kind}: that does not fit; a connector joins "
+            "publishes -> subscribes or requires -> provides",
+        )
+    elif wrong_way:
+        yield Finding(
+            path,
+            f"the connector {connector} is the wrong way round: the publisher or "
+            f"caller comes first, as in [{connector.between[1]}, "
+            f"{connector.between[0]}]",
+        )
+    elif first and second and first.meaning != second.meaning:
+        yield Finding(
+            path,
+            f"the types differ: '{connector.between[0]}' {first}, "
+            f"'{connector.between[1]}' {second}",
+        )

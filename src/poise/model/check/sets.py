@@ -1,0 +1,75 @@
+"""`together` and `apart`: the names exist, and they do not contradict each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import combinations
+
+from poise.model.check.hosts import Hosts, allowed_hosts
+from poise.model.check.names import check_components_known
+from poise.model.positions import Finding
+from poise.model.robot import Robot
+from poise.model.suggest import listed
+
+
+def check_sets(robot: Robot) -> Iterator[Finding]:
+    """Yield what is wrong with the sets of components."""
+    for section in ("together", "apart"):
+        for index, names in enumerate(getattr(robot, section)):
+            yield from check_components_known(robot, (section, index), names)
+    hosts = allowed_hosts(robot)
+    yield from _nowhere_together(robot, hosts)
+    yield from _not_apart(robot, hosts)
+
+
+def _groups(robot: Robot) -> Iterator[frozenset[str]]:
+    """Yield, for each `together`, the group that it makes with those before it."""
+    groups: dict[str, frozenset[str]] = {}
+    for names in robot.together:
+        merged = frozenset(names).union(*(groups.get(n, ()) for n in names))
+        groups.update(dict.fromkeys(merged, merged))
+        yield merged
+
+
+def _nowhere_together(robot: Robot, hosts: Mapping[str, Hosts]) -> Iterator[Finding]:
+    for index, group in enumerate(_groups(robot)):
+        limits = {name: hosts[name] for name in sorted(group) if hosts.get(name)}
+        if limits and not frozenset.intersection(*limits.values()):
+            where = "; ".join(
+                f"'{n}' on {listed(sorted(h))}" for n, h in limits.items()
+            )
+            yield Finding(
+                ("together", index), f"no computer can take them all: {where}"
+            )
+
+
+def _not_apart(robot: Robot, hosts: Mapping[str, Hosts]) -> Iterator[Finding]:
+    groups = tuple(_groups(robot))
+    for index, names in enumerate(robot.apart):
+        distinct = dict.fromkeys(names)
+        if len(distinct) > len(robot.computers):
+            yield Finding(
+                ("apart", index),
+                f"{len(distinct)} components cannot all be on different computers: "
+                f"there are only {len(robot.computers)}",
+            )
+            continue
+        for pair in combinations(distinct, 2):
+            reason = _why_not_apart(pair, hosts, groups)
+            if reason:
+                both = f"'{pair[0]}' and '{pair[1]}' are to be apart, but {reason}"
+                yield Finding(("apart", index), both)
+
+
+def _why_not_apart(
+    pair: tuple[str, str],
+    hosts: Mapping[str, Hosts],
+    groups: tuple[frozenset[str], ...],
+) -> str:
+    """Return what contradicts that the two are apart, or nothing."""
+    if any(group.issuperset(pair) for group in groups):
+        return "`together` wants them on one computer"
+    common = frozenset.union(*(hosts.get(name, frozenset()) for name in pair))
+    if len(common) == 1 and all(hosts.get(name) for name in pair):
+        return f"both can run only on '{next(iter(common))}'"
+    return ""

@@ -1,0 +1,58 @@
+"""A robot file -> a `Robot`, or every problem at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+from poise.errors import Problem, RobotError
+from poise.model import file
+from poise.model.build import build
+from poise.model.check import check
+from poise.model.include import read_tree
+from poise.model.positions import Positions
+from poise.model.robot import Robot
+from poise.model.validate import validate
+from poise.units import quoted
+
+
+class Source(Struct, frozen=True):
+    """A robot and where its parts stand in its files."""
+
+    robot: Robot
+    positions: Positions
+
+
+def load(path: str | Path) -> Robot:
+    """Return the robot that the file at `path` describes.
+
+    Raises
+    ------
+    RobotError
+        With every problem of the file and of those that it includes.
+    """
+    return load_source(path).robot
+
+
+def load_source(path: str | Path) -> Source:
+    """Return the robot and the positions of its parts; raises as `load` does."""
+    problems: list[Problem] = []
+    path = Path(path)
+    if "\0" in str(path):
+        raise RobotError(f"{quoted(path)} is no file name")
+    root = read_tree(path, problems)
+    if root is None:
+        raise RobotError(problems=problems)
+    # A file that could not be included would make its names look unknown.
+    is_whole = not problems
+    values = validate(root, msgspec.inspect.type_info(file.Robot), problems)
+    if values is None or not is_whole:
+        raise RobotError(problems=sorted(problems))
+    robot = build(msgspec.convert(values, file.Robot), str(path.resolve().parent))
+    positions = Positions(root)
+    problems += [positions.problem(finding) for finding in check(robot)]
+    if problems:
+        raise RobotError(problems=sorted(problems))
+    return Source(robot, positions)

@@ -1,0 +1,65 @@
+"""Ports that the robot file declares."""
+
+from collections.abc import Callable
+
+import pytest
+
+from poise.errors import Problem
+
+Find = Callable[[str], tuple[Problem, ...]]
+Refuse = Callable[..., None]
+
+ROBOT = """
+robot: r
+computers: {main: {cpu: 2, memory: 1}}
+architectures:
+  nav:
+    function: f
+    components:
+      laser: {command: l, ports: {scan: {publishes: "m:Scan"}}}
+      map: {command: m, ports: {scan: {subscribes: "m:Scan"}, walls: {provides: "m:W"}}}
+      drive: {command: d, ports: {walls: {requires: "m:W"}, scan: {subscribes: "m:S"}}}
+      free: {command: f}
+    connectors: [CONNECTORS]
+"""
+
+
+@pytest.mark.parametrize(
+    ("connectors", "words"),
+    [
+        (
+            "{between: [▸laser.scam, map.scan]}",
+            ["'laser' has no port 'scam'", "'scan'?", "'scan' (publishes m:Scan)"],
+        ),
+        ("{between: [laser.scan, ▸map]}", ["name the port of component 'map' too"]),
+        (
+            "{▸between: [map.scan, laser.scan]}",
+            ["wrong way round", "[laser.scan, map.scan]"],
+        ),
+        ("{▸between: [map.scan, free]}", ["wrong way round", "[free, map.scan]"]),
+        (
+            "{▸between: [laser.scan, map.walls]}",
+            ["'laser.scan' publishes and 'map.walls' provides", "does not fit"],
+        ),
+        (
+            "{▸between: [laser.scan, drive.scan]}",
+            ["the types differ", "publishes m:Scan", "subscribes m:S"],
+        ),
+        (
+            "{between: [drive.walls, map.walls]}, {between: [▸drive.walls, free]}",
+            ["'drive.walls' requires one provider", "drive.walls -> free"],
+        ),
+    ],
+)
+def test_refuses_ends_that_do_not_fit(
+    refuse: Refuse, connectors: str, words: list[str]
+) -> None:
+    refuse(ROBOT.replace("CONNECTORS", connectors), *words)
+
+
+def test_accepts_ends_that_fit(find: Find) -> None:
+    connectors = (
+        "{between: [laser.scan, map.scan]}, {between: [drive.walls, map.walls]}, "
+        "{between: [laser.scan, free.anything]}"
+    )
+    assert find(ROBOT.replace("CONNECTORS", connectors)) == ()
