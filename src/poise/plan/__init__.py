@@ -1,0 +1,48 @@
+"""Where each component runs: the objective, the greedy, search, proof, explanation."""
+
+from poise.plan.change import add, scale, without
+from poise.plan.describe import evaluate
+from poise.plan.explain import Explanation, Option, explain
+from poise.plan.load import load
+from poise.plan.problem import (
+    Architecture,
+    Component,
+    Computer,
+    Connector,
+    Link,
+    Problem,
+)
+from poise.plan.result import Conflict, Result, Step, Terms, Tightest, Trial
+from poise.plan.robot import problem_of, static
+from poise.plan.schema import schema
+from poise.plan.smallest import smallest
+from poise.plan.solve import solve, trace
+
+__all__ = [
+    "Architecture",
+    "Component",
+    "Computer",
+    "Conflict",
+    "Connector",
+    "Explanation",
+    "Link",
+    "Option",
+    "Problem",
+    "Result",
+    "Step",
+    "Terms",
+    "Tightest",
+    "Trial",
+    "add",
+    "evaluate",
+    "explain",
+    "load",
+    "problem_of",
+    "scale",
+    "schema",
+    "smallest",
+    "solve",
+    "static",
+    "trace",
+    "without",
+]

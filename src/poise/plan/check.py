@@ -1,0 +1,146 @@
+"""Everything that is wrong with a problem, all at once, before it is solved."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
+from math import isfinite
+
+from poise.errors import RobotError
+from poise.plan.problem import Problem
+
+LARGEST = 1e60
+"""Numbers beyond this would overflow as they are squared and summed."""
+
+
+def check(problem: Problem) -> None:
+    """Raise a RobotError that lists everything that is wrong with `problem`."""
+    found = list(problems(problem))
+    if found:
+        raise RobotError("the problem is wrong:\n  " + "\n  ".join(found))
+
+
+def problems(problem: Problem) -> Iterator[str]:
+    """Yield everything that is wrong, each named with its value and the choices."""
+    components = [c.name for c in problem.components]
+    computers = [h.name for h in problem.computers]
+    yield from _twice("component", components)
+    yield from _twice("computer", computers)
+    yield from _twice("architecture", [a.name for a in problem.architectures])
+    if components and not computers:
+        yield f"there are {len(components)} components, but no computers"
+    yield from _numbers(problem)
+    yield from _names(problem, components, computers)
+    yield from _matrices(problem)
+
+
+def _twice(kind: str, names: list[str]) -> Iterator[str]:
+    for name, count in Counter(names).items():
+        if count > 1:
+            yield f"{kind} {name!r} is there {count} times; names must be unique"
+
+
+def _numbers(problem: Problem) -> Iterator[str]:
+    for c in problem.components:
+        where = f"component {c.name!r}: "
+        yield from _amounts(f"{where}demand of ", c.demand)
+        yield from _amounts(where, {"move_cost": c.move_cost})
+    for h in problem.computers:
+        where = f"computer {h.name!r}: "
+        yield from _amounts(f"{where}capacity of ", h.capacity)
+        yield from _amounts(where, {"price": h.price, "speed": h.speed})
+        if h.speed == 0:
+            yield f"{where}speed is 0, must be above 0"
+        for name, share in h.reserve.items():
+            if not 0 <= share < 1:
+                yield f"{where}reserve of {name} is {share}, must be in [0, 1)"
+    for k in problem.connectors:
+        where = f"connector {k.between[0]} - {k.between[1]}: "
+        yield from _amounts(where, {"overhead": k.overhead, "traffic": k.traffic})
+    for link in problem.links:
+        if not link.bandwidth >= 0:
+            names = " - ".join(link.between)
+            yield f"link {names}: bandwidth is {link.bandwidth}, must be >= 0"
+    yield from _weights(problem)
+
+
+def _weights(problem: Problem) -> Iterator[str]:
+    given = problem.objective
+    both = {"communication": given.communication, "balance": given.balance}
+    yield from _amounts("objective: ", both)
+    yield from _amounts("objective: weight of ", given.weights)
+    yield from _amounts("objective: size of ", given.sizes)
+    yield from _amounts("problem: ", {"quality": problem.quality})
+    for a in problem.architectures:
+        if not 0 < a.quality <= 1:
+            yield f"architecture {a.name!r}: quality is {a.quality}, must be in (0, 1]"
+
+
+def _amounts(what: str, amounts: Mapping[str, float]) -> Iterator[str]:
+    for name, value in amounts.items():
+        if not (isfinite(value) and 0 <= value <= LARGEST):
+            yield f"{what}{name} is {value}, must be in [0, {LARGEST:g}]"
+
+
+def _names(
+    problem: Problem, components: list[str], computers: list[str]
+) -> Iterator[str]:
+    known = {name: name for name in components}, {name: name for name in computers}
+    for where, kind, names in _mentions(problem):
+        there = known[kind == "computer"]
+        for name in names:
+            if name not in there:
+                yield _unknown(where, kind, name, list(there))
+
+
+def _mentions(problem: Problem) -> Iterator[tuple[str, str, tuple[str, ...]]]:
+    """Yield where names are used, of which kind, and the names."""
+    for c in problem.components:
+        present = () if c.present is None else (c.present,)
+        yield f"component {c.name!r}", "computer", (*c.only, *present)
+    for k in problem.connectors:
+        yield f"connector {' - '.join(k.between)}", "component", k.between
+    for link in problem.links:
+        yield f"link {' - '.join(link.between)}", "computer", link.between
+    for group in problem.together:
+        yield "together", "component", group
+    for group in problem.apart:
+        yield "apart", "component", group
+    for a in problem.architectures:
+        yield f"architecture {a.name!r}", "component", a.components
+
+
+def _unknown(where: str, kind: str, name: str, known: list[str]) -> str:
+    near = get_close_matches(name, known, n=1)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    choices = ", ".join(known[:8]) + (", ..." if len(known) > 8 else "")  # noqa: PLR2004
+    return f"{where}: no {kind} is called {name!r}{hint} (there are: {choices})"
+
+
+def _matrices(problem: Problem) -> Iterator[str]:
+    n, m = len(problem.components), len(problem.computers)
+    for name, table, rows in (
+        ("distance", problem.distance, m),
+        ("cost", problem.cost, n),
+    ):
+        if not table:
+            continue
+        if len(table) != rows or any(len(row) != m for row in table):
+            widths = sorted({len(row) for row in table})
+            yield f"{name} is {len(table)} x {widths}, must be {rows} x {m}"
+        elif any(not isfinite(v) or abs(v) > LARGEST for row in table for v in row):
+            yield f"{name} has a value that is not a finite number up to {LARGEST:g}"
+        elif name == "distance":
+            yield from _metric(problem)
+
+
+def _metric(problem: Problem) -> Iterator[str]:
+    table = problem.distance
+    for a, row in enumerate(table):
+        for b, value in enumerate(row[: a + 1]):
+            names = f"{problem.computers[a].name!r} and {problem.computers[b].name!r}"
+            if value < 0:
+                yield f"distance between {names} is {value}, must be >= 0"
+            if value != table[b][a]:
+                yield f"distance between {names} is {value} one way, {table[b][a]} back"

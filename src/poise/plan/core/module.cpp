@@ -1,0 +1,274 @@
+// The one place where C++ meets Python.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <cstring>
+#include <memory>
+#include <mutex>
+#include <stdexcept>
+
+#include "exact.h"
+#include "fleet.h"
+#include "fluid.h"
+#include "greedy.h"
+#include "search.h"
+
+namespace nb = nanobind;
+using namespace poise;
+
+namespace {
+
+// Copies a list, or anything with a buffer of the right type (array.array, NumPy).
+template <typename T>
+std::vector<T> numbers(nb::handle from, const char* name) {
+  std::vector<T> out;
+  if (PyList_CheckExact(from.ptr())) {
+    const Py_ssize_t size = PyList_GET_SIZE(from.ptr());
+    out.resize(static_cast<std::size_t>(size));
+    for (Py_ssize_t i = 0; i < size; ++i) {
+      PyObject* item = PyList_GET_ITEM(from.ptr(), i);
+      if constexpr (std::is_same_v<T, double>) {
+        out[i] = PyFloat_AsDouble(item);
+        if (out[i] == -1.0 && PyErr_Occurred()) throw nb::python_error();
+      } else {
+        const long value = PyLong_AsLong(item);
+        if (value == -1 && PyErr_Occurred()) throw nb::python_error();
+        if (value != static_cast<T>(value)) {
+          throw std::invalid_argument(std::string(name) + " has an index out of range");
+        }
+        out[i] = static_cast<T>(value);
+      }
+    }
+    return out;
+  }
+  Py_buffer view;
+  if (PyObject_GetBuffer(from.ptr(), &view, PyBUF_FORMAT | PyBUF_C_CONTIGUOUS) != 0) {
+    throw nb::python_error();
+  }
+  const char* wanted = std::is_same_v<T, double> ? "d" : "i";
+  const bool right = view.format != nullptr && std::strcmp(view.format, wanted) == 0 &&
+                     view.itemsize == sizeof(T);
+  if (right) {
+    out.resize(static_cast<std::size_t>(view.len) / sizeof(T));
+    if (view.len > 0) std::memcpy(out.data(), view.buf, static_cast<std::size_t>(view.len));
+  }
+  PyBuffer_Release(&view);
+  if (!right) throw std::invalid_argument(std::string(name) + " has the wrong type");
+  return out;
+}
+
+nb::list listed(const Placement& placed) {
+  PyObject* list = PyList_New(static_cast<Py_ssize_t>(placed.size()));
+  if (list == nullptr) throw nb::python_error();
+  for (std::size_t i = 0; i < placed.size(); ++i) {
+    PyList_SET_ITEM(list, static_cast<Py_ssize_t>(i), PyLong_FromLong(placed[i]));
+  }
+  return nb::steal<nb::list>(list);
+}
+
+const char* named(Reason reason) {
+  switch (reason) {
+    case Reason::kDone: return "done";
+    case Reason::kProven: return "proven";
+    case Reason::kBudget: return "budget";
+    case Reason::kInterrupted: return "interrupted";
+    case Reason::kInfeasible: return "infeasible";
+  }
+  return "done";
+}
+
+// Whether the user pressed Ctrl-C. Any other exception of a signal handler is passed on
+// by `Core`, once the solver has come back.
+struct Signals {
+  nb::object raised;
+  bool operator()() {
+    nb::gil_scoped_acquire lock;
+    if (PyErr_CheckSignals() == 0) return false;
+    if (!PyErr_ExceptionMatches(PyExc_KeyboardInterrupt)) {
+      PyObject *type, *value, *trace;
+      PyErr_Fetch(&type, &value, &trace);
+      PyErr_NormalizeException(&type, &value, &trace);
+      Py_XDECREF(type);
+      Py_XDECREF(trace);
+      raised = nb::steal<nb::object>(value);
+    }
+    PyErr_Clear();
+    return true;
+  }
+};
+
+class Core {
+ public:
+  explicit Core(Input input)
+      : problem_(std::move(input)), greedy_(problem_) {}
+
+  nb::list greedy() {
+    if (static_cast<double>(problem_.n) * problem_.m < 65536) {
+      greedy_.run(placed_);
+      return listed(placed_);
+    }
+    // Long enough for others to run meanwhile; then it needs tables of its own.
+    Placement placed;
+    {
+      nb::gil_scoped_release free;
+      Greedy(problem_).run(placed);
+    }
+    return listed(placed);
+  }
+
+  nb::tuple exact(nb::handle known, double seconds, std::int64_t steps) {
+    const Placement start = complete(known);
+    if (!Exact::takes(problem_)) throw std::invalid_argument("too large for `exact`");
+    if (!start.empty() && !feasible(problem_, start)) {
+      throw std::invalid_argument("the placement to start from breaks a limit");
+    }
+    return solve(seconds, steps, [&](Stop& stop) {
+      // One prepared tree is kept; a second thread that comes meanwhile grows its own.
+      const std::unique_lock<std::mutex> lock(exact_mutex_, std::try_to_lock);
+      if (!lock) return Exact(problem_).run(start, stop);
+      if (!exact_) exact_ = std::make_unique<Exact>(problem_);
+      return exact_->run(start, stop);
+    });
+  }
+
+  nb::tuple search(nb::handle known, double seconds, std::int64_t steps,
+                   std::uint64_t seed) {
+    const Placement start = complete(known);
+    return solve(seconds, steps, [&](Stop& stop) {
+      return poise::search(problem_, start, stop, seed);
+    });
+  }
+
+  nb::list multilevel(std::uint64_t seed) {
+    Placement placed;
+    {
+      nb::gil_scoped_release free;
+      Stop stop(1e18, std::int64_t{1} << 62, nullptr);
+      Random random(seed);
+      placed = poise::multilevel(problem_, stop, random);
+    }
+    return listed(placed);
+  }
+
+  nb::tuple terms(nb::handle known) {
+    const Terms out = poise::terms(problem_, partial(known));
+    return nb::make_tuple(out.communication, out.balance, out.linear);
+  }
+
+  bool feasible_(nb::handle known) { return feasible(problem_, partial(known)); }
+
+  bool provable() { return Exact::takes(problem_); }
+  double bound() { return fluid_bound(problem_); }
+  std::size_t bytes() { return problem_.bytes(); }
+
+ private:
+  template <typename Solver>
+  nb::tuple solve(double seconds, std::int64_t steps, Solver solver) {
+    if (!(seconds >= 0)) throw std::invalid_argument("seconds must be >= 0");
+    Signals signals;
+    Outcome out;
+    {
+      nb::gil_scoped_release free;
+      Stop stop(seconds, steps, [&] { return signals(); });
+      out = solver(stop);
+    }
+    if (signals.raised.is_valid()) {
+      PyErr_SetObject(reinterpret_cast<PyObject*>(Py_TYPE(signals.raised.ptr())),
+                      signals.raised.ptr());
+      throw nb::python_error();
+    }
+    return nb::make_tuple(listed(out.placed), out.bound, out.proven, named(out.reason),
+                          out.steps);
+  }
+
+  // A placement of all units or of none.
+  Placement complete(nb::handle from) {
+    Placement placed = numbers<std::int32_t>(from, "placement");
+    if (placed.empty()) return placed;
+    check(placed, 0);
+    return placed;
+  }
+  Placement partial(nb::handle from) {
+    Placement placed = numbers<std::int32_t>(from, "placement");
+    check(placed, -1);
+    return placed;
+  }
+  void check(const Placement& placed, int lowest) {
+    if (placed.size() != static_cast<std::size_t>(problem_.n)) {
+      throw std::invalid_argument("placement has " + std::to_string(placed.size()) +
+                                  " entries, must have " + std::to_string(problem_.n));
+    }
+    for (const std::int32_t computer : placed) {
+      if (computer < lowest || computer >= problem_.m) {
+        throw std::invalid_argument("placement has the computer " +
+                                    std::to_string(computer));
+      }
+    }
+  }
+
+  Problem problem_;
+  Greedy greedy_;
+  std::mutex exact_mutex_;
+  std::unique_ptr<Exact> exact_;
+  Placement placed_;
+};
+
+}  // namespace
+
+NB_MODULE(_core, module) {
+  module.doc() = "The placement engine in C++; see poise.plan.engine.";
+  nb::class_<Core>(module, "Core", "A problem in flat tables, compiled once.")
+      .def(
+          "__init__",
+          [](Core* self, std::int64_t n, std::int64_t m, std::int64_t r, nb::handle demand,
+             nb::handle capacity, nb::handle limit, nb::handle size,
+             nb::handle restricted, nb::handle offsets, nb::handle allowed,
+             nb::handle first, nb::handle second, nb::handle overhead, nb::handle traffic,
+             nb::handle distance, nb::handle cost, nb::handle bandwidth,
+             nb::handle apart_first, nb::handle apart_second, double communication,
+             nb::handle spread, bool share, bool variance) {
+            Input in;
+            in.n = n;
+            in.m = m;
+            in.r = r;
+            in.demand = numbers<double>(demand, "demand");
+            in.capacity = numbers<double>(capacity, "capacity");
+            in.limit = numbers<double>(limit, "limit");
+            in.size = numbers<double>(size, "size");
+            in.restricted = numbers<std::int32_t>(restricted, "restricted");
+            in.offsets = numbers<std::int32_t>(offsets, "offsets");
+            in.allowed = numbers<std::int32_t>(allowed, "allowed");
+            in.first = numbers<std::int32_t>(first, "first");
+            in.second = numbers<std::int32_t>(second, "second");
+            in.overhead = numbers<double>(overhead, "overhead");
+            in.traffic = numbers<double>(traffic, "traffic");
+            in.distance = numbers<double>(distance, "distance");
+            in.cost = numbers<double>(cost, "cost");
+            in.bandwidth = numbers<double>(bandwidth, "bandwidth");
+            in.apart_first = numbers<std::int32_t>(apart_first, "apart_first");
+            in.apart_second = numbers<std::int32_t>(apart_second, "apart_second");
+            in.communication = communication;
+            in.spread = numbers<double>(spread, "spread");
+            in.share = share;
+            in.variance = variance;
+            new (self) Core(std::move(in));
+          },
+          nb::arg("n"), nb::arg("m"), nb::arg("r"), nb::arg("demand"),
+          nb::arg("capacity"), nb::arg("limit"), nb::arg("size"), nb::arg("restricted"),
+          nb::arg("offsets"), nb::arg("allowed"), nb::arg("first"), nb::arg("second"),
+          nb::arg("overhead"), nb::arg("traffic"), nb::arg("distance"), nb::arg("cost"),
+          nb::arg("bandwidth"), nb::arg("apart_first"), nb::arg("apart_second"),
+          nb::arg("communication"), nb::arg("spread"), nb::arg("share"),
+          nb::arg("variance"))
+      .def("greedy", &Core::greedy)
+      .def("exact", &Core::exact, nb::arg("known"), nb::arg("seconds"), nb::arg("steps"))
+      .def("search", &Core::search, nb::arg("known"), nb::arg("seconds"),
+           nb::arg("steps"), nb::arg("seed"))
+      .def("multilevel", &Core::multilevel, nb::arg("seed"))
+      .def("terms", &Core::terms, nb::arg("placed"))
+      .def("feasible", &Core::feasible_, nb::arg("placed"))
+      .def("bound", &Core::bound)
+      .def_prop_ro("provable", &Core::provable)
+      .def_prop_ro("bytes", &Core::bytes);
+}

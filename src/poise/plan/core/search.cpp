@@ -1,0 +1,112 @@
+#include "search.h"
+
+#include <algorithm>
+
+#include "fleet.h"
+#include "fluid.h"
+
+namespace poise {
+namespace {
+
+// Which part of the time goes into cooling, when there is climbing to be done after it.
+constexpr int kCoolingShare = 5;
+// From here on, joining units first is worth it.
+constexpr int kManyUnits = 400;
+// How hot each cooling begins, in mean changes of F: the first keeps much of where it
+// starts, the others come back when climbing leads no further. Found by trial.
+constexpr double kHeats[4] = {0.2, 0.5, 1.0, 2.0};
+
+// Somewhere to begin when the greedy has come to a dead end: each unit where it is
+// allowed and least is used.
+Placement any_placement(const Problem& p) {
+  Placement placed(p.n, 0);
+  std::vector<double> used(p.m, 0.0);
+  for (const std::int32_t unit : p.order) {
+    int best = -1;
+    for (int h = 0; h < p.m; ++h) {
+      if (p.allowed(unit, h) && (best < 0 || used[h] < used[best])) best = h;
+    }
+    if (best < 0) return {};
+    placed[unit] = best;
+    double share = 0;
+    for (int k = 0; k < p.r; ++k) {
+      const double limit = p.capacity[k * p.m + best] - p.floor[k * p.m + best];
+      if (limit > 0) share = std::max(share, p.demand[unit * p.r + k] / limit);
+    }
+    used[best] += share;
+  }
+  return placed;
+}
+
+}  // namespace
+
+Search::Search(const Problem& problem, Stop& stop, std::uint64_t seed)
+    : p_(problem), stop_(stop), random_(seed), state_(problem), resplit_(problem),
+      seen_(p_.n, 0), stale_(static_cast<std::size_t>(p_.m) * p_.m, 0) {
+  for (int i = 0; i < p_.n; ++i) {
+    if (p_.choices(i) > 1) movable_.push_back(i);
+  }
+}
+
+void Search::offer(const Placement& placed) {
+  if (placed.empty()) return;
+  if (!feasible(p_, placed)) return;
+  const double total = terms(p_, placed).total();
+  if (total >= best_objective_) return;
+  best_ = placed;
+  best_objective_ = total;
+}
+
+void Search::run(const Placement& start) {
+  offer(start);
+  if (done()) return;
+  state_.reset(start);
+  std::int64_t length = 64 * static_cast<std::int64_t>(p_.n);
+  // A first short cooling also shows the pace, by which a later one fills its share.
+  // While nothing keeps all limits, many short ones find more than a long one.
+  for (cool(length, kHeats[0]); !found() && !stop_.look(); cool(length, kHeats[0])) {
+    length += length / 2;
+  }
+  if (Resplit::takes(p_)) {
+    length = std::max(64 * static_cast<std::int64_t>(p_.n),
+                      stop_.steps_left() / kCoolingShare);
+    if (p_.n >= kManyUnits) length = 64 * static_cast<std::int64_t>(p_.n);
+  }
+  for (int round = 0; !stop_.look(); ++round) {
+    const std::int64_t left = stop_.steps_left();
+    if (round > 0) state_.reset(found() ? best_ : state_.placed());
+    cool(left < 2 * length && !Resplit::takes(p_) ? left : length, kHeats[round % 4]);
+    if (Resplit::takes(p_) && found()) climb();
+    else length += length / 2;
+  }
+}
+
+// Up to here a table of what each unit pays on each computer is kept.
+constexpr std::int64_t kLargestTable = 4'000'000;
+Outcome search(const Problem& p, const Placement& known, Stop& stop, std::uint64_t seed) {
+  Outcome out;
+  Random random(seed ^ 0x9e3779b97f4a7c15U);
+  Placement start = known;
+  if (p.n >= kManyUnits) {
+    Placement joined = multilevel(p, stop, random);
+    const bool better = !joined.empty() &&
+                        (start.empty() || terms(p, joined).total() < terms(p, start).total());
+    if (better) start = std::move(joined);
+  }
+  if (static_cast<std::int64_t>(p.n) * p.m <= kLargestTable) {
+    Search search(p, stop, seed);
+    search.offer(start);
+    if (start.empty()) start = any_placement(p);
+    if (static_cast<int>(start.size()) == p.n) search.run(start);
+    start = search.best();
+  } else if (!start.empty()) {
+    refine(p, start, stop);
+  }
+  out.placed = start;
+  out.bound = fluid_bound(p);
+  out.reason = stop.stopped() ? stop.reason() : Reason::kDone;
+  out.steps = stop.steps();
+  return out;
+}
+
+}  // namespace poise

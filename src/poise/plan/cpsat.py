@@ -1,0 +1,250 @@
+"""The placement by OR-Tools CP-SAT: an independent certificate (extra `exact`).
+
+Real numbers become whole ones: demands and limits in millionths of the largest limit,
+rounded so that a placement it finds is one; F in millionths of its own scale. What it
+proves is therefore proven to about a millionth.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from poise.errors import UsageError
+from poise.plan.engine import Answer
+from poise.plan.tables import Placed, Tables
+
+# OR-Tools may not be installed where this is checked.
+CpModel = Any
+IntVar = Any
+LinearExprT = Any
+
+UNITS = 1_000_000
+"""In how many parts a limit, or the scale of F, is divided."""
+
+
+def solve(tables: Tables, seconds: float, seed: int) -> Answer:
+    """Return the best placement that CP-SAT finds, and its bound.
+
+    Raises
+    ------
+    UsageError
+        When OR-Tools is not installed.
+    """
+    try:
+        from ortools.sat.python import cp_model  # noqa: PLC0415 - an extra, and slow
+    except ImportError as error:
+        raise UsageError("cpsat needs OR-Tools: pip install 'poise[exact]'") from error
+    model = _Model(cp_model.CpModel(), tables)
+    solver = cp_model.CpSolver()
+    solver.parameters.max_time_in_seconds = max(seconds, 1e-3)
+    solver.parameters.random_seed = seed & 0x7FFFFFFF
+    solver.parameters.num_workers = 2
+    status = solver.solve(model.model)
+    bound = float("-inf")
+    placed: Placed = []
+    if status in {cp_model.OPTIMAL, cp_model.FEASIBLE}:
+        placed = [
+            next(h for h in range(tables.m) if solver.boolean_value(row[h]))
+            for row in model.on
+        ]
+        # What rounding may have added to F: half a unit for every term.
+        bound = (solver.best_objective_bound - model.terms) / model.scale
+    proven = status in {cp_model.OPTIMAL, cp_model.INFEASIBLE}
+    stopped = "proven" if placed else "infeasible"
+    return Answer(placed, bound, proven, stopped if proven else "budget", 0)  # type: ignore[arg-type]
+
+
+class _Model:
+    """The 0-1 program: `on[unit][computer]`, limits, and F in whole numbers."""
+
+    def __init__(self, model: CpModel, tables: Tables) -> None:
+        self.model = model
+        self.tables = tables
+        self.terms = 0
+        self.on = [
+            [model.new_bool_var(f"u{u}h{h}") for h in range(tables.m)]
+            for u in range(tables.n)
+        ]
+        self.scale = UNITS / max(1e-12, self._largest())
+        self._limits()
+        objective: list[LinearExprT] = []
+        objective += self._connectors()
+        objective += self._costs()
+        objective += self._spreads()
+        model.minimize(sum(objective))
+
+    def _largest(self) -> float:
+        """Return about how large F may be."""
+        t = self.tables
+        far = max(t.distance, default=1.0)
+        costs = [abs(c) for c in t.cost]
+        return (
+            t.communication * sum(t.overhead) * far
+            + sum(t.spread) * (1.0 if t.share else max(t.capacity, default=1.0))
+            + t.n * max(costs, default=0.0)
+        ) or 1.0
+
+    def _whole(self, value: float) -> int:
+        self.terms += 1
+        return round(value * self.scale)
+
+    def _limits(self) -> None:
+        t = self.tables
+        for row in self.on:
+            self.model.add_exactly_one(row)
+        for u, computers in t.allowed.items():
+            for h in range(t.m):
+                if h not in computers:
+                    self.model.add(self.on[u][h] == 0)
+        for i, j in t.apart:
+            for h in range(t.m):
+                self.model.add(self.on[i][h] + self.on[j][h] <= 1)
+        for k in range(t.r):
+            unit = max(t.limit[k :: t.r], default=0.0) / UNITS
+            for h in range(t.m):
+                self._hold(k, h, unit)
+        self._links()
+
+    def _hold(self, k: int, h: int, unit: float) -> None:
+        t = self.tables
+        limit = t.limit[h * t.r + k]
+        demands = t.demand[k :: t.r]
+        if unit <= 0:
+            for u, demand in enumerate(demands):
+                if demand > 0:
+                    self.model.add(self.on[u][h] == 0)
+            return
+        # Up, but for rounding noise, so that what fits here fits.
+        whole = [-int(-(d / unit - 1e-3) // 1) if d > 0 else 0 for d in demands]
+        self.model.add(
+            sum(w * self.on[u][h] for u, w in enumerate(whole)) <= int(limit / unit)
+        )
+
+    def _links(self) -> None:
+        t = self.tables
+        if not t.bandwidth:
+            return
+        for a in range(t.m):
+            for b in range(a):
+                limit = t.bandwidth[a * t.m + b]
+                if limit == float("inf"):
+                    continue
+                unit = max(limit, 1e-9) / UNITS
+                sent = [
+                    round(w / unit) * self._both(i, a, j, b)
+                    for i, j, w in zip(t.first, t.second, t.traffic, strict=True)
+                    if w > 0
+                ]
+                self.model.add(sum(sent) <= UNITS)
+
+    def _both(self, i: int, a: int, j: int, b: int) -> LinearExprT:
+        """Return 1 when units i and j are on computers a and b, either way round."""
+        total: LinearExprT = 0
+        for x, y in ((a, b), (b, a)):
+            both = self.model.new_bool_var("")
+            self.model.add_bool_or([self.on[i][x].Not(), self.on[j][y].Not(), both])
+            self.model.add_implication(both, self.on[i][x])
+            self.model.add_implication(both, self.on[j][y])
+            total = total + both
+        return total
+
+    def _connectors(self) -> list[LinearExprT]:
+        t = self.tables
+        out: list[LinearExprT] = []
+        for i, j, overhead in zip(t.first, t.second, t.overhead, strict=True):
+            cost = t.communication * overhead
+            if cost <= 0:
+                continue
+            if t.distance:
+                out += [
+                    self._whole(cost * t.distance[a * t.m + b]) * self._both(i, a, j, b)
+                    for a in range(t.m)
+                    for b in range(a)
+                ]
+                continue
+            apart = self.model.new_bool_var("")
+            for h in range(t.m):
+                self.model.add_implication(
+                    self.on[i][h], self.on[j][h]
+                ).only_enforce_if(apart.Not())
+            out.append(self._whole(cost) * apart)
+        return out
+
+    def _costs(self) -> list[LinearExprT]:
+        t = self.tables
+        return [
+            self._whole(t.cost[u * t.m + h]) * self.on[u][h]
+            for u in range(t.n)
+            for h in range(t.m)
+            if t.cost
+        ]
+
+    def _spreads(self) -> list[LinearExprT]:
+        out: list[LinearExprT] = []
+        for k, weight in enumerate(self.tables.spread):
+            if weight > 0:
+                out += self._spread(k, weight)
+        return out
+
+    def _spread(self, k: int, weight: float) -> list[LinearExprT]:
+        t = self.tables
+        residues = [self._residue(k, h) for h in range(t.m) if self._counts(k, h)]
+        if len(residues) < 2:  # noqa: PLR2004 - a spread needs two
+            return []
+        top = max(1.0, *t.capacity[k :: t.r]) if not t.share else 1.0
+        if t.variance:
+            return [self._variance(residues, weight, top)]
+        end = round(2 * top * self.scale)
+        high = self.model.new_int_var(-end, end, "")
+        low = self.model.new_int_var(-end, end, "")
+        for residue in residues:
+            self.model.add(high >= residue)
+            self.model.add(low <= residue)
+        # Weights are fractions: carry them in a variable of their own.
+        out = self.model.new_int_var(0, 2 * end, "")
+        parts = round(weight * UNITS)
+        self.terms += 1
+        self.model.add(UNITS * out >= parts * (high - low))
+        return [out]
+
+    def _counts(self, k: int, h: int) -> bool:
+        t = self.tables
+        return not t.share or t.capacity[h * t.r + k] > 0
+
+    def _residue(self, k: int, h: int) -> LinearExprT:
+        t = self.tables
+        capacity = t.capacity[h * t.r + k]
+        size = capacity if t.share else 1.0
+        used = sum(
+            self._whole(d / size) * self.on[u][h]
+            for u, d in enumerate(t.demand[k :: t.r])
+        )
+        return round(capacity / size * self.scale) - used
+
+    def _variance(self, residues: list[Any], weight: float, top: float) -> LinearExprT:
+        """Return weight x variance, by squares of coarser residues."""
+        count = len(residues)
+        grid = 10_000
+        end = 2 * grid
+        shares: list[IntVar] = []
+        for residue in residues:
+            share = self.model.new_int_var(-end, end, "")
+            step = max(1, round(top * self.scale / grid))
+            self.model.add(step * share <= residue)
+            self.model.add(step * share > residue - step)
+            shares.append(share)
+        total = sum(shares)
+        squares = []
+        for share in shares:
+            off = self.model.new_int_var(-count * 2 * end, count * 2 * end, "")
+            self.model.add(off == count * share - total)
+            square = self.model.new_int_var(0, (count * 2 * end) ** 2, "")
+            self.model.add_multiplication_equality(square, [off, off])
+            squares.append(square)
+        # weight x sum(off^2) / count^3 / grid^2 x top^2, in units of F.
+        per_unit = count**3 * grid**2 / (weight * top * top * self.scale)
+        most = count * (count * 2 * end) ** 2
+        out = self.model.new_int_var(0, round(most / per_unit) + 1, "")
+        self.terms += round(weight * top * top * self.scale * 4 / grid)
+        self.model.add(max(1, round(per_unit)) * out >= sum(squares) - round(per_unit))
+        return out

@@ -1,0 +1,202 @@
+"""Which solver when: greedy at once, a proof where that is quick, else search."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import perf_counter
+from typing import Literal, get_args
+
+from msgspec import Struct
+
+from poise.plan import cpsat
+from poise.plan.describe import described
+from poise.plan.engine import UNLIMITED, Answer, Engine
+from poise.plan.greedy import order
+from poise.plan.infeasible import conflict, dead_end
+from poise.plan.problem import Problem
+from poise.plan.result import Result
+from poise.plan.tables import Placed, Tables, tabulate
+
+Method = Literal["auto", "greedy", "exact", "search", "cpsat"]
+METHODS: tuple[str, ...] = get_args(Method)
+
+GLANCE = 5_000
+"""How many nodes a first proof may open, about half a millisecond: often enough."""
+LOOK_AROUND = 0.15
+"""Which part of the budget goes into a first search, so that a proof starts well."""
+PROOF = 0.5
+"""Which part of the budget may go into a proof."""
+
+
+class Effort(Struct, frozen=True):
+    """How long to decide: `seconds`, or a number of `steps` to be reproducible."""
+
+    seconds: float
+    steps: int | None
+    seed: int
+
+    def share(self, part: float) -> Effort:
+        """Return a part, in (0, 1], of the effort."""
+        steps = None if self.steps is None else int(self.steps * part)
+        return Effort(self.seconds * part, steps, self.seed)
+
+    @property
+    def most_steps(self) -> int:
+        """The limit of steps; none without time to decide."""
+        if self.steps is not None:
+            return self.steps
+        return UNLIMITED if self.seconds > 0 else 0
+
+    def exact(self, engine: Engine, known: Placed) -> Answer:
+        """Spend it on a proof."""
+        if self.steps is not None:
+            return engine.exact(known, steps=self.steps)
+        return engine.exact(known, seconds=self.seconds)
+
+    def search(self, engine: Engine, known: Placed) -> Answer:
+        """Spend it on search."""
+        if self.steps is not None:
+            return engine.search(known, steps=self.steps, seed=self.seed)
+        return engine.search(known, seconds=self.seconds, seed=self.seed)
+
+
+def decide(problem: Problem, method: str, effort: Effort) -> Result:
+    """Solve a checked problem in which every component is needed."""
+    tables = tabulate(problem)
+    if any(not computers for computers in tables.allowed.values()):
+        return _unplaced(tables, method, Answer([], 0.0, True, "infeasible", 0))
+    engine = Engine(tables)
+    known, name = _start(engine, method)
+    if method == "greedy":
+        return _greedy(engine, known)
+    if method == "cpsat":
+        answer = cpsat.solve(tables, effort.seconds, effort.seed)
+    else:
+        answer, finder = _SOLVERS[method](engine, known, effort)
+        if answer.proven or _better(engine, answer.placed, known):
+            name = finder
+    if not answer.placed and tables.n:
+        return _unplaced(tables, method, answer)
+    return described(
+        tables,
+        answer.placed,
+        method="cpsat" if method == "cpsat" else name,
+        bound=max(answer.bound, engine.bound()),
+        proven=answer.proven,
+        stopped_by=answer.stopped_by,
+    )
+
+
+def _start(engine: Engine, method: str) -> tuple[Placed, str]:
+    """Return the placement to start from: as it is now, or the greedy's, or none."""
+    placed = engine.greedy()
+    if method == "greedy":
+        return placed, "greedy"
+    if -1 in placed:
+        placed = []
+    present = _present(engine.tables)
+    if (
+        present
+        and engine.feasible(present)
+        and (not placed or engine.total(present) <= engine.total(placed))
+    ):
+        return present, "present"
+    return placed, "greedy"
+
+
+def _present(tables: Tables) -> Placed:
+    """Return the present placement, or nothing when some component has none."""
+    index = {h.name: i for i, h in enumerate(tables.problem.computers)}
+    placed = [-1] * tables.n
+    for i, component in enumerate(tables.problem.components):
+        if component.present is None:
+            return []
+        computer, unit = index[component.present], tables.unit_of[i]
+        if placed[unit] not in {-1, computer}:
+            return []
+        placed[unit] = computer
+    return placed
+
+
+def _better(engine: Engine, placed: Placed, known: Placed) -> bool:
+    if not placed:
+        return False
+    return not known or engine.total(placed) < engine.total(known)
+
+
+def _greedy(engine: Engine, placed: Placed) -> Result:
+    tables = engine.tables
+    if -1 in placed:
+        reason = dead_end(tables, placed, order(tables))
+        return _described_as_none(tables, "greedy", reason=reason)
+    return described(tables, placed, method="greedy", bound=engine.bound())
+
+
+def _exact(engine: Engine, known: Placed, effort: Effort) -> tuple[Answer, str]:
+    engine.must_be_provable()
+    return effort.exact(engine, known), "exact"
+
+
+def _search(engine: Engine, known: Placed, effort: Effort) -> tuple[Answer, str]:
+    return effort.search(engine, known), "search"
+
+
+def _auto(engine: Engine, known: Placed, effort: Effort) -> tuple[Answer, str]:
+    """Try to prove at once; search a little, try to prove again, and search on."""
+    if not engine.provable:
+        return _search(engine, known, effort)
+    start = perf_counter()
+    glance = engine.exact(known, steps=min(GLANCE, effort.most_steps))
+    if glance.proven or glance.stopped_by == "interrupted":
+        return glance, "exact"
+    known = glance.placed
+    first = effort.share(LOOK_AROUND).search(engine, known)
+    if first.stopped_by == "interrupted":
+        return first, "search"
+    proof = effort.share(PROOF).exact(engine, first.placed)
+    if proof.proven or proof.stopped_by == "interrupted":
+        return proof, "exact"
+    left = max(0.0, effort.seconds - (perf_counter() - start))
+    steps = effort.share(1 - PROOF - LOOK_AROUND).steps
+    last = Effort(left, steps, effort.seed + 1).search(engine, proof.placed)
+    return last._replace(bound=max(last.bound, proof.bound)), "search"
+
+
+_SOLVERS: dict[str, Callable[[Engine, Placed, Effort], tuple[Answer, str]]] = {
+    "auto": _auto,
+    "exact": _exact,
+    "search": _search,
+}
+
+
+def _unplaced(tables: Tables, method: str, answer: Answer) -> Result:
+    found = conflict(tables.problem)
+    if found is not None:
+        reason = f"{'; '.join(found.limits)}. Way out: {found.way_out}"
+    elif answer.proven:
+        reason = "no placement keeps all limits"
+    else:
+        reason = "no placement was found in the time given; there may be one"
+    proven = answer.proven or found is not None
+    return _described_as_none(
+        tables,
+        method,
+        reason=reason,
+        conflict=found,
+        proven=proven,
+        stopped_by="infeasible" if proven else answer.stopped_by,
+    )
+
+
+def _described_as_none(
+    tables: Tables, method: str, *, reason: str, **known: object
+) -> Result:
+    fields: dict[str, object] = {
+        "placement": {},
+        "feasible": False,
+        "reason": reason,
+        "method": method,
+        "scale": tables.problem.objective.scale,
+        "spread": tables.problem.objective.spread,
+    }
+    return Result(**(fields | known))  # type: ignore[arg-type]

@@ -1,0 +1,155 @@
+"""What is to be decided: components, computers, connectors and an objective.
+
+A `Problem` knows no robot. It comes from a robot file through `poise.plan.robot`, from
+a JSON file through `poise.plan.load`, or is written by hand. It is plain data:
+`poise.plan.check` reports everything that is wrong with it before it is solved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from msgspec import Struct
+
+from poise.model.robot import Objective
+
+SLACK = 1e-9
+"""How far a limit may be passed, relative to it (at least to 1): rounding only."""
+
+
+class Component(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A component that is to get a computer.
+
+    Parameters
+    ----------
+    demand
+        Resource -> amount on a computer of speed 1, >= 0; 0 where not named.
+    only
+        Names of the computers it may run on; empty means any.
+    present
+        The computer where it runs now, or None.
+    move_cost
+        What F grows by when it does not stay on `present`; >= 0.
+    why
+        For people: why `only` is what it is, such as ``"needs device camera"``.
+    """
+
+    name: str
+    demand: Mapping[str, float] = {}
+    only: tuple[str, ...] = ()
+    present: str | None = None
+    move_cost: float = 0.0
+    why: str = ""
+
+
+class Computer(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A computer that components may be put on.
+
+    Parameters
+    ----------
+    capacity
+        Resource -> amount it has, >= 0; 0 where not named.
+    speed
+        How fast one core is, relative to the reference computer; > 0. It scales
+        ``cpu`` only.
+    reserve
+        Resource -> share of the capacity that is kept free, in [0, 1).
+    price
+        What it costs, in any unit; `poise.plan.smallest` weighs computers by it.
+    """
+
+    name: str
+    capacity: Mapping[str, float] = {}
+    speed: float = 1.0
+    reserve: Mapping[str, float] = {}
+    price: float = 1.0
+
+
+class Connector(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Joins two components; several between the same two add up.
+
+    Parameters
+    ----------
+    overhead
+        Relative overhead when the two are on different computers; >= 0.
+    traffic
+        What it sends over a link when the two are apart [bytes/s]; >= 0.
+    """
+
+    between: tuple[str, str]
+    overhead: float = 1.0
+    traffic: float = 0.0
+
+
+class Link(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How much the connectors between two computers may send together [bytes/s]."""
+
+    between: tuple[str, str]
+    bandwidth: float
+
+
+class Architecture(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Components that are of use only all together.
+
+    Parameters
+    ----------
+    function
+        What it provides. Of several architectures with the same function one is chosen.
+    priority
+        The higher, the later it is put aside when not all fits.
+    quality
+        How well it provides its function, in (0, 1].
+    """
+
+    name: str
+    components: tuple[str, ...]
+    function: str = ""
+    priority: int = 0
+    quality: float = 1.0
+
+
+class Problem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Everything that a placement is decided by.
+
+    Parameters
+    ----------
+    links
+        Bandwidth between pairs of computers; unlimited where none is named.
+    distance
+        What a unit of overhead costs between two computers, symmetric,
+        (n_computers, n_computers); empty means 1 between any two, 0 on one.
+    cost
+        What F grows by for a component on a computer, (n_components, n_computers);
+        empty means 0.
+    together, apart
+        Sets of components that must share a computer, or must not.
+    architectures
+        Which components belong together as a function; for priorities and
+        alternatives. Empty means that every component is needed.
+    quality
+        What F grows by for every unit of quality lost by choosing an architecture
+        that is not the best one for its function; >= 0.
+    """
+
+    components: tuple[Component, ...] = ()
+    computers: tuple[Computer, ...] = ()
+    connectors: tuple[Connector, ...] = ()
+    links: tuple[Link, ...] = ()
+    distance: tuple[tuple[float, ...], ...] = ()
+    cost: tuple[tuple[float, ...], ...] = ()
+    objective: Objective = Objective()
+    together: tuple[tuple[str, ...], ...] = ()
+    apart: tuple[tuple[str, ...], ...] = ()
+    architectures: tuple[Architecture, ...] = ()
+    quality: float = 1.0
+
+    @property
+    def resources(self) -> tuple[str, ...]:
+        """All resources that a computer has or a component asks for, each once."""
+        names: dict[str, None] = {}
+        for computer in self.computers:
+            names.update(dict.fromkeys(computer.capacity))
+        for component in self.components:
+            if not component.demand.keys() <= names.keys():
+                names.update(dict.fromkeys(component.demand))
+        return tuple(names)

@@ -1,0 +1,93 @@
+"""`solve`: the one function that decides a placement."""
+
+from __future__ import annotations
+
+from math import isfinite
+from time import perf_counter
+
+from msgspec.structs import replace
+
+from poise.errors import UsageError
+from poise.plan.admission import admit, alternatives
+from poise.plan.check import check
+from poise.plan.greedy import greedy
+from poise.plan.portfolio import METHODS, Effort, decide
+from poise.plan.problem import Problem
+from poise.plan.result import Result, Step
+from poise.plan.tables import tabulate
+
+LONGEST_TRACE = 20_000
+"""How many trials (components x computers) a trace is written down for."""
+
+
+def solve(
+    problem: Problem,
+    budget: float = 0.1,
+    method: str = "auto",
+    seed: int = 0,
+    *,
+    steps: int | None = None,
+    fewer: bool = False,
+) -> Result:
+    """Return the best placement found within `budget` [s].
+
+    Ctrl-C ends the search, and the best placement so far is returned.
+
+    Parameters
+    ----------
+    budget
+        Time to decide [s], finite, >= 0; the greedy always runs to its end.
+    method
+        ``auto``: greedy, then proof and search as the budget allows; ``greedy``: the
+        paper's; ``exact``: branch and bound until proven or out of budget; ``search``:
+        the anytime search; ``cpsat``: OR-Tools, an independent certificate.
+    seed
+        Of the search, >= 0.
+    steps
+        Limit of search moves or nodes instead of the budget: then the same seed gives
+        the same placement.
+    fewer
+        Put architectures aside, lowest priority first, when not all fits.
+
+    Raises
+    ------
+    RobotError
+        When the problem is wrong; the message lists everything that is.
+    UsageError
+        When the budget, method, seed or steps are not ones.
+    """
+    _check_call(budget, method, seed, steps)
+    check(problem)
+    start = perf_counter()
+    effort = Effort(budget, steps, seed)
+
+    def part(smaller: Problem, share: float) -> Result:
+        return decide(smaller, method, effort.share(share))
+
+    if fewer or alternatives(problem):
+        result = admit(problem, part, fewer=fewer)
+    else:
+        result = part(problem, 1.0)
+    return replace(result, seconds=perf_counter() - start, seed=seed)
+
+
+def trace(problem: Problem) -> tuple[Step, ...]:
+    """Return every step of the paper's greedy, with all that it tried.
+
+    Empty when it would be longer than 20,000 trials. Raises as `solve` does.
+    """
+    check(problem)
+    if len(problem.components) * len(problem.computers) > LONGEST_TRACE:
+        return ()
+    return greedy(tabulate(problem))[1]
+
+
+def _check_call(budget: float, method: str, seed: int, steps: int | None) -> None:
+    if not (budget >= 0 and isfinite(budget)):
+        raise UsageError(f"budget is {budget} s, must be finite and >= 0")
+    if method not in METHODS:
+        raise UsageError(f"no method {method!r} (there are: {', '.join(METHODS)})")
+    if not 0 <= seed < 1 << 62:
+        raise UsageError(f"seed is {seed}, must be in [0, 2^62)")
+    if steps is not None and not 0 <= steps < 1 << 62:
+        raise UsageError(f"steps is {steps}, must be in [0, 2^62)")

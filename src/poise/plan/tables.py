@@ -1,0 +1,300 @@
+"""A problem in numbers: what both the Python reference and the C++ core work on.
+
+Components that must share a computer become one *unit*; everything below is by unit.
+Tables are flat, row by row, so that they can be handed to C++ as they are.
+"""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+from poise.plan.problem import SLACK, Problem
+
+Placed = list[int]
+"""For every unit the index of its computer, or -1 while it has none."""
+
+
+class Tables(Struct, frozen=True):
+    """The numbers of a problem; n units, m computers, r resources.
+
+    Parameters
+    ----------
+    members
+        Unit -> indexes of its components.
+    unit_of
+        Component -> its unit.
+    demand
+        (n, r).
+    capacity, limit
+        (m, r): what a computer has, and what placements may use of it.
+    size
+        (n,): by which the greedy orders, largest first.
+    allowed
+        Unit -> computers it may run on; units that are not named may run on any.
+    first, second, overhead, traffic
+        One entry for each pair of connected units.
+    distance
+        (m, m), or empty: 1 between any two computers.
+    cost
+        (n, m), or empty: 0. Includes what leaving the present computer costs.
+    bandwidth
+        (m, m), or empty: unlimited.
+    apart
+        Pairs of units that must not share a computer, each once.
+    communication
+        What a unit of overhead x distance adds to F.
+    spread
+        (r,): what a unit of spread adds to F.
+    share
+        Whether residue is measured as a share of capacity.
+    variance
+        Whether spread is the population variance, else largest minus smallest.
+    """
+
+    problem: Problem
+    members: list[tuple[int, ...]]
+    unit_of: list[int]
+    resources: tuple[str, ...]
+    demand: list[float]
+    capacity: list[float]
+    limit: list[float]
+    size: list[float]
+    allowed: dict[int, tuple[int, ...]]
+    first: list[int]
+    second: list[int]
+    overhead: list[float]
+    traffic: list[float]
+    distance: list[float]
+    cost: list[float]
+    bandwidth: list[float]
+    apart: list[tuple[int, int]]
+    communication: float
+    spread: list[float]
+    share: bool
+    variance: bool
+    n: int
+    m: int
+    r: int
+
+
+def tabulate(problem: Problem) -> Tables:
+    """Turn a problem, found correct by `poise.plan.check`, into numbers."""
+    components, computers = problem.components, problem.computers
+    resources = problem.resources
+    index = {c.name: i for i, c in enumerate(components)}
+    place = {h.name: i for i, h in enumerate(computers)}
+    unit_of, members = _units(problem, index)
+    n, m, r = len(members), len(computers), len(resources)
+    demand = [c.demand.get(k, 0.0) for c in components for k in resources]
+    capacity = [
+        h.capacity.get(k, 0.0) * (h.speed if k == "cpu" else 1.0)
+        for h in computers
+        for k in resources
+    ]
+    limit = _limits(problem, resources, capacity)
+    if n < len(components):
+        demand = _summed(demand, unit_of, n, r)
+    if problem.together:
+        index = {name: unit_of[i] for name, i in index.items()}
+    first, second, overhead, traffic = _pairs(problem, index)
+    objective = problem.objective
+    scale = 1.0
+    if objective.scale == "normalised":
+        scale = sum(overhead) + _inside(problem, index)
+    return Tables(
+        problem,
+        members,
+        unit_of,
+        resources,
+        demand,
+        capacity,
+        limit,
+        _sizes(problem, resources, demand, limit),
+        _allowed(problem, place, unit_of),
+        first,
+        second,
+        overhead,
+        traffic,
+        [d for row in problem.distance for d in row],
+        _linear(problem, place, unit_of, n),
+        _bandwidths(problem, place, m),
+        _apart(problem, index),
+        objective.communication / scale if scale > 0 else 0.0,
+        [objective.balance * w for w in _balance_weights(problem, resources)],
+        objective.scale == "normalised",
+        objective.spread == "variance",
+        n,
+        m,
+        r,
+    )
+
+
+def _units(
+    problem: Problem, index: dict[str, int]
+) -> tuple[list[int], list[tuple[int, ...]]]:
+    count = len(problem.components)
+    if not problem.together:
+        return list(range(count)), [(i,) for i in range(count)]
+    root = list(range(count))
+    for group in problem.together:
+        merged = {root[index[name]] for name in group}
+        lowest = min(merged, default=0)
+        root = [lowest if k in merged else k for k in root]
+    units: dict[int, list[int]] = {}
+    for i, k in enumerate(root):
+        units.setdefault(k, []).append(i)
+    unit_of = [0] * count
+    for u, inside in enumerate(units.values()):
+        for i in inside:
+            unit_of[i] = u
+    return unit_of, [tuple(inside) for inside in units.values()]
+
+
+def _limits(
+    problem: Problem, resources: tuple[str, ...], capacity: list[float]
+) -> list[float]:
+    if not any(h.reserve for h in problem.computers):
+        return capacity
+    reserve = [h.reserve.get(k, 0.0) for h in problem.computers for k in resources]
+    return [c * (1.0 - s) for c, s in zip(capacity, reserve, strict=True)]
+
+
+def _summed(values: list[float], unit_of: list[int], n: int, r: int) -> list[float]:
+    total = [0.0] * (n * r)
+    for i, unit in enumerate(unit_of):
+        for k in range(r):
+            total[unit * r + k] += values[i * r + k]
+    return total
+
+
+def _pairs(
+    problem: Problem, unit: dict[str, int]
+) -> tuple[list[int], list[int], list[float], list[float]]:
+    rows: dict[tuple[int, int], int] = {}
+    first: list[int] = []
+    second: list[int] = []
+    overhead: list[float] = []
+    traffic: list[float] = []
+    for connector in problem.connectors:
+        a, b = connector.between
+        i, j = unit[a], unit[b]
+        if i == j:
+            continue
+        pair = (i, j) if i < j else (j, i)
+        row = rows.setdefault(pair, len(first))
+        if row < len(first):
+            overhead[row] += connector.overhead
+            traffic[row] += connector.traffic
+        else:
+            first.append(pair[0])
+            second.append(pair[1])
+            overhead.append(connector.overhead)
+            traffic.append(connector.traffic)
+    return first, second, overhead, traffic
+
+
+def _inside(problem: Problem, unit: dict[str, int]) -> float:
+    """Return the overhead between components of one unit: part of all, never paid."""
+    if not problem.together:
+        return 0.0
+    ends = ((c.overhead, *c.between) for c in problem.connectors)
+    return sum(w for w, a, b in ends if a != b and unit[a] == unit[b])
+
+
+def _balance_weights(problem: Problem, resources: tuple[str, ...]) -> list[float]:
+    """Return the weight of each resource's spread (docs/design/objective.md)."""
+    given = problem.objective.weights
+    if problem.objective.scale == "paper":
+        if not given and "cpu" in resources:
+            given = {"cpu": 1.0}
+        return [given.get(k, 0.0) if given else 1.0 for k in resources]
+    weights = [given.get(k, 0.0) if given else 1.0 for k in resources]
+    total = sum(weights)
+    return [w / total for w in weights] if total > 0 else weights
+
+
+def _sizes(
+    problem: Problem,
+    resources: tuple[str, ...],
+    demand: list[float],
+    limit: list[float],
+) -> list[float]:
+    """Return the paper's weighted sum of demand, by which the greedy orders."""
+    given = problem.objective.sizes
+    weights = [given.get(k, 0.0) if given else 1.0 for k in resources]
+    r = len(resources)
+    if problem.objective.scale == "normalised":
+        totals = [sum(limit[k::r]) for k in range(r)]
+        weights = [
+            w / t if t > 0 else 0.0 for w, t in zip(weights, totals, strict=True)
+        ]
+    if r == 1:
+        return [weights[0] * d for d in demand]
+    if r == 2:  # noqa: PLR2004 - cpu and memory: the usual case, and a third faster
+        a, b = weights
+        pairs = zip(demand[::2], demand[1::2], strict=True)
+        return [a * x + b * y for x, y in pairs]
+    size = [0.0] * (len(demand) // r if r else 0)
+    for k, weight in enumerate(weights):
+        size = [s + weight * d for s, d in zip(size, demand[k::r], strict=True)]
+    return size
+
+
+def _allowed(
+    problem: Problem, place: dict[str, int], unit_of: list[int]
+) -> dict[int, tuple[int, ...]]:
+    allowed: dict[int, tuple[int, ...]] = {}
+    for i, component in enumerate(problem.components):
+        if component.only:
+            mine = {place[name] for name in component.only}
+            known = allowed.get(unit_of[i])
+            both = mine if known is None else mine.intersection(known)
+            allowed[unit_of[i]] = tuple(sorted(both))
+    return allowed
+
+
+def _linear(
+    problem: Problem, place: dict[str, int], unit_of: list[int], n: int
+) -> list[float]:
+    m = len(place)
+    moving = [
+        (i, c)
+        for i, c in enumerate(problem.components)
+        if c.present and c.move_cost > 0
+    ]
+    if not moving and not problem.cost:
+        return []
+    total = [0.0] * (n * m)
+    for i, row in enumerate(problem.cost):
+        for h, value in enumerate(row):
+            total[unit_of[i] * m + h] += value
+    for i, component in moving:
+        for name, h in place.items():
+            if name != component.present:
+                total[unit_of[i] * m + h] += component.move_cost
+    return total
+
+
+def _bandwidths(problem: Problem, place: dict[str, int], m: int) -> list[float]:
+    if not problem.links:
+        return []
+    table = [float("inf")] * (m * m)
+    for link in problem.links:
+        a, b = (place[name] for name in link.between)
+        table[a * m + b] = table[b * m + a] = min(link.bandwidth, table[a * m + b])
+    return table
+
+
+def _apart(problem: Problem, unit: dict[str, int]) -> list[tuple[int, int]]:
+    pairs: dict[tuple[int, int], None] = {}
+    for group in problem.apart:
+        units = [unit[name] for name in group]
+        for x, i in enumerate(units):
+            for j in units[x + 1 :]:
+                pairs[min(i, j), max(i, j)] = None
+    return list(pairs)
+
+
+def fits(load: float, limit: float) -> bool:
+    """Whether `load` keeps `limit`, but for rounding."""
+    return load <= limit + SLACK * max(1.0, limit)

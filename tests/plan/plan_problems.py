@@ -1,0 +1,103 @@
+"""Random problems of every kind, for the laws that hold for all of them."""
+
+from hypothesis import strategies as st
+
+from poise.model.robot import Objective
+from poise.plan import Component, Computer, Connector, Link, Problem
+
+AMOUNTS = st.sampled_from([0.0, 0.1, 0.25, 0.5, 1.0, 1.5, 3.0])
+SHARES = st.sampled_from([0.0, 0.5, 1.0, 2.0])
+
+
+@st.composite
+def problems(
+    draw: st.DrawFn, most_components: int = 8, most_computers: int = 4
+) -> Problem:
+    """Return a problem with any mix of limits; it may have no solution."""
+    m = draw(st.integers(1, most_computers))
+    n = draw(st.integers(0, most_components))
+    computers = [f"h{i}" for i in range(m)]
+    components = [f"c{i}" for i in range(n)]
+    resources = draw(st.sampled_from([("cpu",), ("cpu", "memory"), ("cpu", "x", "y")]))
+    pairs = st.lists(
+        st.tuples(st.sampled_from(components), st.sampled_from(components)),
+        max_size=2 * n,
+    )
+    return Problem(
+        components=tuple(
+            Component(
+                name=name,
+                demand={r: draw(AMOUNTS) for r in resources},
+                only=tuple(draw(_some(computers))),
+                present=draw(st.sampled_from([None, *computers])),
+                move_cost=draw(st.sampled_from([0.0, 0.0, 0.1])),
+            )
+            for name in components
+        ),
+        computers=tuple(
+            Computer(
+                name=name,
+                capacity={r: draw(st.sampled_from([0.0, 2.0, 4.0])) for r in resources},
+                speed=draw(st.sampled_from([1.0, 1.0, 2.0])),
+                reserve=draw(st.sampled_from([{}, {}, {"cpu": 0.25}])),
+            )
+            for name in computers
+        ),
+        connectors=tuple(
+            Connector(between=pair, overhead=draw(AMOUNTS), traffic=draw(AMOUNTS))
+            for pair in (draw(pairs) if n else [])
+        ),
+        links=tuple(draw(_links(computers))),
+        distance=draw(_distances(m)),
+        cost=draw(
+            st.sampled_from(
+                [
+                    (),
+                    tuple(
+                        tuple(0.1 * (i % (h + 2)) for h in range(m)) for i in range(n)
+                    ),
+                ]
+            )
+        ),
+        objective=Objective(
+            communication=draw(SHARES),
+            balance=draw(SHARES),
+            scale=draw(st.sampled_from(["normalised", "paper"])),
+            spread=draw(st.sampled_from(["range", "variance"])),
+            weights=draw(st.sampled_from([{}, {"cpu": 1.0}, {"cpu": 1.0, "x": 3.0}])),
+        ),
+        together=draw(_groups(components)),
+        apart=draw(_groups(components)),
+    )
+
+
+def _some(names: list[str]) -> st.SearchStrategy[list[str]]:
+    few = st.lists(st.sampled_from(names), min_size=1, unique=True)
+    return st.one_of(st.just([]), st.just([]), few)
+
+
+def _groups(names: list[str]) -> st.SearchStrategy[tuple[tuple[str, ...], ...]]:
+    if len(names) < 2:
+        return st.just(())
+    group = st.lists(st.sampled_from(names), min_size=2, max_size=3, unique=True)
+    one = group.map(lambda members: (tuple(members),))
+    return st.one_of(st.just(()), st.just(()), one)
+
+
+@st.composite
+def _links(draw: st.DrawFn, names: list[str]) -> list[Link]:
+    if len(names) < 2 or draw(st.integers(0, 3)):
+        return []
+    bandwidth = draw(st.sampled_from([0.0, 1.0, 3.0]))
+    return [Link(between=(names[0], names[1]), bandwidth=bandwidth)]
+
+
+@st.composite
+def _distances(draw: st.DrawFn, m: int) -> tuple[tuple[float, ...], ...]:
+    if draw(st.integers(0, 2)):
+        return ()
+    far = [[0.0] * m for _ in range(m)]
+    for a in range(m):
+        for b in range(a):
+            far[a][b] = far[b][a] = draw(st.sampled_from([0.5, 1.0, 2.0]))
+    return tuple(tuple(row) for row in far)

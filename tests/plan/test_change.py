@@ -1,0 +1,81 @@
+"""What if: computers gone, added, larger or smaller, and as few as possible."""
+
+import pytest
+from msgspec.structs import replace
+
+from poise import plan
+from poise.errors import UsageError
+from poise.plan import Computer, Problem
+
+
+def test_without_a_computer_all_goes_to_the_others(two_computers: Problem) -> None:
+    fewer = plan.without(two_computers, ["small"])
+    assert set(plan.solve(fewer).placement.values()) == {"large"}
+
+
+def test_without_refuses_to_strand_a_component(two_computers: Problem) -> None:
+    held = replace(two_computers.components[0], only=("small",))
+    problem = replace(two_computers, components=(held, *two_computers.components[1:]))
+    with pytest.raises(UsageError, match="can run nowhere: a"):
+        plan.without(problem, ["small"])
+
+
+def test_without_names_the_computers_there_are(two_computers: Problem) -> None:
+    with pytest.raises(UsageError, match="large, small"):
+        plan.without(two_computers, ["tiny"])
+
+
+def test_an_added_computer_may_be_used(two_computers: Problem) -> None:
+    more = plan.add(two_computers, Computer(name="new", capacity={"cpu": 2.0}))
+    assert "new" in plan.solve(more).placement.values()
+
+
+def test_scale_takes_a_resource_or_a_computer(two_computers: Problem) -> None:
+    half = plan.scale(two_computers, {"CPU": 0.5})
+    assert [h.capacity["cpu"] for h in half.computers] == [2.0, 1.0]
+    twice = plan.scale(two_computers, {"small": 2.0})
+    assert [h.capacity["cpu"] for h in twice.computers] == [4.0, 4.0]
+    with pytest.raises(UsageError, match="no computer or resource"):
+        plan.scale(two_computers, {"gpu": 2.0})
+
+
+def test_changes_keep_matrices_in_step(two_computers: Problem) -> None:
+    problem = replace(
+        two_computers,
+        distance=((0.0, 2.0), (2.0, 0.0)),
+        cost=((0.0, 1.0),) * 4,
+    )
+    more = plan.add(problem, Computer(name="new", capacity={"cpu": 2.0}))
+    assert plan.solve(more).feasible
+    assert plan.without(more, ["small"]).distance == ((0.0, 1.0), (1.0, 0.0))
+    assert plan.without(more, ["large"]).cost == ((1.0, 0.0),) * 4
+
+
+def test_smallest_finds_the_fewest_computers(two_computers: Problem) -> None:
+    """Four of 1 fit the large computer of 4."""
+    kept, result = plan.smallest(two_computers, plan.solve)
+    assert kept == ("large",)
+    assert result.feasible
+
+
+def test_smallest_weighs_prices(two_computers: Problem) -> None:
+    """Three small ones at 1 are cheaper than the large one at 10; two have room."""
+    large, small = two_computers.computers
+    problem = replace(
+        two_computers,
+        computers=(
+            replace(large, price=10.0),
+            *(replace(small, name=f"small{i}") for i in range(3)),
+        ),
+    )
+    kept, _ = plan.smallest(problem, plan.solve)
+    assert kept == ("small0", "small1")
+
+
+def test_smallest_drops_one_by_one_when_there_are_many(
+    two_computers: Problem,
+) -> None:
+    many = tuple(Computer(name=f"h{i}", capacity={"cpu": 2.0}) for i in range(14))
+    kept, result = plan.smallest(replace(two_computers, computers=many), plan.solve)
+    assert len(kept) == 2
+    assert result.feasible

@@ -1,0 +1,89 @@
+"""The boundary of the C++ core: whatever comes in, an error or an answer comes out."""
+
+from array import array
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from poise.plan._core import Core
+
+GOOD: dict[str, Any] = {
+    "n": 2,
+    "m": 2,
+    "r": 1,
+    "demand": [1.0, 1.0],
+    "capacity": [2.0, 2.0],
+    "limit": [2.0, 2.0],
+    "size": [1.0, 1.0],
+    "restricted": [0],
+    "offsets": [0, 1],
+    "allowed": [1],
+    "first": [0],
+    "second": [1],
+    "overhead": [1.0],
+    "traffic": [0.0],
+    "distance": [],
+    "cost": [],
+    "bandwidth": [],
+    "apart_first": [],
+    "apart_second": [],
+    "communication": 0.5,
+    "spread": [0.5],
+    "share": True,
+    "variance": False,
+}
+NUMBERS = st.one_of(
+    st.floats(), st.integers(-3, 3), st.sampled_from([1 << 31, 1 << 63, -1, 1 << 80])
+)
+ANYTHING = st.one_of(
+    st.none(),
+    NUMBERS,
+    st.text(max_size=3),
+    st.lists(NUMBERS, max_size=5),
+    st.booleans(),
+)
+
+
+@settings(max_examples=600, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.dictionaries(st.sampled_from(sorted(GOOD)), ANYTHING, max_size=3), ANYTHING)
+def test_nothing_crashes_the_interpreter(wrong: dict[str, Any], known: object) -> None:
+    try:
+        core = Core(**{**GOOD, **wrong})
+        core.greedy()
+        core.bound()
+        core.exact([], 0.01, 1000)
+        core.search([], 0.01, 1000, 1)
+        core.exact(known, 0.01, 1000)  # type: ignore[arg-type]
+        core.terms(known)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError, MemoryError):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"demand": [1.0]}, "demand has 1 entries, must have 2"),
+        ({"first": [7]}, "first has the index 7"),
+        ({"allowed": [-1]}, "allowed has the index -1"),
+        ({"overhead": [float("nan")]}, "overhead has the value"),
+        ({"distance": [0.0, 1.0, 2.0, 0.0]}, "not symmetric"),
+        ({"offsets": [0, 9]}, "allowed has 1 entries"),
+        ({"n": -1}, "too many units"),
+        ({"demand": array("f", [1.0, 1.0])}, "demand has the wrong type"),
+    ],
+)
+def test_says_what_is_wrong(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Core(**{**GOOD, **wrong})
+
+
+def test_takes_buffers_as_well_as_lists() -> None:
+    core = Core(**{**GOOD, "demand": array("d", [1.0, 1.0]), "first": array("i", [0])})
+    assert core.greedy() == Core(**GOOD).greedy()
+
+
+def test_refuses_a_known_placement_that_breaks_a_limit() -> None:
+    with pytest.raises(ValueError, match="breaks a limit"):
+        Core(**GOOD).exact([0, 0], 1.0, 10)

@@ -1,0 +1,162 @@
+"""The C++ core against the Python reference, on random problems of every kind."""
+
+import itertools
+import math
+from random import Random
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from benchmarks.random_robots import random_robot
+from poise.model.robot import Spread
+from poise.plan import Problem, objective
+from poise.plan.engine import Engine
+from poise.plan.greedy import greedy
+from poise.plan.limits import violations
+from poise.plan.tables import Placed, Tables, tabulate
+from tests.plan.plan_problems import problems
+
+MANY = settings(
+    max_examples=400, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+FEW = settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+
+
+def solvable(tables: Tables) -> bool:
+    """Whether every unit has a computer that it may run on."""
+    return all(tables.allowed.values())
+
+
+def total(tables: Tables, placed: Placed) -> float:
+    return objective.terms(tables, placed).total
+
+
+def keeps_limits(tables: Tables, placed: Placed) -> bool:
+    return not violations(tables, placed, objective.loads(tables, placed))
+
+
+def optimum(tables: Tables) -> float:
+    """Return the least F over all placements that keep every limit, by trying all."""
+    every = itertools.product(range(tables.m), repeat=tables.n)
+    feasible = (list(x) for x in every if keeps_limits(tables, list(x)))
+    return min((total(tables, x) for x in feasible), default=math.inf)
+
+
+@MANY
+@given(problems())
+def test_the_greedy_decides_like_the_reference(problem: Problem) -> None:
+    tables = tabulate(problem)
+    assert Engine(tables).greedy() == greedy(tables)[0]
+
+
+@pytest.mark.parametrize("spread", ["range", "variance"])
+def test_the_greedy_decides_like_the_reference_on_robots(spread: Spread) -> None:
+    for seed in range(40):
+        robot = random_robot(seed, 24, 2 + seed % 4, spread=spread, uneven=seed % 2 > 0)
+        tables = tabulate(robot)
+        assert Engine(tables).greedy() == greedy(tables)[0]
+
+
+@MANY
+@given(problems(), st.randoms(use_true_random=False))
+def test_terms_and_limits_are_those_of_the_reference(
+    problem: Problem,
+    random: Random,
+) -> None:
+    tables = tabulate(problem)
+    placed = [random.randrange(tables.m) for _ in range(tables.n)]
+    engine = Engine(tables)
+    expected = total(tables, placed)
+    assert engine.total(placed) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    assert engine.feasible(placed) == keeps_limits(tables, placed)
+
+
+@FEW
+@given(problems(most_components=5, most_computers=3))
+def test_branch_and_bound_finds_the_optimum(problem: Problem) -> None:
+    tables = tabulate(problem)
+    answer = Engine(tables).exact([])
+    best = optimum(tables)
+    assert answer.proven
+    if best == math.inf:
+        assert not answer.placed
+        return
+    assert keeps_limits(tables, answer.placed)
+    assert total(tables, answer.placed) == pytest.approx(best, rel=1e-9, abs=1e-9)
+    if tables.n:
+        assert answer.bound == pytest.approx(best, rel=1e-9, abs=1e-9)
+
+
+@FEW
+@given(problems(most_components=5, most_computers=3))
+def test_the_bound_is_below_every_placement(problem: Problem) -> None:
+    tables = tabulate(problem)
+    if solvable(tables):
+        assert Engine(tables).bound() <= optimum(tables) + 1e-9
+
+
+@FEW
+@given(problems(), st.integers(0, 5))
+def test_search_keeps_limits_and_never_gets_worse(problem: Problem, seed: int) -> None:
+    tables = tabulate(problem)
+    engine = Engine(tables)
+    start = engine.greedy()
+    start = [] if -1 in start else start
+    answer = engine.search(start, steps=3000, seed=seed)
+    if answer.placed:
+        assert keeps_limits(tables, answer.placed)
+    if start:
+        assert total(tables, answer.placed) <= total(tables, start) + 1e-9
+
+
+@FEW
+@given(problems(most_components=6, most_computers=3))
+def test_search_finds_the_optimum_of_small_problems(problem: Problem) -> None:
+    tables = tabulate(problem)
+    engine = Engine(tables)
+    answer = engine.search([], steps=20_000)
+    exact = engine.exact([])
+    if answer.placed:
+        assert total(tables, answer.placed) <= total(tables, exact.placed) * 1.02 + 1e-9
+
+
+@pytest.mark.parametrize("spread", ["range", "variance"])
+def test_a_seed_and_a_step_limit_give_one_placement(spread: Spread) -> None:
+    engine = Engine(tabulate(random_robot(3, 40, 4, spread=spread)))
+    runs = [engine.search([], steps=20_000, seed=7).placed for _ in range(2)]
+    assert runs[0] == runs[1]
+
+
+def test_an_unfinished_proof_still_gives_a_bound() -> None:
+    tables = tabulate(random_robot(1, 24, 4))
+    engine = Engine(tables)
+    best = engine.exact(engine.search([], steps=50_000).placed)
+    cut = engine.exact(engine.greedy(), steps=3000)
+    assert best.proven
+    assert not cut.proven
+    assert cut.bound <= total(tables, best.placed) + 1e-9
+    assert cut.stopped_by == "budget"
+
+
+def test_renaming_equal_computers_changes_nothing() -> None:
+    robot = random_robot(5, 16, 3, pinned=0.0)
+    turned = Problem(
+        components=robot.components,
+        computers=robot.computers[::-1],
+        connectors=robot.connectors,
+        objective=robot.objective,
+    )
+    first, second = (Engine(tabulate(p)) for p in (robot, turned))
+    assert first.exact([]).bound == pytest.approx(second.exact([]).bound, abs=1e-12)
+
+
+def test_dropping_a_pin_never_raises_the_optimum() -> None:
+    robot = random_robot(6, 14, 3, pinned=0.4)
+    free = random_robot(6, 14, 3, pinned=0.4)
+    free = replace(free, components=tuple(replace(c, only=()) for c in free.components))
+    pinned_best = Engine(tabulate(robot)).exact([]).bound
+    assert Engine(tabulate(free)).exact([]).bound <= pinned_best + 1e-12

@@ -1,0 +1,82 @@
+"""The objective, term by term, against numbers worked out by hand."""
+
+import pytest
+from msgspec.structs import replace
+
+from poise import plan
+from poise.model.robot import Objective
+from poise.plan import Component, Computer, Connector, Problem
+
+
+def test_normalised_terms_are_shares(two_computers: Problem) -> None:
+    """a, b on large; c, d on small: nothing crosses; residue 1/2 and 0 of capacity."""
+    placement = {"a": "large", "b": "large", "c": "small", "d": "small"}
+    objective = plan.evaluate(two_computers, placement).objective
+    assert objective is not None
+    assert objective.communication == 0
+    assert objective.balance == pytest.approx(0.5 * 0.5)
+
+
+def test_communication_is_a_share_of_all_overhead(two_computers: Problem) -> None:
+    """Cutting a-b cuts 3 of 4: 0.5 * 3/4."""
+    placement = {"a": "large", "b": "small", "c": "large", "d": "large"}
+    objective = plan.evaluate(two_computers, placement).objective
+    assert objective is not None
+    assert objective.communication == pytest.approx(0.5 * 3 / 4)
+
+
+def test_variance_is_the_population_variance(two_computers: Problem) -> None:
+    """Residues 1/2 and 0: mean 1/4, variance 1/16."""
+    problem = replace(two_computers, objective=Objective(spread="variance"))
+    placement = {"a": "large", "b": "large", "c": "small", "d": "small"}
+    objective = plan.evaluate(problem, placement).objective
+    assert objective is not None
+    assert objective.balance == pytest.approx(0.5 / 16)
+
+
+def test_distance_scales_overhead(two_computers: Problem) -> None:
+    far = replace(two_computers, distance=((0.0, 4.0), (4.0, 0.0)))
+    placement = {"a": "large", "b": "small", "c": "large", "d": "large"}
+    objective = plan.evaluate(far, placement).objective
+    assert objective is not None
+    assert objective.communication == pytest.approx(4 * 0.5 * 3 / 4)
+
+
+def test_linear_costs_and_moves_add_up() -> None:
+    """Cost matrix 2 on `right`, and 5 for leaving `left`."""
+    problem = Problem(
+        components=(Component(name="a", present="left", move_cost=5.0),),
+        computers=(Computer(name="left"), Computer(name="right")),
+        cost=((1.0, 2.0),),
+    )
+    moved = plan.evaluate(problem, {"a": "right"}).objective
+    stayed = plan.evaluate(problem, {"a": "left"}).objective
+    assert moved is not None
+    assert stayed is not None
+    assert (stayed.move, moved.move) == (1.0, 7.0)
+
+
+def test_every_pair_counts_once(two_computers: Problem) -> None:
+    """Two connectors between a and b add up to the overhead of one twice as heavy."""
+    split = replace(
+        two_computers,
+        connectors=(
+            Connector(between=("a", "b"), overhead=1.0),
+            Connector(between=("b", "a"), overhead=2.0),
+            Connector(between=("c", "d"), overhead=1.0),
+        ),
+    )
+    placement = {"a": "large", "b": "small", "c": "large", "d": "large"}
+    assert (
+        plan.evaluate(split, placement).objective
+        == plan.evaluate(two_computers, placement).objective
+    )
+
+
+def test_names_every_limit_that_a_given_placement_breaks(
+    two_computers: Problem,
+) -> None:
+    placement = dict.fromkeys("abcd", "small")
+    result = plan.evaluate(two_computers, placement)
+    assert not result.feasible
+    assert result.reason == "small: cpu needs 4, has 2: 2 short"

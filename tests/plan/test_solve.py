@@ -1,0 +1,110 @@
+"""`solve`: methods, limits, present placement, interruption."""
+
+import os
+import signal
+import threading
+import time
+
+import pytest
+from msgspec.structs import replace
+
+from benchmarks.random_robots import random_robot
+from poise import plan
+from poise.errors import UsageError
+from poise.plan import Problem
+
+
+@pytest.mark.parametrize("method", ["auto", "greedy", "exact", "search"])
+def test_every_method_places_a_robot(method: str) -> None:
+    result = plan.solve(random_robot(1, 16, 2), method=method)
+    assert result.feasible
+    assert result.objective is not None
+    assert result.bound is not None
+    assert result.bound <= result.objective.total + 1e-9
+
+
+@pytest.mark.parametrize("budget", [0.0, 1e-6, 1e-3, 0.05])
+def test_is_never_worse_than_the_greedy(budget: float) -> None:
+    for seed in range(8):
+        robot = random_robot(seed, 30, 4)
+        first = plan.solve(robot, method="greedy").objective
+        best = plan.solve(robot, budget=budget).objective
+        if first is not None:
+            assert best is not None
+            assert best.total <= first.total + 1e-9
+
+
+def test_proves_a_small_robot() -> None:
+    result = plan.solve(random_robot(2, 20, 2), budget=5.0)
+    assert result.proven
+    assert result.gap == 0
+    assert result.stopped_by == "proven"
+
+
+def test_steps_make_it_reproducible() -> None:
+    robot = random_robot(3, 60, 5)
+    runs = [plan.solve(robot, steps=30_000, seed=4) for _ in range(2)]
+    assert runs[0].placement == runs[1].placement
+
+
+def test_stays_when_nothing_is_better(two_computers: Problem) -> None:
+    """The mirror image of an optimum is as good: the present one is kept."""
+    small = two_computers.computers[1]
+    equal = (replace(small, name="left"), replace(small, name="right"))
+    start = plan.solve(replace(two_computers, computers=equal)).placement
+    mirror = {c: "left" if h == "right" else "right" for c, h in start.items()}
+    for placement in (start, mirror):
+        moved = replace(
+            two_computers,
+            computers=equal,
+            components=tuple(
+                replace(c, present=placement[c.name]) for c in two_computers.components
+            ),
+        )
+        assert plan.solve(moved).placement == placement
+
+
+def test_moves_only_when_it_is_worth_the_cost(two_computers: Problem) -> None:
+    def present(cost: float) -> Problem:
+        return replace(
+            two_computers,
+            components=tuple(
+                replace(c, present="large", move_cost=cost)
+                for c in two_computers.components
+            ),
+        )
+
+    assert set(plan.solve(present(10.0)).placement.values()) == {"large"}
+    assert "small" in plan.solve(present(0.0)).placement.values()
+
+
+def test_refuses_what_it_does_not_know(two_computers: Problem) -> None:
+    with pytest.raises(UsageError, match="auto, greedy, exact, search, cpsat"):
+        plan.solve(two_computers, method="magic")
+    with pytest.raises(UsageError, match="seed"):
+        plan.solve(two_computers, seed=-1)
+    with pytest.raises(UsageError, match="steps"):
+        plan.solve(two_computers, steps=-1)
+
+
+def test_ctrl_c_returns_the_best_so_far() -> None:
+    robot = random_robot(4, 80, 6)
+    timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    start = time.monotonic()
+    result = plan.solve(robot, budget=60.0, method="search")
+    assert time.monotonic() - start < 30
+    timer.join()
+    assert result.stopped_by == "interrupted"
+    assert result.feasible
+
+
+def test_cpsat_agrees_with_branch_and_bound() -> None:
+    pytest.importorskip("ortools")
+    for spread in ("range", "variance"):
+        robot = random_robot(7, 8, 3, spread=spread)
+        ours = plan.solve(robot, budget=5.0, method="exact").objective
+        theirs = plan.solve(robot, budget=20.0, method="cpsat").objective
+        assert ours is not None
+        assert theirs is not None
+        assert theirs.total == pytest.approx(ours.total, abs=1e-3)
