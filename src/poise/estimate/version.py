@@ -1,0 +1,87 @@
+"""Which version of a component was measured: a fingerprint of what it is made of."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import shutil
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import msgspec
+
+from poise.model.robot import Component
+
+_MOST_FILES = 2000
+
+
+def version_of(component: Component, folder: str) -> str:
+    """Return a fingerprint that changes when the component's code does.
+
+    It covers the module of the implementation and every module that it imports, as far
+    as they lie in the robot's folder, and the component's parameters; of a command, the
+    program and those of its arguments that are files. Installed packages and comments
+    in the robot file are not covered.
+    """
+    digest = hashlib.sha256()
+    digest.update(component.implementation.encode())
+    digest.update(msgspec.json.encode([component.command, component.parameters]))
+    for file in sorted(_files(component, Path(folder))):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _files(component: Component, folder: Path) -> set[Path]:
+    if component.command:
+        words = [shutil.which(component.command[0]) or "", *component.command[1:]]
+        return {folder / word for word in words if word and (folder / word).is_file()}
+    found: set[Path] = set()
+    waiting = [component.implementation.partition(":")[0]]
+    while waiting and len(found) < _MOST_FILES:
+        for file in _sources(waiting.pop(), folder):
+            if file not in found:
+                found.add(file)
+                waiting += _imports(file, folder)
+    return found
+
+
+def _sources(module: str, folder: Path) -> Iterator[Path]:
+    """Yield the files of a module and of the packages around it, in the folder."""
+    parts = module.split(".")
+    for end in range(1, len(parts) + 1):
+        base = folder.joinpath(*parts[:end])
+        for file in (base / "__init__.py", base.with_suffix(".py")):
+            if file.is_file():
+                yield file
+
+
+def _imports(file: Path, folder: Path) -> Iterator[str]:
+    """Yield the modules that a file may import; what cannot be parsed imports none."""
+    for node in _import_statements(file, file.stat().st_mtime_ns):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = _base(node, file, folder)
+            # what is imported from a package may be a module of it
+            yield from (f"{base}.{alias.name}".strip(".") for alias in node.names)
+
+
+@cache
+def _import_statements(
+    file: Path, _changed: int
+) -> tuple[ast.Import | ast.ImportFrom, ...]:
+    try:
+        tree = ast.parse(file.read_bytes())
+    except (SyntaxError, ValueError):
+        return ()
+    found = (ast.Import, ast.ImportFrom)
+    return tuple(node for node in ast.walk(tree) if isinstance(node, found))
+
+
+def _base(node: ast.ImportFrom, file: Path, folder: Path) -> str:
+    if not node.level:
+        return node.module or ""
+    package = file.parent.relative_to(folder).parts
+    package = package[: len(package) - node.level + 1]
+    return ".".join([*package, *([node.module] if node.module else [])])

@@ -1,0 +1,69 @@
+import pytest
+
+from poise.estimate.profile import (
+    ComponentProfile,
+    ConnectorProfile,
+    Costs,
+    Profile,
+    TimerProfile,
+)
+from poise.estimate.spread import Spread
+from poise.model.robot import Architecture, Component, Computer, Connector, End, Robot
+
+JOINED = Connector(between=(End("eye", "image"), End("mind", "image")))
+
+
+@pytest.fixture
+def robot() -> Robot:
+    """Two computers; an eye that publishes to a mind, whose CPU the file gives."""
+    return Robot(
+        name="r",
+        computers=(
+            Computer(name="a", capacity={"cpu": 1.0, "memory": 1e9}),
+            Computer(name="b", capacity={"cpu": 1.0, "memory": 1e9}),
+        ),
+        architectures=(
+            Architecture(
+                name="see",
+                function="seeing",
+                components=(
+                    Component(name="eye"),
+                    Component(name="mind", demand={"cpu": 0.5}),
+                ),
+                connectors=(JOINED,),
+            ),
+        ),
+    )
+
+
+@pytest.fixture
+def profile() -> Profile:
+    return Profile(
+        robot="r",
+        poise="0.1.0",
+        computer="a",
+        speed=0.5,
+        at="2026-01-01T00:00:00+00:00",
+        seconds=30.0,
+        agent=0.01,
+        components={
+            "eye": ComponentProfile(
+                version="1",
+                cpu=Spread(mean=0.1, sustained=0.12, peak=0.4, windows=300),
+                share=0.02,
+                memory=8e6,
+                base=2e6,
+                state=100.0,
+                timers={
+                    "look": TimerProfile(
+                        period=0.1, median=0.01, p99=0.02, maximum=0.03
+                    )
+                },
+            ),
+            "mind": ComponentProfile(
+                version="2", cpu=Spread(mean=0.3, sustained=0.3), memory=4e6
+            ),
+        },
+        connectors={str(JOINED): ConnectorProfile(messages=10.0, size=1000.0)},
+        costs={"remote": Costs(message=1e-4, byte=1e-8)},
+    )

@@ -1,0 +1,87 @@
+import random
+
+import pytest
+
+from poise.estimate.clock_offset import DRIFT, ClockOffset, RoundTrip
+
+
+def test_a_symmetric_trip_by_hand() -> None:
+    """The other clock is 100 s ahead; 2 ms there, 1 ms of work, 2 ms back.
+
+    The bounds are 99.998 (t2 - t3) and 100.002 (t1 - t0).
+    """
+    clock = ClockOffset()
+    clock.add(RoundTrip(5.0, 105.002, 105.003, 5.005))
+    offset = clock.at(5.005)
+    assert offset is not None
+    assert offset.value == pytest.approx(100)
+    assert offset.error == pytest.approx(0.002)
+
+
+def test_knows_nothing_before_a_round_trip() -> None:
+    clock = ClockOffset()
+    assert clock.at(0.0) is None
+    assert clock.delay(1.0, 2.0) is None
+
+
+def test_the_quickest_ways_there_and_back_bound_it() -> None:
+    """One trip is quick only there (1 ms), the other only back (1 ms): +- 1 ms."""
+    clock = ClockOffset()
+    clock.add(RoundTrip(0.0, 50.001, 50.001, 0.101))
+    clock.add(RoundTrip(0.2, 50.3, 50.3, 0.301))
+    offset = clock.at(0.301)
+    assert offset is not None
+    assert offset.value == pytest.approx(50, abs=1e-5)
+    assert offset.error == pytest.approx(0.001, abs=2e-5)
+
+
+def test_the_truth_is_always_within_the_error() -> None:
+    """With ways of any length, and a clock that runs 20e-6 s/s fast."""
+    rng = random.Random(3)
+    clock, now = ClockOffset(), 0.0
+    for _ in range(500):
+        now += rng.random()
+        there, work, back = (rng.expovariate(200) + 1e-4 for _ in range(3))
+        truth = 7.0 + 20e-6 * now
+        arrived, left = now + there, now + there + work
+        returned = left + back
+        clock.add(RoundTrip(now, arrived + truth, left + truth, returned))
+        offset = clock.at(returned)
+        assert offset is not None
+        assert abs(offset.value - (7.0 + 20e-6 * returned)) <= offset.error + 1e-9
+        now = returned
+    assert offset is not None
+    assert offset.error < 0.002
+
+
+def test_grows_less_sure_with_time() -> None:
+    clock = ClockOffset()
+    clock.add(RoundTrip(0.0, 1.0, 1.0, 0.0))
+    offset = clock.at(100.0)
+    assert offset is not None
+    assert offset.error == pytest.approx(100 * DRIFT)
+
+
+def test_forgets_what_was_before_a_clock_was_set() -> None:
+    clock = ClockOffset()
+    clock.add(RoundTrip(0.0, 10.0, 10.0, 0.001))
+    clock.add(RoundTrip(1.0, 3601.0, 3601.0, 1.001))
+    offset = clock.at(1.001)
+    assert offset is not None
+    assert offset.value == pytest.approx(3600, abs=0.001)
+
+
+def test_passes_over_times_that_contradict_each_other() -> None:
+    clock = ClockOffset()
+    clock.add(RoundTrip(1.0, 5.0, 4.0, 2.0))
+    clock.add(RoundTrip(2.0, 5.0, 5.0, 1.0))
+    assert clock.at(2.0) is None
+
+
+def test_a_one_way_delay_comes_with_its_error() -> None:
+    clock = ClockOffset()
+    clock.add(RoundTrip(0.0, 100.001, 100.001, 0.002))
+    delay = clock.delay(there=100.5, here=0.53)
+    assert delay is not None
+    assert delay.value == pytest.approx(0.03, abs=1e-6)
+    assert delay.error == pytest.approx(0.001, abs=1e-4)

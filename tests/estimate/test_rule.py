@@ -1,0 +1,34 @@
+import pytest
+
+from poise.estimate.profile import Profile
+from poise.estimate.rule import missing, with_profile
+from poise.model.robot import Component, Robot
+
+
+def component(robot: Robot, name: str) -> Component:
+    return next(c for c in robot.components() if c.name == name)
+
+
+def test_fills_what_the_file_leaves_open(robot: Robot, profile: Profile) -> None:
+    """CPU (0.12 + 0.02) * 1.05, memory (8 + 2) MB * 1.1; the state is 100 bytes."""
+    eye = component(with_profile(robot, profile), "eye")
+    assert eye.demand == pytest.approx({"cpu": 0.147, "memory": 11e6})
+    assert eye.state == 100
+
+
+def test_the_robot_file_wins(robot: Robot, profile: Profile) -> None:
+    mind = component(with_profile(robot, profile), "mind")
+    assert mind.demand == pytest.approx({"cpu": 0.5, "memory": 4.4e6})
+
+
+def test_fills_the_traffic_of_connectors(robot: Robot, profile: Profile) -> None:
+    (connector,) = with_profile(robot, profile).all_connectors()
+    assert (connector.rate, connector.message) == (10.0, 1000.0)
+    assert connector.cost == pytest.approx(0.01)
+
+
+def test_names_what_nobody_knows(robot: Robot, profile: Profile) -> None:
+    assert missing(robot, profile) == []
+    nothing = Profile(robot="r", poise="", computer="a", speed=1.0, at="", seconds=1.0)
+    assert missing(robot, nothing) == ["eye", "mind"]
+    assert with_profile(robot, nothing) == robot

@@ -1,0 +1,148 @@
+import random
+
+import pytest
+
+from poise.estimate.reading import Reading
+from poise.estimate.running import SPAN, Drift, RunningEstimate
+
+STEP = 0.2
+
+
+class Load:
+    """A component that does `rate` jobs a second, each of `cost` CPU time [s]."""
+
+    def __init__(self, rate: float, cost: float, seed: int = 0) -> None:
+        self.rate, self.cost = rate, cost
+        self.served = 1.0  # the share of jobs that it gets to
+        self.now = self.cpu = self.wait = self.backlog = 0.0
+        self.asked = self.done = 0
+        self._rng = random.Random(seed)
+
+    def reading(self, seconds: float = STEP) -> Reading:
+        self.now += seconds
+        came = int(self.now * self.rate) - self.asked
+        self.asked += came
+        self.backlog += came * self.served
+        jobs, self.backlog = int(self.backlog), self.backlog % 1
+        self.done += jobs
+        for _ in range(jobs):
+            self.cpu += self.cost * max(0.1, self._rng.gauss(1, 0.1))
+        return Reading(self.now, self.cpu, self.wait, self.asked, self.done)
+
+
+def drifts(running: RunningEstimate, load: Load, seconds: float) -> list[Drift]:
+    found = (running.update(load.reading()) for _ in range(round(seconds / STEP)))
+    return [drift for drift in found if drift]
+
+
+def test_knows_nothing_before_the_second_reading() -> None:
+    running = RunningEstimate()
+    assert running.estimate() is None
+    running.update(Reading(0.0, 0.0))
+    assert running.estimate() is None
+
+
+def test_estimates_mean_and_error_of_a_steady_load() -> None:
+    """10 jobs a second of 5 ms: 5 % of a core."""
+    running, load = RunningEstimate(), Load(10, 0.005)
+    assert drifts(running, load, 40) == []
+    estimate = running.estimate()
+    assert estimate is not None
+    assert estimate.mean == pytest.approx(0.05, rel=0.03)
+    assert estimate.error is not None
+    assert 0 < estimate.error < 0.005
+    assert (estimate.starved, estimate.drift) == (0.0, None)
+
+
+def test_looks_back_no_further_than_its_span() -> None:
+    """A slow change is followed: after the span, what was before does not count."""
+    running = RunningEstimate()
+    cpu = now = 0.0
+    for k in range(1000):
+        now, cpu = now + 1.0, cpu + (0.1 if k < 500 else 0.12)
+        assert running.update(Reading(now, cpu)) is None
+    estimate = running.estimate()
+    assert estimate is not None
+    assert estimate.mean == pytest.approx(0.12)
+    assert SPAN < 500
+
+
+@pytest.mark.parametrize("rate", [5, 20, 50])
+def test_finds_a_dearer_job_within_three_seconds(rate: float) -> None:
+    for seed in range(10):
+        running, load = RunningEstimate(), Load(rate, 0.1 / rate, seed)
+        assert drifts(running, load, 40) == []
+        load.cost *= 1.5
+        (drift, *_) = drifts(running, load, 3)
+        assert drift.before == pytest.approx(0.1, rel=0.05)
+        drifts(running, load, 10)
+        estimate = running.estimate()
+        assert estimate is not None
+        assert estimate.mean == pytest.approx(0.15, rel=0.08)
+
+
+def test_finds_more_jobs_within_three_seconds() -> None:
+    running, load = RunningEstimate(), Load(20, 0.005)
+    drifts(running, load, 40)
+    load.rate, load.asked, load.now = 30, 0, 0.0
+    load.done = 0
+    running.update(Reading(0.0, load.cpu))
+    assert drifts(running, load, 3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("expected", [None, 0.05])
+def test_finds_no_drift_in_ten_minutes(expected: float | None) -> None:
+    for seed in range(5):
+        running, load = RunningEstimate(expected), Load(10, 0.005, seed)
+        assert drifts(running, load, 600) == []
+
+
+def test_finds_a_component_that_never_was_as_profiled() -> None:
+    """It takes 10 % from the start, where the profile says 5 %."""
+    running, load = RunningEstimate(expected=0.05), Load(10, 0.01)
+    (drift, *_) = drifts(running, load, 10)
+    assert drift.before == 0.05
+    assert drift.after == pytest.approx(0.1, rel=0.1)
+
+
+def test_counts_the_jobs_that_a_starved_component_did_not_get_to() -> None:
+    """It is given CPU for half its jobs: 5 %, where it needs 10 %."""
+    running, load = RunningEstimate(), Load(10, 0.01)
+    load.served = 0.5
+    drifts(running, load, 40)
+    estimate = running.estimate()
+    assert estimate is not None
+    assert load.cpu / load.now == pytest.approx(0.05, rel=0.05)
+    assert estimate.mean == pytest.approx(0.1, rel=0.05)
+    assert estimate.starved == pytest.approx(0.5, abs=0.05)
+
+
+def test_being_starved_is_no_drift() -> None:
+    running, load = RunningEstimate(), Load(10, 0.01)
+    drifts(running, load, 40)
+    load.served = 0.4
+    assert drifts(running, load, 20) == []
+
+
+def test_a_lower_bound_does_not_lower_the_estimate() -> None:
+    """Without jobs to count: 60 % of a core, then throttled to 20 %, always wanting."""
+    running = RunningEstimate()
+    cpu = now = wait = 0.0
+    for k in range(200):
+        now += STEP
+        cpu += STEP * (0.6 if k < 100 else 0.2)
+        wait += 0.0 if k < 100 else STEP * 0.8
+        assert running.update(Reading(now, cpu, wait)) is None
+    estimate = running.estimate()
+    assert estimate is not None
+    assert estimate.mean == pytest.approx(0.6, rel=0.01)
+
+
+def test_survives_a_restart_of_the_component() -> None:
+    running, load = RunningEstimate(), Load(10, 0.005)
+    drifts(running, load, 20)
+    fresh = Load(10, 0.005)
+    fresh.now = load.now
+    fresh.asked = int(fresh.now * fresh.rate)
+    assert drifts(running, fresh, 20) == []

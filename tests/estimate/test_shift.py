@@ -1,0 +1,108 @@
+"""The laws of change detection, proved by simulation with fixed seeds."""
+
+import random
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from poise.estimate.shift import LEARN, Shift
+
+STEP = 0.2
+TEN_MINUTES = round(600 / STEP)
+Noise = Callable[[random.Random], Iterator[float]]
+
+
+def normal(spread: float) -> Noise:
+    def loads(rng: random.Random) -> Iterator[float]:
+        while True:
+            yield max(0.0, rng.gauss(1, spread))
+
+    return loads
+
+
+def waves(rng: random.Random) -> Iterator[float]:
+    """Windows that follow each other are alike."""
+    level = 0.0
+    while True:
+        level = 0.6 * level + 0.1 * rng.gauss(0, 1)
+        yield max(0.0, 1 + level)
+
+
+def bursts(rng: random.Random) -> Iterator[float]:
+    """Give a job every half second, which windows of 0.2 s see or do not see."""
+    phase, count = rng.random() / 2, 0
+    for k in range(1 << 30):
+        seen = int((k * STEP + phase) * 2)
+        yield (seen - count) * 2.5 * rng.gauss(1, 0.05)
+        count = seen
+
+
+def outliers(rng: random.Random) -> Iterator[float]:
+    """Steady but for single windows ten times as large, once in two minutes."""
+    while True:
+        yield rng.gauss(1, 0.05) + (10 if rng.random() < STEP / 120 else 0)
+
+
+NOISES = [normal(0.05), normal(0.2), waves, bursts]
+
+
+def shifts(noise: Noise, seed: int, num: int, at: int, factor: float) -> list[int]:
+    """Return the windows in which a shift was told."""
+    shift, loads = Shift(), noise(random.Random(seed))
+    told = []
+    for index in range(num):
+        load = 0.1 * next(loads) * (factor if index >= at else 1)
+        if shift.update(load * STEP, STEP):
+            told.append(index)
+    return told
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [*NOISES, outliers])
+def test_tells_no_shift_in_ten_minutes_of_steady_load(noise: Noise) -> None:
+    for seed in range(15):
+        assert shifts(noise, seed, TEN_MINUTES, TEN_MINUTES, 1.0) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [normal(0.05), bursts])
+def test_finds_a_shift_by_half_within_three_seconds(noise: Noise) -> None:
+    for seed in range(30):
+        told = shifts(noise, seed, 300, 200, 1.5)
+        assert told
+        assert 200 <= told[0] <= 200 + 3 / STEP
+
+
+@pytest.mark.slow
+def test_finds_it_in_noise_too_mostly_within_three_seconds() -> None:
+    """Windows that vary by a fifth: the median delay is under 3 s, the longest 10 s."""
+    delays = sorted(
+        (shifts(normal(0.2), seed, 400, 200, 1.5)[0] - 199) * STEP for seed in range(40)
+    )
+    assert delays[20] <= 3
+    assert delays[-1] <= 10
+
+
+@pytest.mark.parametrize(("factor", "direction"), [(2.0, 1), (0.4, -1)])
+def test_tells_the_direction(factor: float, direction: int) -> None:
+    shift = Shift()
+    for _ in range(LEARN):
+        assert shift.update(1.0, 1.0) == 0
+    told = {shift.update(factor, 1.0) for _ in range(20)}
+    assert told == {0, direction}
+
+
+def test_a_shift_by_less_than_the_slack_is_none() -> None:
+    assert shifts(normal(0.05), 1, 1000, 200, 1.15) == []
+
+
+def test_compares_with_the_reference_that_is_given() -> None:
+    """It needs twice what it should from the first window on."""
+    shift = Shift(reference=0.1)
+    told = [shift.update(0.2, 1.0) for _ in range(LEARN + 10)]
+    assert 1 in told
+
+
+def test_says_nothing_where_nothing_is_used() -> None:
+    shift = Shift()
+    assert {shift.update(0.0, 1.0) for _ in range(200)} == {0}
