@@ -1,0 +1,1 @@
+"""What computers say to each other: messages, their encoding, and transports."""

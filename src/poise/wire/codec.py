@@ -1,0 +1,188 @@
+"""Values to bytes and back: msgpack with declared types, arrays as raw buffers.
+
+A value becomes a *body* (msgpack) and a list of *buffers*, the memory of its arrays,
+which are neither copied nor serialised. In the body an array is an extension that
+holds its dtype, its shape and its offset in the buffers laid end to end, each padded
+to `ALIGNMENT` bytes. Decoding yields read-only views on the received bytes.
+
+Nothing is ever executed: no pickle, no object arrays, and the receiver's declared type
+decides what is accepted.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from functools import cache, partial
+from math import prod
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_args
+
+import msgspec
+
+from poise.errors import PoiseError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+T = TypeVar("T")
+Bytes = bytes | bytearray | memoryview
+
+ALIGNMENT = 16
+_ARRAY = 1
+_DTYPE = re.compile(r"[<>|][biufcSUmM]\d{1,9}(\[\d*\w{1,2}\])?")
+"""What arrays may hold, in NumPy's letters: no objects, and no records."""
+_UNFIT = (TypeError, ValueError, OverflowError, RecursionError)
+"""What reading or writing a value raises that is too large, too deep or malformed."""
+
+
+class WireError(PoiseError):
+    """Bytes from a wire are not what the receiver declared; they were refused."""
+
+
+class Codec(Generic[T]):
+    """Encodes and decodes values of one type.
+
+    Parameters
+    ----------
+    type_
+        Any type that msgspec knows, with NumPy arrays anywhere inside.
+    """
+
+    def __init__(self, type_: Any) -> None:  # noqa: ANN401, any type
+        self.type = type_
+        self._plain_encode = msgspec.msgpack.Encoder(enc_hook=_plain).encode
+        self._has_arrays = _has_arrays(type_)
+        self._plain_decode = msgspec.msgpack.Decoder(type_).decode
+
+    def encode(self, value: T) -> tuple[bytes, list[memoryview]]:
+        """Return the body and the buffers of `value`.
+
+        Raises
+        ------
+        WireError
+            When `value` holds something that no wire carries.
+        """
+        try:
+            if not self._has_arrays:
+                return self._plain_encode(value), []
+            buffers: list[memoryview] = []
+            hook = partial(_encode_array, buffers)
+            return msgspec.msgpack.Encoder(enc_hook=hook).encode(value), buffers
+        except _UNFIT as error:
+            raise WireError(f"{self._name} cannot cross a connector: {error}") from None
+
+    def decode(self, body: Bytes, buffers: memoryview) -> T:
+        """Return the value; its arrays are read-only views on `buffers`.
+
+        Raises
+        ------
+        WireError
+            When the bytes are not a value of the declared type.
+        """
+        try:
+            if not self._has_arrays:
+                return self._plain_decode(body)  # type: ignore[no-any-return]
+            decoder = msgspec.msgpack.Decoder(
+                self.type, ext_hook=partial(_decode_array, buffers), dec_hook=_check
+            )
+            return decoder.decode(body)  # type: ignore[no-any-return]
+        except (msgspec.DecodeError, *_UNFIT) as error:
+            raise WireError(f"not a {self._name}: {error}") from error
+
+    @property
+    def _name(self) -> str:
+        return getattr(self.type, "__qualname__", str(self.type))
+
+
+@cache
+def codec(type_: Any) -> Codec[Any]:  # noqa: ANN401, any type
+    """Return the codec of a type; the same one every time."""
+    return Codec(type_)
+
+
+def padding(length: int) -> int:
+    """Return how many bytes [B] bring `length` to a multiple of `ALIGNMENT`."""
+    return -length % ALIGNMENT
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401, msgspec's hook
+    """Return a number of NumPy's as a plain one; refuse all else."""
+    if type(value).__module__ == "numpy" and not getattr(value, "shape", "none"):
+        return value.item()
+    raise WireError(
+        f"a {type(value).__qualname__} cannot cross a connector; use a Message, "
+        "plain data or a NumPy array, and declare it in the port's type"
+    )
+
+
+def _encode_array(buffers: list[memoryview], value: Any) -> Any:  # noqa: ANN401, whatever msgspec does not know
+    import numpy as np  # noqa: PLC0415, only where users' arrays are
+
+    if not isinstance(value, np.ndarray):
+        return _plain(value)
+    array = np.ascontiguousarray(value)
+    if not _DTYPE.fullmatch(array.dtype.str):
+        raise WireError(
+            f"an array of {array.dtype} cannot cross a connector; use one of numbers, "
+            "or a Message with one for each field"
+        )
+    offset = sum(b.nbytes + padding(b.nbytes) for b in buffers)
+    buffers.append(array.reshape(-1).view(np.uint8).data)
+    header = (array.dtype.str, value.shape, offset)
+    return msgspec.msgpack.Ext(_ARRAY, msgspec.msgpack.encode(header))
+
+
+_array_header = msgspec.msgpack.Decoder(tuple[str, tuple[int, ...], int]).decode
+
+
+def _decode_array(buffers: memoryview, code: int, data: memoryview) -> np.ndarray:
+    import numpy as np  # noqa: PLC0415, only where users' arrays are
+
+    if code != _ARRAY:
+        raise ValueError(f"unknown extension {code}")
+    dtype_name, shape, offset = _array_header(data)
+    if not _DTYPE.fullmatch(dtype_name) or min(shape, default=0) < 0 or offset < 0:
+        raise ValueError(f"refused array {dtype_name} {shape} at {offset}")
+    dtype = np.dtype(dtype_name)
+    size = prod(shape) * dtype.itemsize
+    if offset + size > buffers.nbytes:
+        raise ValueError(f"array of {size} B at {offset} in {buffers.nbytes} B")
+    array = np.frombuffer(buffers[offset : offset + size], dtype).reshape(shape)
+    array.flags.writeable = False
+    return array
+
+
+def _check(type_: Any, value: Any) -> Any:  # noqa: ANN401, msgspec's hook
+    """Refuse an array whose dtype is not the one that ``NDArray[...]`` declares."""
+    import numpy as np  # noqa: PLC0415, only where users' arrays are
+
+    if not isinstance(value, np.ndarray):
+        raise TypeError(f"a {type(value).__qualname__}, not an array")
+    for argument in get_args(type_):
+        for wanted in get_args(argument):
+            if not isinstance(wanted, type) or not issubclass(wanted, np.generic):
+                continue  # NDArray[Any]
+            if not issubclass(value.dtype.type, wanted):
+                raise TypeError(f"array of {value.dtype}, not {wanted.__name__}")
+    return value
+
+
+def _has_arrays(type_: Any) -> bool:  # noqa: ANN401, any type
+    return any(
+        isinstance(part, msgspec.inspect.CustomType | msgspec.inspect.AnyType)
+        for part in _parts(msgspec.inspect.type_info(type_), set())
+    )
+
+
+def _parts(info: Any, seen: set[int]) -> Iterable[Any]:  # noqa: ANN401, msgspec.inspect
+    """Yield a type's description and those of all types inside it."""
+    if isinstance(info, tuple):
+        for item in info:
+            yield from _parts(item, seen)
+    elif isinstance(info, msgspec.inspect.Type | msgspec.inspect.Field):
+        if id(info) in seen:
+            return
+        seen.add(id(info))
+        yield info
+        for name in info.__struct_fields__:
+            yield from _parts(getattr(info, name), seen)

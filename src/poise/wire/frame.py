@@ -1,0 +1,107 @@
+"""One frame: what crosses a connector between containers.
+
+::
+
+    version u8, kind u8, tag u16, body length u32, number u64, chain u64,
+    body, padding, buffers
+
+Little endian. `tag` says which method or message type this is, by a checksum of its
+name and types; `number` tells one mark from another; `chain` is the call chain that a
+call belongs to. The buffers may lie in shared memory instead.
+"""
+
+from __future__ import annotations
+
+import struct
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+from poise.wire.codec import Bytes, Codec, WireError, padding
+
+VERSION = 1
+_HEAD = struct.Struct("<BBHIQQ")
+_ZEROS = bytes(16)
+
+
+class Kind(IntEnum):
+    """What a frame is."""
+
+    MESSAGE = 1
+    CALL = 2
+    ONEWAY = 3
+    RESULT = 4
+    ERROR = 5
+    WELCOME = 6
+    MOVED = 7
+    MARK = 8
+
+
+FAILURE: Codec[tuple[str, str, str]] = Codec(tuple[str, str, str])
+"""What an answer of the kind ERROR holds: type, message and traceback."""
+_KINDS = {int(kind): kind for kind in Kind}  # quicker than to call Kind
+
+
+class Frame(NamedTuple):
+    """A received frame; `body` and `buffers` are views on the received bytes."""
+
+    kind: Kind
+    tag: int
+    number: int
+    chain: int
+    body: memoryview
+    buffers: memoryview
+
+    def value(self, codec: Codec[Any]) -> Any:  # noqa: ANN401, what the codec decodes
+        """Return the decoded value; WireError when it is not of the codec's type."""
+        return codec.decode(self.body, self.buffers)
+
+
+def segments(
+    codec: Codec[Any],
+    value: object,
+    kind: Kind,
+    *,
+    tag: int = 0,
+    number: int = 0,
+    chain: int = 0,
+) -> list[Bytes]:
+    """Return the pieces of a frame, to be sent one after the other without a copy."""
+    body, buffers = codec.encode(value)
+    head = _HEAD.pack(VERSION, kind, tag, len(body), number, chain)
+    pieces: list[Bytes] = [head, body]
+    if buffers:
+        pieces.append(_ZEROS[: padding(_HEAD.size + len(body))])
+        for buffer in buffers:
+            pieces += (buffer, _ZEROS[: padding(buffer.nbytes)])
+    return pieces
+
+
+def failure(type_name: str, message: str, traceback: str = "") -> list[Bytes]:
+    """Return the answer to a call that failed; a callee's error has a traceback."""
+    return segments(FAILURE, (type_name, message, traceback), Kind.ERROR)
+
+
+def parse(data: Bytes, buffers: memoryview | None = None) -> Frame:
+    """Return the frame in `data`; its buffers lie behind the body, or in `buffers`.
+
+    Raises
+    ------
+    WireError
+        When the bytes are cut short, or from a protocol version that is not ours.
+    """
+    view = memoryview(data).toreadonly()
+    size = view.nbytes
+    if size < _HEAD.size:
+        raise WireError(f"a frame of {size} B is cut short")
+    version, number_of_kind, tag, length, number, chain = _HEAD.unpack_from(view)
+    if version != VERSION:
+        raise WireError(f"protocol version {version}, but this is version {VERSION}")
+    end = _HEAD.size + length
+    if end > size:
+        raise WireError(f"a frame of {size} B is cut short: {end} B announced")
+    kind = _KINDS.get(number_of_kind)
+    if kind is None:
+        raise WireError(f"unknown kind of frame: {number_of_kind}")
+    if buffers is None:
+        buffers = view[end + padding(end) :]
+    return Frame(kind, tag, number, chain, view[_HEAD.size : end], buffers)

@@ -1,0 +1,368 @@
+"""What manager, agents and containers tell each other.
+
+Downwards goes what *should* be (`Deployment`, `ContainerSpec`), upwards what *is*
+(`AgentStatus`, `ContainerStatus`). Each receiver compares the two and takes the
+smallest step, so that saying a thing twice is harmless.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from msgspec import Struct
+
+PROTOCOL = 1
+"""Manager, agents and containers of different protocol versions refuse each other."""
+
+Goal = Literal["inactive", "active", "stay"]
+"""What a component should be. `stay`: as it is, and inactive when it is new: so a
+container that ends in the middle of a move begins again with nothing of it active."""
+Aim = Literal["inactive", "ready", "active", "finalized"]
+"""Where a component goes. `ready`: activated, and at rest until it is `active`."""
+State = Literal["unconfigured", "inactive", "active", "finalized", "failed"]
+ConnectorKind = Literal["direct", "local", "remote"]
+
+
+class ComponentSpec(Struct, frozen=True, kw_only=True):
+    """A component that should run: by its class, or by a command line.
+
+    Parameters
+    ----------
+    command
+        Program and arguments; not empty for a component that is any executable.
+    epoch
+        Counts the incarnations of a component: while it moves or is replaced there
+        are two, of which one at most is active.
+    adapt
+        ``package.module:function`` that maps the state of the incarnation before, when
+        that had another implementation; empty: the state is the same.
+    devices
+        Device names to paths.
+    weigh
+        Whether the size of its snapshot is taken when it is deactivated.
+    """
+
+    name: str
+    epoch: int = 0
+    goal: Goal
+    implementation: str = ""
+    command: tuple[str, ...] = ()
+    adapt: str = ""
+    parameters: Mapping[str, Any] = {}
+    devices: Mapping[str, str] = {}
+    weigh: bool = False
+
+
+class ConnectorSpec(Struct, frozen=True, kw_only=True):
+    """A connector that should join two ports; publisher or caller is the source.
+
+    Parameters
+    ----------
+    name
+        Unique in the robot, and the same whatever moves.
+    source_epoch, target_epoch
+        Which incarnations of the two components it joins.
+    address
+        The target's container, for the kind ``local``.
+    limit
+        Time limit of a call [s].
+    """
+
+    name: str
+    kind: ConnectorKind
+    source: str
+    source_epoch: int = 0
+    source_port: str
+    target: str
+    target_epoch: int = 0
+    target_port: str
+    address: str = ""
+    limit: float = 1.0
+
+    @property
+    def key(self) -> str:
+        """What both ends call it on their transport: it changes with every move."""
+        return f"{self.name}/{self.source_epoch}.{self.target_epoch}"
+
+
+class ContainerSpec(Struct, frozen=True, kw_only=True, tag=True):
+    """A container that should run: its components, and the connectors at their ports.
+
+    `folder` is where implementations are imported from.
+    """
+
+    name: str
+    folder: str
+    components: tuple[ComponentSpec, ...]
+    connectors: tuple[ConnectorSpec, ...]
+
+
+class Deployment(Struct, frozen=True, kw_only=True, tag=True):
+    """All that should run on one computer. A higher `generation` replaces a lower."""
+
+    protocol: int = PROTOCOL
+    generation: int
+    containers: tuple[ContainerSpec, ...]
+
+
+class Hold(Struct, frozen=True, tag=True):
+    """Queue what goes out over these connectors, behind a mark; calls go on.
+
+    The result tells the connectors over which the mark went: nothing is under way over
+    the others, for nobody is there.
+    """
+
+    connectors: tuple[str, ...]
+    mark: int
+
+
+class Release(Struct, frozen=True, tag=True):
+    """Send what waits, and all that follows, over the connectors with these keys."""
+
+    keys: tuple[str, ...]
+
+
+class Offer(Struct, frozen=True, tag=True):
+    """Old incarnation: be ready to hand over to the incarnation `new`."""
+
+    component: str
+    epoch: int
+    new: int
+
+
+class Precopy(Struct, frozen=True, tag=True):
+    """New incarnation: fetch the state while the old one, `old`, still serves."""
+
+    component: str
+    epoch: int
+    old: int
+    limit: float
+
+
+class Rest(Struct, frozen=True, tag=True):
+    """Old incarnation: come to rest, and send a mark behind all that it sent.
+
+    The result is that of `Hold`.
+    """
+
+    component: str
+    epoch: int
+    mark: int
+    limit: float
+
+
+class Flush(Struct, frozen=True, tag=True):
+    """Wait until these marks have come to a component, by connector."""
+
+    component: str
+    epoch: int
+    received: Mapping[str, int]
+    limit: float
+
+
+class Take(Struct, frozen=True, tag=True):
+    """New incarnation: take over state, waiting messages and timers from `old`."""
+
+    component: str
+    epoch: int
+    old: int
+    limit: float
+
+
+class Activate(Struct, frozen=True, tag=True):
+    """New incarnation, which has taken over: be activated, and stay at rest."""
+
+    component: str
+    epoch: int
+    limit: float
+
+
+class Open(Struct, frozen=True, tag=True):
+    """Go to work: the new incarnation, or the old one again after a failed move."""
+
+    component: str
+    epoch: int
+
+
+class Retire(Struct, frozen=True, tag=True):
+    """Old incarnation: send those that wait for it to the new one."""
+
+    component: str
+    epoch: int
+
+
+Step = Hold | Release | Offer | Precopy | Rest | Flush | Take | Activate | Open | Retire
+
+
+class Order(Struct, frozen=True, tag=True):
+    """Steps of a transition, for one container, one after the other.
+
+    The first that fails ends it.
+
+    Parameters
+    ----------
+    number
+        Tells one order from another.
+    limit
+        It is answered within this time [s], but may still be taken afterwards.
+    """
+
+    number: int
+    container: str
+    steps: tuple[Step, ...]
+    limit: float
+
+
+class Done(Struct, frozen=True, tag=True):
+    """The steps were taken; `numbers` are marks by connector."""
+
+    number: int
+    numbers: Mapping[str, int] = {}
+    seconds: float = 0.0
+
+
+class Failed(Struct, frozen=True, tag=True):
+    """A step was not taken, and why; all is as before that step."""
+
+    number: int
+    reason: str
+
+
+Outcome = Done | Failed
+
+
+class Accepted(Struct, frozen=True, tag=True):
+    """An agent's answer: it works towards this generation now."""
+
+    generation: int
+
+
+class Refused(Struct, frozen=True, tag=True):
+    """An agent's answer: it changed nothing, and why."""
+
+    reason: str
+
+
+Answer = Accepted | Refused | Done | Failed
+
+Request = Deployment | Order
+"""What a manager asks of an agent."""
+
+
+class Summary(Struct, frozen=True):
+    """Many values of one measurement, in its own unit."""
+
+    count: int = 0
+    mean: float = 0.0
+    median: float = 0.0
+    p99: float = 0.0
+    maximum: float = 0.0
+
+
+class TimerStatus(Struct, frozen=True, kw_only=True):
+    """How a timer kept its rate.
+
+    Parameters
+    ----------
+    releases
+        How often it was due since activation.
+    missed
+        How many of these ended after their deadline, or never began.
+    lateness, duration
+        From release to start, and from start to end [s].
+    """
+
+    name: str
+    period: float
+    deadline: float | None
+    releases: int
+    missed: int
+    lateness: Summary
+    duration: Summary
+
+
+class ConnectorStatus(Struct, frozen=True, kw_only=True):
+    """What one end of a connector counted. `delay`: calls there and back [s]."""
+
+    name: str
+    kind: ConnectorKind
+    ready: bool
+    calls: int = 0
+    messages: int = 0
+    bytes: int = 0
+    errors: int = 0
+    drops: int = 0
+    delay: Summary = Summary()
+
+
+class ComponentStatus(Struct, frozen=True, kw_only=True):
+    """A component as its container sees it.
+
+    Parameters
+    ----------
+    error
+        The last traceback, or empty.
+    cpu
+        CPU time of its own code, whoever's thread ran it [s].
+    start
+        How long it took to import, make and configure it [s].
+    snapshot
+        Size of its snapshot, if that was taken [bytes].
+    """
+
+    name: str
+    epoch: int = 0
+    state: State
+    error: str = ""
+    errors: int = 0
+    cpu: float = 0.0
+    start: float = 0.0
+    snapshot: int = 0
+    timers: tuple[TimerStatus, ...] = ()
+    measures: Mapping[str, Summary] = {}
+
+
+class ContainerStatus(Struct, frozen=True, kw_only=True, tag=True):
+    """A container as it sees itself; `cpu` is its process's CPU time so far [s]."""
+
+    name: str
+    pid: int
+    cpu: float = 0.0
+    components: tuple[ComponentStatus, ...] = ()
+    connectors: tuple[ConnectorStatus, ...] = ()
+
+
+class ToContainer(Struct, frozen=True):
+    """What an agent tells a container."""
+
+    what: ContainerSpec | Order
+
+
+class FromContainer(Struct, frozen=True):
+    """What a container tells its agent."""
+
+    what: ContainerStatus | Done | Failed
+
+
+class Fault(Struct, frozen=True, kw_only=True):
+    """Something on a computer that broke: a container that ended, say."""
+
+    container: str
+    message: str
+
+
+class AgentStatus(Struct, frozen=True, kw_only=True):
+    """A computer as its agent sees it.
+
+    `cpu` is the CPU time of the agent and all its containers, ended ones too [s];
+    `uptime` the time since the agent started [s].
+    """
+
+    protocol: int = PROTOCOL
+    computer: str
+    generation: int
+    uptime: float
+    cpu: float
+    containers: tuple[ContainerStatus, ...] = ()
+    faults: tuple[Fault, ...] = ()

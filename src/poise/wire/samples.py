@@ -1,0 +1,76 @@
+"""What agents count, told a few times a second: small records without names of fields.
+
+All counters are totals since the component, connector or process began; differences are
+for whoever receives them, so that a lost sample loses nothing.
+"""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+SAMPLE_EVERY = 0.2
+"""How often agents tell what they count, unless asked for another rate [s]."""
+
+
+class ComponentSample(Struct, frozen=True, array_like=True):
+    """A component's counters; `epoch` tells incarnations of one component apart.
+
+    Parameters
+    ----------
+    cpu
+        CPU time [s].
+    wait
+        Time in which its thread could run and did not [s]; only kept for components
+        without jobs.
+    asked, done
+        Releases of timers and messages that came, and that were ended.
+    """
+
+    name: str
+    epoch: int
+    cpu: float
+    wait: float
+    asked: int
+    done: int
+
+
+class ConnectorSample(Struct, frozen=True, array_like=True):
+    """The counters of one end of a connector."""
+
+    name: str
+    calls: int
+    messages: int
+    bytes: int
+    errors: int
+    drops: int
+
+
+class ContainerSample(Struct, frozen=True, array_like=True):
+    """A container's counters.
+
+    Parameters
+    ----------
+    at
+        When they were read [s], on its computer's clock.
+    cpu
+        CPU time of the process [s].
+    memory
+        Its proportional set size [bytes]; read less often than the rest.
+    """
+
+    name: str
+    pid: int
+    at: float
+    cpu: float
+    memory: int
+    components: tuple[ComponentSample, ...]
+    connectors: tuple[ConnectorSample, ...]
+
+
+class AgentSample(Struct, frozen=True, array_like=True):
+    """A computer's counters; `cpu` is the CPU time of the agent itself [s]."""
+
+    computer: str
+    at: float
+    cpu: float
+    containers: tuple[ContainerSample, ...]

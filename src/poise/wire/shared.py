@@ -1,0 +1,149 @@
+"""Blocks of shared memory for the arrays that cross a link between two containers.
+
+A block is an anonymous file (``memfd_create``) that both ends map. The sender copies
+arrays into it, the receiver's arrays are read-only views on it. Whose it is stands in
+the block's first byte: the sender sets it before it tells the receiver of its contents;
+the receiver clears it when the last array on it is gone, and only then is the block
+used again. A receiver that keeps its arrays therefore only makes the sender take
+another block, or send through the socket when there is none.
+
+Nothing has a name in the file system, so the kernel frees what a crash leaves behind.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import mmap
+import os
+import weakref
+from typing import Any
+
+from poise.wire.codec import Bytes, WireError
+
+THRESHOLD = 1 << 16
+"""Arrays of fewer bytes in all go through the socket: it is as quick."""
+MOST_BLOCKS = 8
+"""Blocks that one end of a link may have."""
+MOST_BYTES = 1 << 27
+"""Memory of these blocks in all [bytes]."""
+
+_DATA = mmap.PAGESIZE
+"""Where the data begin: the page before holds the byte that both ends write."""
+_LENT = 1
+_FREE = 0
+_SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL
+
+
+class Block:
+    """The sender's side of a block with room for `capacity` bytes."""
+
+    def __init__(self, number: int, capacity: int) -> None:
+        self.number = number
+        self.capacity = capacity
+        self.file = os.memfd_create("poise", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+        try:
+            os.ftruncate(self.file, _DATA + capacity)
+            fcntl.fcntl(self.file, fcntl.F_ADD_SEALS, _SEALS)
+            self._map = mmap.mmap(
+                self.file, 0, mmap.MAP_SHARED | mmap.MAP_POPULATE, mmap.PROT_WRITE
+            )
+        except BaseException:
+            os.close(self.file)
+            raise
+
+    def is_free(self) -> bool:
+        """Return whether the receiver has no array on it."""
+        return self._map[0] == _FREE
+
+    def fill(self, pieces: list[Bytes]) -> None:
+        """Copy `pieces` into it, end to end, and lend it."""
+        start = _DATA
+        with memoryview(self._map) as view:
+            for piece in pieces:
+                view[start : start + len(piece)] = piece
+                start += len(piece)
+        self._map[0] = _LENT
+
+    def take_back(self) -> None:
+        """Undo `fill`: the receiver was not told."""
+        self._map[0] = _FREE
+
+    def close(self) -> None:
+        """Give up this side's map; the receiver's arrays stay as they are."""
+        self._map.close()
+        os.close(self.file)
+
+
+class Pool:
+    """The blocks into which one end of a link copies."""
+
+    def __init__(self) -> None:
+        self._blocks: dict[int, Block] = {}
+
+    def take(self, size: int) -> tuple[Block | None, bool]:
+        """Return a free block for `size` bytes, and whether it is new.
+
+        None when the receiver has not given back enough of them.
+        """
+        free = [block for block in self._blocks.values() if block.is_free()]
+        fitting = [block for block in free if block.capacity >= size]
+        if fitting:
+            return min(fitting, key=_capacity), False
+        capacity = max(THRESHOLD, 1 << (size - 1).bit_length())
+        self._make_room(capacity, sorted(free, key=_capacity))
+        used = sum(map(_capacity, self._blocks.values()))
+        if len(self._blocks) == MOST_BLOCKS or used + capacity > MOST_BYTES:
+            return None, False
+        number = next(n for n in range(1, MOST_BLOCKS + 1) if n not in self._blocks)
+        block = self._blocks[number] = Block(number, capacity)
+        return block, True
+
+    def close(self) -> None:
+        """Give up all blocks."""
+        while self._blocks:
+            self._blocks.popitem()[1].close()
+
+    def _make_room(self, capacity: int, free: list[Block]) -> None:
+        """Give up free blocks, all of them too small, as far as a new one needs it."""
+        for block in free:
+            used = sum(map(_capacity, self._blocks.values()))
+            if len(self._blocks) < MOST_BLOCKS and used + capacity <= MOST_BYTES:
+                return
+            self._blocks.pop(block.number).close()
+
+
+class Lender:
+    """The receiver's side of a block."""
+
+    def __init__(self, file: int, capacity: int) -> None:
+        """Map a block; WireError when the file is not one of `capacity` bytes."""
+        if fcntl.fcntl(file, fcntl.F_GET_SEALS) & _SEALS != _SEALS:
+            raise WireError("a shared block may shrink: not sealed")
+        if os.fstat(file).st_size != _DATA + capacity:
+            raise WireError(f"a shared block is not of {capacity} B")
+        shared = mmap.MAP_SHARED | mmap.MAP_POPULATE
+        self._flag = mmap.mmap(file, _DATA, shared, mmap.PROT_WRITE)
+        self._data = mmap.mmap(file, capacity, shared, mmap.PROT_READ, offset=_DATA)
+        self._lent: weakref.ref[Any] | None = None
+
+    def lend(self, length: int) -> memoryview:
+        """Return `length` bytes; the block is given back when all views are gone.
+
+        Raises
+        ------
+        WireError
+            When the block has fewer bytes.
+        """
+        import numpy as np  # noqa: PLC0415, only where users' arrays are
+
+        if length > len(self._data):
+            raise WireError(f"{length} B announced in a block of {len(self._data)} B")
+        flag = self._flag
+        array: Any = np.frombuffer(self._data, np.uint8, length)
+        # every view of the memoryview below keeps this array, and nothing else does
+        self._lent = weakref.ref(array, lambda _: flag.__setitem__(0, _FREE))
+        return memoryview(array)
+
+
+def _capacity(block: Block) -> int:
+    return block.capacity

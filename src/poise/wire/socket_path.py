@@ -1,0 +1,30 @@
+"""Where the socket of a container lies."""
+
+from __future__ import annotations
+
+import os
+from hashlib import blake2s
+from pathlib import Path
+
+LONGEST = 107
+"""The kernel takes no longer path of a socket [bytes]."""
+
+
+def socket_path(folder: Path, container: str) -> Path:
+    """Return the path of a container's socket, as short for a long name as for any.
+
+    Raises
+    ------
+    ValueError
+        The folder's own path leaves no room for it.
+    """
+    name = blake2s(container.encode(), digest_size=8).hexdigest()
+    path = folder / f"{name}.sock"
+    length = len(os.fsencode(path))
+    if length > LONGEST:
+        room = LONGEST - (length - len(os.fsencode(folder)))
+        raise ValueError(
+            f"the path {folder} is {len(os.fsencode(folder))} bytes long, but sockets "
+            f"in a folder need one of at most {room}: choose another (TMPDIR, --folder)"
+        )
+    return path

@@ -1,0 +1,226 @@
+"""Arrays cross a link in shared memory, and no block can crash who receives it."""
+
+from __future__ import annotations
+
+import gc
+import os
+import socket
+import struct
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from poise.errors import Unavailable
+from poise.wire import frame, shared
+from poise.wire.codec import WireError, codec
+from poise.wire.frame import Kind
+from poise.wire.link import Link
+
+ANY = codec(Any)
+LONG = 20.0
+NEW = 0xFFFFFFFF
+
+
+@pytest.fixture
+def ends() -> Iterator[tuple[Link, Link]]:
+    """Give the asking end, and the other, at which a thread sends back what comes."""
+    ours, theirs = map(Link, socket.socketpair())
+
+    def serve() -> None:
+        try:
+            while True:
+                value = theirs.receive().value(ANY)
+                theirs.send(frame.segments(ANY, value, Kind.RESULT))
+        except Unavailable:
+            pass
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    yield ours, theirs
+    ours.end()
+    thread.join(LONG)
+    ours.close()
+    theirs.close()
+
+
+def ask(link: Link, value: object) -> Any:
+    link.send(frame.segments(ANY, value, Kind.CALL, chain=1), LONG)
+    return link.receive(LONG).value(ANY)
+
+
+def image(number: int, size: int = 1 << 20) -> Any:
+    return np.full(size, number, np.uint8)
+
+
+@pytest.mark.parametrize("size", [0, 1, 8000, 8160, 8192, 8193, 100_000, 3_000_000])
+def test_brings_bytes_of_any_size(ends: tuple[Link, Link], size: int) -> None:
+    assert ask(ends[0], bytes(size)) == bytes(size)
+
+
+@pytest.mark.parametrize("size", [0, 10, 65_535, 65_536, 1_000_000])
+def test_brings_arrays_of_any_size(ends: tuple[Link, Link], size: int) -> None:
+    for number in range(20):
+        answer = ask(ends[0], [image(number, size), image(number + 1, size)])
+        assert [array.size for array in answer] == [size, size]
+        assert all((a == number + i).all() for i, a in enumerate(answer))
+
+
+def test_received_arrays_cannot_be_written(ends: tuple[Link, Link]) -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        ask(ends[0], image(1))[0] = 2
+
+
+def test_arrays_that_are_kept_stay_as_they_are(ends: tuple[Link, Link]) -> None:
+    """More are kept than there are blocks; then the socket carries them."""
+    most = 3 * shared.MOST_BLOCKS
+    kept = [ask(ends[0], image(number)) for number in range(most)]
+    assert all((array == number).all() for number, array in enumerate(kept))
+    part = kept[3][10:20]
+    del kept
+    gc.collect()
+    for number in range(100, 100 + most):
+        ask(ends[0], image(number))
+    assert (part == 3).all()
+
+
+def test_arrays_outlive_their_link(ends: tuple[Link, Link]) -> None:
+    array = ask(ends[0], image(7))
+    for link in ends:
+        link.end()
+        link.close()
+    assert (array == 7).all()
+
+
+def test_blocks_are_used_again_when_arrays_are_let_go(
+    ends: tuple[Link, Link],
+) -> None:
+    ask(ends[0], image(0))
+    before = open_files()
+    for number in range(50):
+        ask(ends[0], image(number))
+    # each end may need one more while an answer is still under way
+    assert open_files() <= before + 4
+
+
+def test_leaves_no_name_in_shared_memory(ends: tuple[Link, Link]) -> None:
+    before = os.listdir("/dev/shm")  # noqa: PTH208, a folder of the kernel
+    ask(ends[0], image(0))
+    assert os.listdir("/dev/shm") == before  # noqa: PTH208, the same
+
+
+def test_makes_room_for_larger_arrays(ends: tuple[Link, Link]) -> None:
+    for exponent in range(16, 25):
+        array = ask(ends[0], image(exponent, 1 << exponent))
+        assert array.size == 1 << exponent
+        assert (array == exponent).all()
+
+
+def test_a_pool_is_bounded_while_nothing_is_given_back() -> None:
+    pool = shared.Pool()
+    taken = []
+    while (block := pool.take(1 << 16)[0]) is not None:
+        block.fill([b"x"])
+        taken.append(block)
+    assert len(taken) == shared.MOST_BLOCKS
+    pool.close()
+
+
+def test_a_pool_makes_no_block_that_is_too_large() -> None:
+    pool = shared.Pool()
+    assert pool.take(shared.MOST_BYTES + 1) == (None, False)
+    pool.close()
+
+
+def open_files() -> int:
+    return len(os.listdir("/proc/self/fd"))  # noqa: PTH208, a folder of the kernel
+
+
+def head(length: int, block: int, used: int = 0) -> bytes:
+    return struct.pack("<IIQ", length, block, used)[: 16 if block else 8]
+
+
+@pytest.fixture
+def raw() -> Iterator[tuple[socket.socket, Link]]:
+    """Give a socket to write anything to, and the link that gets it."""
+    ours, theirs = socket.socketpair()
+    ours.settimeout(LONG)
+    link = Link(theirs)
+    link.set_limit(LONG)
+    yield ours, link
+    ours.close()
+    link.close()
+
+
+@pytest.mark.parametrize(
+    ("sent", "why"),
+    [
+        (head(3, 0) + b"abc", "cut short"),
+        (head((1 << 30) + 1, 0), "is the largest"),
+        (head(24, 3, 10), "no shared block 3"),
+        (head(NEW, 0), "is the largest|was announced"),
+        (head(NEW, 99, 4096), "block 99 of 4096 B was announced"),
+        (head(NEW, 1, 1 << 40), "was announced"),
+    ],
+)
+def test_refuses_what_is_no_frame(
+    raw: tuple[socket.socket, Link], sent: bytes, why: str
+) -> None:
+    raw[0].sendall(sent)
+    with pytest.raises(WireError, match=why):
+        raw[1].receive()
+
+
+@pytest.mark.parametrize(
+    ("kind", "why"),
+    [
+        ("unsealed", "may shrink"),
+        ("too small", "is not of 131072 B"),
+        ("no memory", "cannot be mapped"),
+        ("none", "no file came"),
+    ],
+)
+def test_refuses_a_block_that_could_crash_it(
+    raw: tuple[socket.socket, Link], kind: str, why: str
+) -> None:
+    small = shared.Block(1, 1 << 16)
+    files = {
+        "unsealed": os.memfd_create("test", os.MFD_ALLOW_SEALING),
+        "no memory": os.open("/dev/null", os.O_RDWR),
+        "too small": os.dup(small.file),
+    }
+    raw[0].sendall(head(NEW, 1, 1 << 17))
+    answered = threading.Thread(target=_hand_over, args=(raw[0], files.get(kind)))
+    answered.start()
+    with pytest.raises(WireError, match=why):
+        raw[1].receive()
+    answered.join(LONG)
+    for file in files.values():
+        os.close(file)
+    small.close()
+
+
+def _hand_over(connection: socket.socket, file: int | None) -> None:
+    assert connection.recv(1) == b"+"
+    if file is None:
+        connection.sendall(b"+")
+    else:
+        socket.send_fds(connection, [b"+"], [file])
+
+
+def test_refuses_more_of_a_block_than_it_has(raw: tuple[socket.socket, Link]) -> None:
+    block = shared.Block(1, 1 << 16)
+
+    def send() -> None:
+        _hand_over(raw[0], block.file)
+        raw[0].sendall(head(24, 1, block.capacity + 1) + bytes(24))
+
+    raw[0].sendall(head(NEW, 1, block.capacity))
+    sender = threading.Thread(target=send)
+    sender.start()
+    with pytest.raises(WireError, match="65537 B announced in a block of 65536 B"):
+        raw[1].receive()
+    sender.join(LONG)
+    block.close()
