@@ -1,0 +1,19 @@
+"""Turn one Linux machine into a robot's several computers (docs/emulation.md)."""
+
+from poise.emulate.computer import EmulatedComputer
+from poise.emulate.emulation import Emulation
+from poise.emulate.probe import Probe, look
+from poise.emulate.remains import sweep
+from poise.emulate.usage import Usage, is_starved
+from poise.emulate.watch import StarvationWatch
+
+__all__ = [
+    "EmulatedComputer",
+    "Emulation",
+    "Probe",
+    "StarvationWatch",
+    "Usage",
+    "is_starved",
+    "look",
+    "sweep",
+]

@@ -1,0 +1,143 @@
+"""One emulated computer: start processes on it, see what it used."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import IO
+
+import msgspec
+
+from poise.emulate.group import Group
+from poise.emulate.layout import Place
+from poise.emulate.network import NAMESPACES
+from poise.emulate.processes import MARK
+from poise.emulate.usage import Usage, is_starved, stolen_time
+
+Stream = int | IO[bytes] | None
+
+# A shell enters the cgroups and then becomes the program: it never runs outside, and
+# nothing of Python happens between fork and exec. "--" ends the files.
+_ENTER = (
+    'while [ "$1" != -- ]; do echo $$ > "$1" || exit 126; shift; done; shift; exec "$@"'
+)
+
+
+SLOWDOWN = "POISE_SLOWDOWN"
+"""Environment variable: how many times faster a computer is than the one it emulates.
+
+More than 1 only where the machine allows no quota. Programs that do work of a declared
+size can do that many times as much, and then take as long as they would there.
+"""
+
+
+class EmulatedComputer:
+    """A computer of the robot, emulated by a part of this one.
+
+    Attributes
+    ----------
+    name
+        As in the robot file.
+    address
+        The IP address at which its processes listen.
+    folder
+        Its private folder, which is also its ``TMPDIR``; gone when it is closed.
+    limits
+        What it may have of the host.
+    slowdown
+        How many times faster it is than it should be, for want of a quota; else 1.
+    """
+
+    def __init__(
+        self, place: Place, group: Group, *, pin: bool, has_quota: bool
+    ) -> None:
+        self.name = place.name
+        self.address = place.address
+        self.folder = place.folder
+        self.limits = place.limits
+        self._group = group
+        self._mark = place.mark
+        self._prefix = _prefix(place, pin=pin)
+        self.slowdown = 1.0 if has_quota else _too_fast(place)
+        self._stolen = stolen_time(place.limits.cpus)
+        self._children: list[subprocess.Popen[bytes]] = []
+
+    def popen(
+        self,
+        argv: Sequence[str],
+        *,
+        env: Mapping[str, str] | None = None,
+        cwd: str | Path | None = None,
+        stdin: Stream = None,
+        stdout: Stream = None,
+        stderr: Stream = None,
+        pass_fds: Sequence[int] = (),
+    ) -> subprocess.Popen[bytes]:
+        """Start a program on the computer, in a session of its own.
+
+        It is within all limits before its first instruction. Its process is the one
+        that is returned (no wrapper stays between). A program that cannot be found
+        ends with code 127, one that cannot enter its cgroup with 126.
+
+        Parameters
+        ----------
+        env
+            Its environment; None: this process's. The computer's ``TMPDIR`` and mark
+            are added.
+        """
+        joins = [str(file) for file in self._group.joins]
+        child = subprocess.Popen(  # noqa: S603 - the arguments are never parsed by the shell
+            ["/bin/sh", "-c", _ENTER, "sh", *joins, "--", *self._prefix, *argv],
+            env={**(os.environ if env is None else env), **self._environment()},
+            cwd=cwd,
+            stdin=stdin,
+            stdout=stdout,
+            stderr=stderr,
+            pass_fds=pass_fds,
+            start_new_session=True,
+        )
+        self._children.append(child)
+        return child
+
+    def running(self) -> list[int]:
+        """Return the numbers of the processes on it, whoever started them."""
+        # Those that ended are waited for, or they stay. One that was just started may
+        # be about to enter its group and not stand there yet.
+        self._children = [child for child in self._children if child.poll() is None]
+        started = {child.pid for child in self._children}
+        return sorted(started.union(self._group.processes()))
+
+    def usage(self) -> Usage:
+        """Return what it has used since it was made."""
+        usage = self._group.usage()
+        if usage.starved is None:
+            return usage
+        stolen = stolen_time(self.limits.cpus) - self._stolen
+        return msgspec.structs.replace(usage, starved=usage.starved + stolen)
+
+    def was_starved(self, before: Usage, after: Usage) -> bool:
+        """Return whether the host made it slower than promised (`is_starved`)."""
+        return is_starved(before, after, self.limits.quota, len(self.limits.cpus))
+
+    def _environment(self) -> dict[str, str]:
+        return {
+            MARK: self._mark,
+            "TMPDIR": str(self.folder),
+            SLOWDOWN: f"{self.slowdown:g}",
+        }
+
+
+def _too_fast(place: Place) -> float:
+    """Return how many times faster the computer is than it should be, without quota."""
+    return max(1.0, len(place.limits.cpus) / place.limits.quota)
+
+
+def _prefix(place: Place, *, pin: bool) -> list[str]:
+    """Return the command that turns into the program after entering what it must."""
+    namespace, cpus = place.namespace, ",".join(map(str, place.limits.cpus))
+    return [
+        *(["nsenter", f"--net={NAMESPACES / namespace}"] if namespace else []),
+        *(["taskset", "--cpu-list", cpus] if pin else []),
+    ]

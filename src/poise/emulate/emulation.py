@@ -1,0 +1,166 @@
+"""Turn one Linux machine into the computers of a robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from itertools import count
+from pathlib import Path
+from types import MappingProxyType, TracebackType
+from typing import Self
+
+from poise.emulate import network, processes
+from poise.emulate.computer import EmulatedComputer
+from poise.emulate.group import Groups, MarkedGroups
+from poise.emulate.layout import Layout, lay_out
+from poise.emulate.limits import shortages
+from poise.emulate.probe import Probe, look
+from poise.emulate.remains import sweep
+from poise.errors import RunError
+from poise.model.robot import Robot
+
+# One process may own several emulations, one after the other or at once.
+_numbers = count()
+
+
+class Emulation:
+    """All computers of a robot on this machine, until it is closed.
+
+    Where the machine does not allow something, the emulation goes without it and says
+    so in `without`. What earlier runs left behind that were killed is removed first.
+
+    Parameters
+    ----------
+    folder
+        The run's folder; each computer gets a private folder in it.
+    probe
+        What the machine allows; None: look.
+
+    Raises
+    ------
+    RobotError
+        When a computer cannot be emulated.
+    UsageError
+        When `folder` is another run's already.
+    RunError
+        When the machine refuses what it seemed to allow; nothing is left behind.
+
+    Attributes
+    ----------
+    computers
+        By name.
+    without
+        Sentences for the user: which of quota, CPU set, memory limit, namespaces and
+        shaped links there are not, and why; and where the machine is too small.
+    address
+        The owner's own address in the emulated network, outside every limit.
+    """
+
+    computers: Mapping[str, EmulatedComputer]
+    without: tuple[str, ...]
+    address: str
+
+    def __init__(
+        self, robot: Robot, folder: Path, *, probe: Probe | None = None
+    ) -> None:
+        sweep()
+        host = probe or look()
+        layout = lay_out(robot, folder, host, next(_numbers))
+        self.computers = {}
+        self._remains = layout.remains
+        self._remains.write_down()
+        try:
+            self._make(layout, host)
+        except BaseException as error:
+            self.close()
+            if isinstance(error, OSError):
+                message = f"this machine refuses an emulated computer: {error}"
+                raise RunError(message) from error
+            raise
+
+    def close(self, ask: float = processes.ASK) -> None:
+        """End every process and remove everything. Repeating it is harmless.
+
+        Parameters
+        ----------
+        ask
+            How long the processes may take before they are killed [s].
+
+        Raises
+        ------
+        RunError
+            When something could not be ended or removed.
+        """
+        try:
+            processes.stop(self._running, ask)
+        finally:
+            self._remains.remove()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _make(self, layout: Layout, host: Probe) -> None:
+        groups, refused = _prepared(host.groups, layout.run)
+        pin = "cpuset" not in groups.controls and "taskset" in host.tools
+        computers = {}
+        for place in layout.places:
+            place.folder.mkdir(parents=True)
+            group = groups.make(place.mark, place.limits)
+            computers[place.name] = EmulatedComputer(
+                place, group, pin=pin, has_quota="cpu" in groups.controls
+            )
+        self.computers = MappingProxyType(computers)
+        unshaped = _wire(layout.network, host) if layout.network else []
+        self.address = layout.network.owner_address if layout.network else "127.0.0.1"
+        self.without = (
+            *(refused or host.without_groups()),
+            *([_PINNED] if pin else []),
+            *shortages({place.name: place.limits for place in layout.places}),
+            *([_BLIND] if _is_blind(computers.values()) else []),
+            *host.without_network(),
+            *unshaped,
+        )
+
+    def _running(self) -> list[int]:
+        """Return the processes of all computers, which so are asked all at once."""
+        return [pid for each in self.computers.values() for pid in each.running()]
+
+
+_PINNED = "CPU set in a cgroup: taskset is used instead, which a program can undo"
+_BLIND = (
+    "void runs: the kernel does not tell a cgroup's CPU pressure, so nobody sees when "
+    "the host is too busy for the emulation"
+)
+
+
+def _is_blind(computers: Iterable[EmulatedComputer]) -> bool:
+    return any(computer.usage().starved is None for computer in computers)
+
+
+def _prepared(groups: Groups, run: str) -> tuple[Groups, list[str]]:
+    """Return groups that can be made, and why they are not those asked for."""
+    try:
+        groups.prepare(run)
+    except OSError as error:
+        reason = f"quota, CPU set and memory limit: the kernel refuses cgroups: {error}"
+        return MarkedGroups(), [reason]
+    return groups, []
+
+
+def _wire(plan: network.Plan, host: Probe) -> list[str]:
+    """Make the network, shaped where that is possible; return what is missing."""
+    network.build(plan)
+    if "tc" not in host.tools:
+        return []
+    slow = any(cable.latency for cable in plan.cables)
+    delays = slow and network.can_delay(plan.switch)
+    network.shape(plan, delays=delays)
+    reason = "link latency: this kernel cannot delay packets (no sch_netem)"
+    return [reason] if slow and not delays else []

@@ -1,0 +1,115 @@
+"""What each emulated computer may have of the host."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from msgspec import Struct
+
+from poise.emulate.usage import PERIOD
+from poise.errors import RobotError
+from poise.model.robot import Computer
+
+_SMALLEST = 0.001
+"""The kernel refuses quotas of less than this in a period [s]."""
+_ROUNDING = 1e-9
+
+
+class Limits(Struct, frozen=True, kw_only=True):
+    """What one emulated computer may have.
+
+    Parameters
+    ----------
+    quota
+        Host cores; > 0.
+    cpus
+        The host CPUs that it may run on; one at least.
+    memory
+        [bytes]; None: no limit.
+    """
+
+    quota: float
+    cpus: tuple[int, ...]
+    memory: int | None = None
+
+    @property
+    def period(self) -> float:
+        """The period of its quota [s]: `PERIOD`, longer for a very small quota."""
+        return max(PERIOD, _SMALLEST / self.quota)
+
+
+def share_out(computers: Sequence[Computer], cpus: Sequence[int]) -> list[Limits]:
+    """Return the limits of each computer on a host with `cpus`.
+
+    A computer gets as many CPUs as its quota can fill and no more (then throttled
+    time is spread over all of them, which `starved_time` relies on), all its own. Where
+    CPUs are short, each gets one of its own; where there are not enough even for
+    that, they take turns.
+
+    Raises
+    ------
+    RobotError
+        When a computer has no CPU at all.
+    """
+    quotas = [_quota(computer) for computer in computers]
+    if len(cpus) < len(computers):
+        sets: list[tuple[int, ...]]
+        sets = [(cpus[i % len(cpus)],) for i, _ in enumerate(computers)]
+    else:
+        sets = _own_sets(quotas, list(cpus))
+    return [
+        Limits(quota=quota, cpus=own, memory=_memory(computer))
+        for computer, quota, own in zip(computers, quotas, sets, strict=True)
+    ]
+
+
+def shortages(limits: Mapping[str, Limits]) -> list[str]:
+    """Return a sentence for each computer and CPU that cannot keep its promise."""
+    slow = [
+        f"{name!r} asks for {limit.quota:g} host cores and gets {len(limit.cpus)}: "
+        "it is slower than the robot file says"
+        for name, limit in limits.items()
+        if limit.quota > len(limit.cpus) + _ROUNDING
+    ]
+    cpus = sorted({cpu for limit in limits.values() for cpu in limit.cpus})
+    shared = [
+        _sharing(cpu, {n: li.quota for n, li in limits.items() if cpu in li.cpus})
+        for cpu in cpus
+    ]
+    return slow + [sentence for sentence in shared if sentence]
+
+
+def _sharing(cpu: int, quotas: Mapping[str, float]) -> str:
+    if len(quotas) == 1:
+        return ""
+    asked = sum(quotas.values())
+    return (
+        f"CPU sets of their own: {', '.join(quotas)} share host CPU {cpu}, as there "
+        f"are more computers than CPUs; they ask for {asked:g} of it"
+        + (", which it has not got" if asked > 1 + _ROUNDING else "")
+    )
+
+
+def _quota(computer: Computer) -> float:
+    quota = computer.capacity.get("cpu", 0.0) * computer.speed
+    if not 0 < quota < math.inf:
+        message = (
+            f"computer {computer.name!r} cannot be emulated with {quota:g} cores "
+            "(cpu capacity x speed); it must be more than 0, and finite"
+        )
+        raise RobotError(message)
+    return quota
+
+
+def _memory(computer: Computer) -> int | None:
+    amount = computer.capacity.get("memory", math.inf)
+    return int(amount) if 0 < amount < math.inf else None
+
+
+def _own_sets(quotas: Sequence[float], cpus: list[int]) -> list[tuple[int, ...]]:
+    sets: list[list[int]] = [[cpus.pop(0)] for _ in quotas]
+    for quota, own in zip(quotas, sets, strict=True):
+        more = min(len(cpus), math.ceil(quota - _ROUNDING) - 1)
+        own += [cpus.pop(0) for _ in range(more)]
+    return [tuple(own) for own in sets]

@@ -1,0 +1,98 @@
+"""What this host lets an emulation do."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+from msgspec import Struct
+
+from poise.emulate.cgroup_files import Mount, mounts
+from poise.emulate.cgroup_v1 import V1
+from poise.emulate.cgroup_v2 import V2
+from poise.emulate.group import Groups, MarkedGroups
+from poise.emulate.network import NAMESPACES
+
+_NAMES = {"cpu": "quota", "cpuset": "CPU set in a cgroup", "memory": "memory limit"}
+
+_NEEDED = 1 << 12 | 1 << 21
+_NOT_DELEGATED = (
+    "this user may write to no cgroup that controls it; become root, or start it with "
+    "`systemd-run --user --scope -p Delegate=yes`"
+)
+_NOT_ROOT = (
+    "namespaces and shaped links: only root may make them; become root, or be it in a "
+    "user namespace (docs/emulation.md)"
+)
+
+
+class Probe(Struct, frozen=True, kw_only=True):
+    """What a host has.
+
+    Parameters
+    ----------
+    cpus
+        The CPUs that this process may use; one at least.
+    groups
+        How processes are grouped and limited.
+    tools
+        Which of ``ip``, ``tc``, ``nsenter`` and ``taskset`` are installed.
+    may_make_namespaces
+        Whether this process may make network namespaces.
+    """
+
+    cpus: tuple[int, ...]
+    groups: Groups
+    tools: frozenset[str]
+    may_make_namespaces: bool
+
+    def without_groups(self) -> list[str]:
+        """Return which limits cgroups do not give here, and why, if so."""
+        missing = [
+            name for key, name in _NAMES.items() if key not in self.groups.controls
+        ]
+        return [f"{', '.join(missing)}: {_NOT_DELEGATED}"] if missing else []
+
+    def without_network(self) -> list[str]:
+        """Return why there can be no namespaces, or no shaped links, if so."""
+        if missing := sorted({"ip", "nsenter"} - self.tools):
+            return [f"namespaces and shaped links: {', '.join(missing)} not installed"]
+        if not self.may_make_namespaces:
+            return [_NOT_ROOT]
+        return [] if "tc" in self.tools else ["shaped links: tc is not installed"]
+
+    @property
+    def has_namespaces(self) -> bool:
+        """Whether network namespaces can be made and entered."""
+        return self.may_make_namespaces and {"ip", "nsenter"} <= self.tools
+
+
+def look() -> Probe:
+    """Return what this host has, without changing it."""
+    return Probe(
+        cpus=tuple(sorted(os.sched_getaffinity(0))),
+        groups=_groups(mounts()),
+        tools=frozenset(filter(shutil.which, ("ip", "tc", "nsenter", "taskset"))),
+        may_make_namespaces=_may_administer() and os.access(NAMESPACES.parent, os.W_OK),
+    )
+
+
+def _groups(found: list[Mount]) -> Groups:
+    if any(mount.version == 1 and "cpu" in mount.controllers for mount in found):
+        first = V1(found)
+        return first if first.controls else MarkedGroups()
+    for mount in found:
+        if mount.version > 1 and os.access(mount.own, os.W_OK):
+            return V2(mount)
+    return MarkedGroups()
+
+
+def _may_administer() -> bool:
+    """Return whether this process has CAP_NET_ADMIN and CAP_SYS_ADMIN.
+
+    Root in a container often has not.
+    """
+    status = Path("/proc/self/status").read_text()
+    effective = int(status.partition("CapEff:")[2].split()[0], 16)
+    return effective & _NEEDED == _NEEDED

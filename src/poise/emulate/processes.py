@@ -1,0 +1,85 @@
+"""End processes in stages: ask, wait, kill, wait."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from poise.errors import RunError
+
+ASK = 2.0
+"""How long processes may take to end once they are asked to [s]."""
+KILL = 5.0
+"""How long the kernel may take to end processes that are killed [s]."""
+_LOOK = 0.01
+
+MARK = "POISE_EMULATION"
+"""The environment variable that all processes of an emulated computer inherit."""
+
+
+def stop(processes: Callable[[], Sequence[int]], ask: float = ASK) -> None:
+    """End all that `processes` returns, and what they start meanwhile.
+
+    Parameters
+    ----------
+    processes
+        Returns the numbers of those that still run; called again and again.
+    ask
+        How long they may take before they are killed [s]; 0 kills at once.
+
+    Raises
+    ------
+    RunError
+        When some outlive being killed by `KILL` seconds.
+    """
+    if ask and not _gone_within(processes, signal.SIGTERM, ask, again=False):
+        ask = 0.0
+    if not ask and not _gone_within(processes, signal.SIGKILL, KILL, again=True):
+        message = f"processes {list(processes())} still run {KILL:g} s after SIGKILL"
+        raise RunError(message)
+
+
+def marked(mark: str) -> list[int]:
+    """Return the processes whose environment says that they belong to `mark`."""
+    sought = f"{MARK}={mark}".encode()
+    return [
+        int(folder.name)
+        for folder in Path("/proc").iterdir()
+        if folder.name.isdecimal() and sought in _environment(folder)
+    ]
+
+
+def _gone_within(
+    processes: Callable[[], Sequence[int]],
+    sent: signal.Signals,
+    seconds: float,
+    *,
+    again: bool,
+) -> bool:
+    end = time.monotonic() + seconds
+    _send(processes(), sent)
+    while left := processes():
+        if time.monotonic() > end:
+            return False
+        if again:
+            _send(left, sent)
+        time.sleep(_LOOK)
+    return True
+
+
+def _send(pids: Sequence[int], sent: signal.Signals) -> None:
+    for pid in pids:
+        with suppress(ProcessLookupError):
+            os.kill(pid, sent)
+
+
+def _environment(folder: Path) -> list[bytes]:
+    try:
+        # A process that ended but was not waited for has an empty environment.
+        return (folder / "environ").read_bytes().split(b"\0")
+    except OSError:  # gone meanwhile, or somebody else's
+        return []

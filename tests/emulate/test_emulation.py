@@ -1,0 +1,318 @@
+"""A whole emulation: what it goes without, and that it leaves nothing behind."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from poise.emulate import Emulation, look, sweep
+from poise.emulate.cgroup_files import mounts
+from poise.emulate.cgroup_v2 import V2
+from poise.emulate.group import MarkedGroups
+from poise.emulate.probe import Probe
+from poise.emulate.remains import Remains, registry
+from poise.errors import RobotError, RunError, UsageError
+from poise.model.robot import Computer, Robot
+
+BURN = "import time\nend = time.monotonic() + 1.2\nwhile time.monotonic() < end: pass"
+STUBBORN = (
+    "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN);"
+    "print('ready', flush=True); signal.pause()"
+)
+
+
+def remains() -> Remains:
+    """Return the list of this process's latest emulation."""
+    own = registry().glob(f"poise-{os.getpid()}-*.json")
+    latest = max(own, key=lambda file: file.stat().st_mtime_ns)
+    return msgspec.json.decode(latest.read_bytes(), type=Remains)
+
+
+def left_of(listed: Remains) -> list[str]:
+    """Return what is still there of what was listed."""
+    paths = [
+        *map(Path, listed.groups + listed.aside + listed.folders),
+        *(Path("/run/netns", name) for name in listed.namespaces),
+        *(Path("/sys/class/net", name) for name in listed.interfaces),
+        registry() / f"{listed.run}.json",
+    ]
+    return [str(path) for path in paths if path.exists()]
+
+
+def bare() -> Probe:
+    """Return a host that allows nothing."""
+    return Probe(
+        cpus=look().cpus,
+        groups=MarkedGroups(),
+        tools=frozenset(),
+        may_make_namespaces=False,
+    )
+
+
+@pytest.mark.parametrize("host", [None, bare()], ids=["this host", "bare host"])
+def test_nothing_is_left_after_close(
+    two_computers: Robot, tmp_path: Path, host: Probe | None
+) -> None:
+    emulation = Emulation(two_computers, tmp_path, probe=host)
+    listed = remains()
+    assert set(map(str, listed.groups + listed.folders)) <= set(left_of(listed))
+    argv = [sys.executable, "-c", STUBBORN]
+    child = emulation.computers["brain"].popen(argv, stdout=subprocess.PIPE)
+    assert child.stdout
+    assert child.stdout.readline() == b"ready\n"
+    emulation.close(ask=0.05)
+    assert child.wait(timeout=10) == -9
+    assert left_of(listed) == []
+    emulation.close()
+    child.stdout.close()
+
+
+def test_nothing_is_left_after_an_exception(
+    two_computers: Robot, tmp_path: Path
+) -> None:
+    listed = []
+
+    def fail() -> None:
+        with Emulation(two_computers, tmp_path) as emulation:
+            listed.append(remains())
+            emulation.computers["legs"].popen(["sleep", "60"])
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail()
+    assert left_of(listed[0]) == []
+
+
+def test_process_that_is_just_starting_is_ended_too(
+    two_computers: Robot, tmp_path: Path
+) -> None:
+    emulation = Emulation(two_computers, tmp_path)
+    children = [c.popen(["sleep", "60"]) for c in emulation.computers.values()]
+    emulation.close()
+    assert all(child.returncode is not None for child in children)
+
+
+def test_nothing_is_left_when_it_cannot_be_made(
+    two_computers: Robot, tmp_path: Path
+) -> None:
+    class Refusing(MarkedGroups):
+        listed: Remains
+
+        def make(self, name: str, limits: object) -> MarkedGroups:  # type: ignore[override]
+            """Refuse, as a kernel may."""
+            Refusing.listed = remains()
+            raise PermissionError(name, limits)
+
+    host = msgspec.structs.replace(look(), groups=Refusing())
+    with pytest.raises(RunError, match="refuses an emulated computer"):
+        Emulation(two_computers, tmp_path, probe=host)
+    assert left_of(Refusing.listed) == []
+
+
+OWNER = """
+import sys, time
+from pathlib import Path
+import msgspec
+from poise.emulate import Emulation
+from poise.model.robot import Robot
+robot = msgspec.json.decode(sys.stdin.buffer.readline(), type=Robot)
+emulation = Emulation(robot, Path(sys.argv[1]))
+child = emulation.computers["brain"].popen(["sleep", "60"])
+print(emulation._remains.run, child.pid, flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.mark.slow
+def test_sweep_removes_what_a_killed_owner_left(
+    two_computers: Robot, tmp_path: Path
+) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", OWNER, str(tmp_path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as owner:
+        assert owner.stdin
+        assert owner.stdout
+        owner.stdin.write(msgspec.json.encode(two_computers) + b"\n")
+        owner.stdin.flush()
+        run, pid = owner.stdout.readline().decode().split()
+        file = registry() / f"{run}.json"
+        listed = msgspec.json.decode(file.read_bytes(), type=Remains)
+        assert listed.owner not in sweep()  # it still lives
+        assert file.exists()
+        owner.kill()
+    assert Path("/proc", pid).exists()
+    deadline = time.monotonic() + 10
+    # Another emulation that starts at this moment may be sweeping it already. And a
+    # process that was killed stays until the machine's first process reaps it.
+    while left_of(listed) or Path("/proc", pid).exists():
+        sweep()
+        assert time.monotonic() < deadline
+
+
+def test_used_folder_is_refused_and_kept(two_computers: Robot, tmp_path: Path) -> None:
+    (tmp_path / "legs").mkdir()
+    with pytest.raises(UsageError, match="legs exists"):
+        Emulation(two_computers, tmp_path)
+    assert (tmp_path / "legs").exists()
+
+
+def test_robot_with_an_impossible_computer_starts_nothing(tmp_path: Path) -> None:
+    robot = Robot(name="r", computers=(Computer(name="dead", capacity={"cpu": 0}),))
+    with pytest.raises(RobotError, match="'dead'"):
+        Emulation(robot, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bare_host_says_what_it_goes_without(
+    two_computers: Robot, tmp_path: Path
+) -> None:
+    with Emulation(two_computers, tmp_path, probe=bare()) as emulation:
+        said = "\n".join(emulation.without)
+        for what in ("quota", "CPU set", "memory limit", "namespaces", "shaped links"):
+            assert what in said
+        addresses = {computer.address for computer in emulation.computers.values()}
+        assert len(addresses) == 2
+        assert all(address.startswith("127.") for address in addresses)
+
+
+@pytest.mark.parametrize("missing", ["ip", "tc", "nsenter"])
+@pytest.mark.usefixtures("needs_namespaces")
+def test_missing_tool_is_said_and_done_without(
+    two_computers: Robot, tmp_path: Path, missing: str
+) -> None:
+    host = look()
+    host = msgspec.structs.replace(host, tools=host.tools - {missing})
+    with Emulation(two_computers, tmp_path, probe=host) as emulation:
+        assert any(missing in sentence for sentence in emulation.without)
+        child = emulation.computers["legs"].popen(["true"])
+        assert child.wait(timeout=20) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("needs_limits")
+def test_computers_that_share_a_cpu_and_ask_for_too_much_are_starved(
+    tmp_path: Path,
+) -> None:
+    names = ("a", "b", "c")
+    robot = Robot(
+        name="crowd",
+        computers=tuple(Computer(name=n, capacity={"cpu": 0.9}) for n in names),
+    )
+    host = msgspec.structs.replace(look(), cpus=look().cpus[-1:])
+    with Emulation(robot, tmp_path, probe=host) as emulation:
+        computers = emulation.computers.values()
+        if any(computer.usage().starved is None for computer in computers):
+            pytest.skip("the kernel does not tell a cgroup's CPU pressure")
+        before = [computer.usage() for computer in computers]
+        argv = [sys.executable, "-c", BURN]
+        children = [computer.popen(argv) for computer in computers]
+        assert [child.wait(timeout=60) for child in children] == [0, 0, 0]
+        after = [computer.usage() for computer in computers]
+        assert any("which it has not got" in each for each in emulation.without)
+        # Each has a third of the CPU and was promised nine tenths.
+        for computer, first, last in zip(computers, before, after, strict=True):
+            assert computer.was_starved(first, last)
+
+
+@pytest.mark.slow
+def test_user_without_rights_runs_it_all_the_same(tmp_path: Path) -> None:
+    if os.geteuid():
+        pytest.skip("the other tests run without rights already")
+    tmp_path.chmod(0o777)
+    for parent in tmp_path.parents[:3]:
+        parent.chmod(parent.stat().st_mode | 0o011)
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_RIGHTS, str(tmp_path / "run")],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    cpus, *without = done.stdout.splitlines()
+    assert int(cpus) == 1
+    assert any("quota" in each for each in without)
+    assert any("namespaces" in each for each in without)
+    assert not (tmp_path / "run" / "only").exists()
+
+
+WITHOUT_RIGHTS = """
+import os, subprocess, sys
+from pathlib import Path
+from poise.emulate import Emulation
+from poise.model.robot import Computer, Robot
+os.setgroups([])
+os.setgid(65534)
+os.setuid(65534)
+os.environ.pop("XDG_RUNTIME_DIR", None)
+robot = Robot(name="r", computers=(Computer(name="only", capacity={"cpu": 1}),))
+with Emulation(robot, Path(sys.argv[1])) as emulation:
+    child = emulation.computers["only"].popen(["nproc"], stdout=subprocess.PIPE)
+    print(child.communicate(timeout=20)[0].decode(), end="")
+    print(*emulation.without, sep="\\n")
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("needs_namespaces")
+def test_user_namespace_is_enough_for_the_network(
+    two_computers: Robot, tmp_path: Path
+) -> None:
+    enter = ["unshare", "-Urnm"]
+    if subprocess.run([*enter, "true"], check=False, capture_output=True).returncode:
+        pytest.skip("no user namespaces here")
+    script = 'mount -t tmpfs tmpfs /run && exec "$@"'
+    done = subprocess.run(
+        [*enter, "sh", "-c", script, "sh", sys.executable, "-c", NETWORK, tmp_path],
+        input=msgspec.json.encode(two_computers),
+        capture_output=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr.decode()
+    assert b"namespaces" not in done.stdout
+    assert done.stdout.count(b"rate 100Mbit") == 2
+
+
+NETWORK = """
+import subprocess, sys
+from pathlib import Path
+import msgspec
+from poise.emulate import Emulation
+from poise.model.robot import Robot
+robot = msgspec.json.decode(sys.stdin.buffer.read(), type=Robot)
+with Emulation(robot, Path(sys.argv[1]) / "run") as emulation:
+    for computer in emulation.computers.values():
+        child = computer.popen(["tc", "qdisc"], stdout=subprocess.PIPE)
+        print(child.communicate(timeout=20)[0].decode())
+    print(*emulation.without, sep="\\n")
+"""
+
+
+def test_version_2_groups_hold_real_processes(
+    two_computers: Robot, tmp_path: Path
+) -> None:
+    found = [m for m in mounts() if m.version > 1 and os.access(m.own, os.W_OK)]
+    if not found:
+        pytest.skip("no version 2 cgroup to write to")
+    host = msgspec.structs.replace(look(), groups=V2(found[0]))
+    with Emulation(two_computers, tmp_path, probe=host) as emulation:
+        brain = emulation.computers["brain"]
+        child = brain.popen(["cat"], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        assert child.stdin
+        assert child.stdout
+        child.stdin.write(b"up\n")
+        child.stdin.flush()
+        assert child.stdout.readline() == b"up\n"
+        assert brain.running() == [child.pid]
+        assert brain.usage().used > 0
+        child.communicate(timeout=20)
+        assert brain.running() == []

@@ -1,0 +1,57 @@
+"""Whether the host kept a promise."""
+
+from __future__ import annotations
+
+import pytest
+
+from poise.emulate.usage import Usage, is_starved, starved_time, stolen_time
+
+START = Usage(used=10.0, starved=1.0)
+
+
+@pytest.mark.parametrize(
+    ("used", "starved", "quota", "cpus", "expected"),
+    [
+        (0.5, 0.0, 0.5, 1, False),
+        # It advanced at 0.5 / (0.5 + 0.4) = 0.56 of a CPU; promised: 0.5.
+        (0.5, 0.4, 0.5, 1, False),
+        # 0.3 / (0.3 + 0.5) = 0.375 < 0.5 - 10 %.
+        (0.3, 0.5, 0.5, 1, True),
+        # The same is enough for 0.8 cores on two CPUs: 0.4 - 10 % = 0.36 of each.
+        (0.3, 0.5, 0.8, 2, False),
+        # All of a CPU: 10 % may be missing, 20 % may not.
+        (0.92, 0.08, 1.0, 1, False),
+        (0.8, 0.2, 1.0, 1, True),
+        # Less than a period is nobody's fault.
+        (0.0, 0.009, 0.5, 1, False),
+        (0.0, 0.02, 0.5, 1, True),
+        # Four cores on two CPUs: more than all of both cannot be promised.
+        (1.9, 0.1, 4.0, 2, False),
+    ],
+)
+def test_starved_is_who_advanced_slower_than_promised(
+    used: float, starved: float, quota: float, cpus: int, *, expected: bool
+) -> None:
+    after = Usage(used=10.0 + used, starved=1.0 + starved)
+    assert is_starved(START, after, quota, cpus) is expected
+
+
+def test_nobody_is_called_starved_where_the_kernel_does_not_tell() -> None:
+    assert not is_starved(Usage(used=0.0), Usage(used=0.0), 0.5)
+
+
+def test_throttled_time_is_not_starved_time() -> None:
+    text = (
+        "some avg10=0.00 avg60=0.00 avg300=0.00 total=9000000\n"
+        "full avg10=0.00 avg60=0.00 avg300=0.00 total=1500000\n"
+    )
+    # 1.5 s runnable and not running, 1.2 s of it throttled.
+    assert starved_time(text, 1.2, cpus=1) == pytest.approx(0.3)
+    # On two CPUs the mean was 1.5 s, the sum 3 s.
+    assert starved_time(text, 1.2, cpus=2) == pytest.approx(1.8)
+    assert starved_time(text, 1.6, cpus=1) == 0
+
+
+def test_stolen_time_is_that_of_the_cpus_asked_for() -> None:
+    assert stolen_time([]) == 0
+    assert stolen_time([0]) >= 0
