@@ -1,0 +1,98 @@
+"""What can be wrong between a robot file and the code that it names.
+
+The code is imported, so this is a second step after `poise.model.load`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from poise.errors import PoiseError, RobotError
+from poise.model.check.cycles import check_cycles
+from poise.model.check.paths import components
+from poise.model.check.ports import KnownPort, check_ports, check_required
+from poise.model.positions import Finding, Path
+from poise.model.robot import Component, PortKind, Robot
+from poise.runtime.fingerprint import fingerprint
+from poise.runtime.implementation import find, find_type
+from poise.runtime.ports import is_oneway, methods_of, ports_of, timers_of
+
+_Known = dict[str, dict[str, KnownPort]]
+
+
+def check_code(robot: Robot) -> list[Finding]:
+    """Return everything that does not fit between `robot` and its code.
+
+    Imports every implementation. A component whose code is wrong is told once; its
+    connectors are then not looked at.
+    """
+    findings: list[Finding] = []
+    known: _Known = {}
+    reentrant: set[str] = set()
+    for path, _, component in components(robot):
+        try:
+            ports = dict(_ports(path, component, robot.folder))
+        except _WrongCode as error:
+            findings.append(error.finding)
+        else:
+            if ports or component.implementation:
+                known[component.name] = ports
+            if component.implementation:
+                code = find(component.implementation, robot.folder)
+                reentrant |= {component.name} if code.reentrant else set()
+    findings += check_ports(robot, known)
+    findings += check_required(robot, known)
+    findings += check_cycles(robot, known, reentrant)
+    return findings
+
+
+class _WrongCode(Exception):
+    """The code of a component is wrong."""
+
+    def __init__(self, path: Path, message: str) -> None:
+        super().__init__(message)
+        self.finding = Finding(path, message)
+
+
+def _ports(
+    path: Path, component: Component, folder: str
+) -> Iterator[tuple[str, KnownPort]]:
+    """Yield the ports that the class declares, or else the robot file."""
+    if component.implementation:
+        yield from _coded_ports((*path, "implementation"), component, folder)
+    for port in component.ports:
+        where = (*path, "ports", port.name, port.kind)
+        try:
+            declared = find_type(port.type, folder)
+        except RobotError as error:
+            raise _WrongCode(where, str(error)) from None
+        yield port.name, _known(port.name, port.kind, declared)
+
+
+def _coded_ports(
+    path: Path, component: Component, folder: str
+) -> Iterator[tuple[str, KnownPort]]:
+    try:
+        code = find(component.implementation, folder)
+        ports = ports_of(code)
+        timers_of(code)
+        known = [(n, _known(n, port.kind, port.type)) for n, port in ports.items()]
+    except PoiseError as error:
+        raise _WrongCode(path, str(error)) from None
+    # Reading annotations runs the user's code, and may raise whatever that raises.
+    except Exception as error:
+        message = (
+            f"the ports of '{component.implementation}' cannot be read: "
+            f"{type(error).__name__}: {error}"
+        )
+        raise _WrongCode(path, message) from error
+    yield from known
+
+
+def _known(name: str, kind: PortKind, type_: Any) -> KnownPort:  # noqa: ANN401, any type
+    shown = getattr(type_, "__qualname__", str(type_))
+    waits = kind == "requires" and not all(
+        is_oneway(type_, method) for method in methods_of(type_)
+    )
+    return KnownPort(name, kind, shown, fingerprint(type_), waits)

@@ -1,0 +1,29 @@
+"""What one end of a connector counts, always."""
+
+from __future__ import annotations
+
+from poise.runtime import _calls
+from poise.wire.codec import WireError
+from poise.wire.messages import ConnectorKind, ConnectorStatus
+
+
+class Counts(_calls.Counts):
+    """Plain numbers, added to by the threads that use the connector."""
+
+    def refuse(self, _: WireError) -> None:
+        """Count something that came and is no frame."""
+        self.errors += 1
+
+    def status(self, name: str, kind: ConnectorKind, *, ready: bool) -> ConnectorStatus:
+        """Return the numbers as a record."""
+        return ConnectorStatus(
+            name=name,
+            kind=kind,
+            ready=ready,
+            calls=self.calls,
+            messages=self.messages,
+            bytes=self.bytes,
+            errors=self.errors,
+            drops=self.drops,
+            delay=self.delay.summary(),
+        )

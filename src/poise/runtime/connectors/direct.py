@@ -1,0 +1,106 @@
+"""The path between two components of one container: direct invocation.
+
+A call runs on the caller's thread, under the callee's turn. It means the same as a call
+over a wire: the same limit and the same errors.
+"""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable
+from typing import Any, NoReturn, Protocol
+
+from poise.errors import CalleeError
+from poise.runtime._calls import DirectCall
+from poise.runtime.connectors.counts import Counts
+from poise.runtime.connectors.interface import Method, message_tag
+from poise.runtime.connectors.outlet import Outlet
+from poise.runtime.ports import Port
+from poise.runtime.turn import Turn
+
+
+class Target(Protocol):
+    """The incarnation of a component that a path leads to: its `Ends`."""
+
+    turn: Turn
+
+    @property
+    def component(self) -> object:
+        """The component itself."""
+        ...
+
+    def receive(self, port: str, entry: tuple[int, Any], /) -> None:
+        """Take a message or one-way call: a tag, and a value or arguments."""
+        ...
+
+    def note_mark(self, connector: str, number: int, /) -> None:
+        """Take note that all that was sent before this mark has come."""
+        ...
+
+
+class DirectPath:
+    """A way to a component in this process."""
+
+    def __init__(
+        self, connector: str, target: Target, port: Port, limit: float
+    ) -> None:
+        self._connector = connector
+        self._target = target
+        self._port = port
+        self._limit = limit
+        self._tag = message_tag(port.type)
+
+    def is_ready(self) -> bool:
+        """Return True: it is here."""
+        return True
+
+    def function(self, method: Method, outlet: Outlet) -> Callable[..., Any]:
+        """Return a function that calls a method in this process."""
+
+        def resend(*args: object, **kwargs: object) -> Any:  # noqa: ANN401, the call's
+            deadline = time.monotonic() + self._limit
+            return outlet.again(self, method.name, args, kwargs, deadline)
+
+        run = getattr(self._target.component, method.name)
+        turn, limit = self._target.turn, self._limit
+        return direct_call(run, turn, limit, outlet.counts, resend)
+
+    def push(self, method: Method | None, value: object) -> int:
+        """Put a message or one-way call into the target's mailbox."""
+        entry = (method.tag if method else self._tag, value)
+        self._target.receive(self._port.name, entry)
+        return 0
+
+    def mark(self, number: int) -> None:
+        """Tell the target that all has come."""
+        self._target.note_mark(self._connector, number)
+
+    def close(self) -> None:
+        """Hold nothing."""
+
+
+def direct_call(
+    method: Callable[..., Any],
+    turn: Turn,
+    limit: float,
+    counts: Counts,
+    resend: Callable[..., Any] | None = None,
+) -> Callable[..., Any]:
+    """Return a function that calls a component's method in this process.
+
+    A result that comes later than `limit` [s] is given up as over a wire: the caller
+    gets `Timeout`. The callee itself is not interrupted. `resend` takes the calls that
+    find the component moved away.
+    """
+    return DirectCall(method, turn, limit, counts, _raise_callee_error, resend)
+
+
+def callee_error(error: Exception) -> CalleeError:
+    """Return what a caller gets when its callee raised `error`."""
+    text = "".join(traceback.format_exception(error))
+    return CalleeError(type(error).__qualname__, str(error), text)
+
+
+def _raise_callee_error(error: Exception) -> NoReturn:
+    raise callee_error(error) from error

@@ -1,0 +1,104 @@
+"""What crosses a wire for an interface or a topic: tags and codecs."""
+
+from __future__ import annotations
+
+import inspect
+import zlib
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any, get_type_hints
+
+from msgspec import Struct
+
+from poise.errors import UsageError
+from poise.runtime.ports import is_oneway, methods_of
+from poise.wire.codec import Codec, codec
+
+
+class Method(Struct, frozen=True):
+    """A method of an interface.
+
+    `bind` turns a call's arguments into the tuple that `arguments` encodes.
+    """
+
+    name: str
+    tag: int
+    oneway: bool
+    bind: Callable[..., tuple[Any, ...]]
+    arguments: Codec[tuple[Any, ...]]
+    result: Codec[Any]
+
+
+@cache
+def methods(interface: type) -> Mapping[int, Method]:
+    """Return the methods of an interface by tag.
+
+    Raises
+    ------
+    UsageError
+        When a parameter has no type, takes a variable number of arguments, or two
+        methods have the same tag.
+    """
+    found: dict[int, Method] = {}
+    for name in methods_of(interface):
+        method = _method(interface, name)
+        if method.tag in found:
+            raise UsageError(
+                f"methods {name} and {found[method.tag].name} of "
+                f"{interface.__qualname__} have the same tag: rename one"
+            )
+        found[method.tag] = method
+    return found
+
+
+def tag_of(description: str) -> int:
+    """Return the 16-bit checksum by which both ends tell what a frame is."""
+    return zlib.crc32(description.encode()) & 0xFFFF
+
+
+@cache
+def message_tag(type_: type) -> int:
+    """Return the tag of a message type: its name and its fields' names and types."""
+    fields = getattr(type_, "__annotations__", {})
+    return tag_of(f"{type_.__qualname__}{ {k: str(v) for k, v in fields.items()} }")
+
+
+def _method(interface: type, name: str) -> Method:
+    function = getattr(interface, name)
+    signature = inspect.signature(function)
+    own = list(signature.parameters.values())[1:]
+    hints = get_type_hints(function)
+    for parameter in own:
+        if parameter.name not in hints or parameter.kind in {
+            parameter.VAR_POSITIONAL,
+            parameter.VAR_KEYWORD,
+        }:
+            raise UsageError(
+                f"{interface.__qualname__}.{name}: parameter '{parameter.name}' needs "
+                "a type and a place of its own, or it cannot cross a connector"
+            )
+    types = tuple(hints[parameter.name] for parameter in own)
+    result = hints.get("return", type(None))
+    # tuple[*()] would mean "any tuple"
+    arguments = tuple[types] if types else tuple[()]  # type: ignore[valid-type]
+    return Method(
+        name=name,
+        tag=tag_of(f"{name}{types}{result}"),
+        oneway=is_oneway(interface, name),
+        bind=_binder(signature.replace(parameters=own)),
+        arguments=codec(arguments),
+        result=codec(result),
+    )
+
+
+def _binder(signature: inspect.Signature) -> Callable[..., tuple[Any, ...]]:
+    num = len(signature.parameters)
+
+    def bind(*args: Any, **kwargs: Any) -> tuple[Any, ...]:  # noqa: ANN401, a call's
+        if len(args) == num and not kwargs:
+            return args
+        bound = signature.bind(*args, **kwargs)
+        bound.apply_defaults()
+        return tuple(bound.arguments.values())
+
+    return bind

@@ -1,0 +1,262 @@
+"""The source's end of a connector: one to the component, whatever path it takes.
+
+A path leads to one incarnation of the target, directly or over a pipe. While a
+component moves there are two paths; the outlet holds messages meanwhile and then
+switches, so that every message goes over exactly one of them, in order.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any, NoReturn, Protocol
+
+from poise.errors import CallError, RunError, Timeout, Unavailable
+from poise.runtime.connectors.counts import Counts
+from poise.runtime.connectors.interface import Method, methods
+from poise.runtime.connectors.reentrant import stepping_out
+from poise.runtime.ports import Port
+from poise.runtime.turn import Turn
+
+log = logging.getLogger(__name__)
+
+_WHILE_MOVING = 2
+"""So many paths an outlet has while its target moves: to either incarnation."""
+MOST_HELD = 5_000
+"""Messages that wait in an outlet while a component moves; then publishers wait."""
+
+
+class Path(Protocol):
+    """A way to one incarnation of the target."""
+
+    def is_ready(self) -> bool:
+        """Return at once whether the other end is there."""
+        ...
+
+    def function(self, method: Method, outlet: Outlet) -> Callable[..., Any]:
+        """Return the function that calls a method of the target.
+
+        It calls `Outlet.again` when the target has moved and did not run the call.
+        """
+        ...
+
+    def push(self, method: Method | None, value: object) -> int:
+        """Send a message, or a one-way call of `method`; return its size [bytes].
+
+        Raises
+        ------
+        CallError
+            It did not go out.
+        """
+        ...
+
+    def mark(self, number: int) -> None:
+        """Send a mark, which gets there after all that was pushed; raises as `push`."""
+        ...
+
+    def close(self) -> None:
+        """Give back what it holds; harmless when repeated."""
+        ...
+
+
+class Facade:
+    """What a required port holds: the interface's methods as attributes."""
+
+
+class Outlet:
+    """The source's end of one connector.
+
+    Parameters
+    ----------
+    name
+        The connector's name.
+    port
+        The source's port.
+    facade
+        For a required port: where its methods are.
+    limit
+        Time limit of a call, and of a message that waits [s].
+    turn
+        Of a re-entrant source: let go while it waits in a call.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        port: Port,
+        facade: Facade | None,
+        limit: float,
+        turn: Turn | None = None,
+    ) -> None:
+        self.name = name
+        self.port = port
+        self.counts = Counts()
+        self._limit = limit
+        self._methods = tuple(methods(port.type).values()) if facade else ()
+        self._facade = facade
+        self._turn = turn
+        self._paths: dict[str, Path] = {}
+        self._current: Path | None = None
+        self._held: deque[tuple[Method | None, object]] | None = None
+        self._changed = threading.Condition()
+        self._disconnect()
+
+    def add(self, key: str, path: Path) -> None:
+        """Know one more path; the first is used at once."""
+        with self._changed:
+            self._paths[key] = path
+            if self._current is None:
+                self._use(path)
+
+    def remove(self, key: str) -> None:
+        """Close a path; when it was used, another one is, if there is one.
+
+        When one path is left the move is over, and what was held goes there: so no
+        message waits for ever for a `release` that got lost.
+        """
+        with self._changed:
+            path = self._paths.pop(key)
+            if path is self._current:
+                self._use(next(iter(self._paths.values()), None))
+            if len(self._paths) < _WHILE_MOVING:
+                self._send_held()
+        path.close()
+
+    def paths(self) -> dict[str, Path]:
+        """Return the known paths by key."""
+        return dict(self._paths)
+
+    def send(self, value: object, method: Method | None = None) -> None:
+        """Send a message or one-way call, or hold it; what cannot go out is counted."""
+        with self._changed:
+            if not self._changed.wait_for(self._has_room, self._limit):
+                self.counts.drops += 1
+                log.warning("connector %s: %d messages wait", self.name, MOST_HELD)
+            elif self._held is None:
+                self._push(method, value)
+            else:
+                self._held.append((method, value))
+
+    def hold(self) -> None:
+        """Hold messages from now on; harmless when repeated.
+
+        Raises
+        ------
+        RunError
+            There is one path: no move is going on, or it is over and the order is late.
+        """
+        with self._changed:
+            if len(self._paths) < _WHILE_MOVING:
+                raise RunError(
+                    f"connector {self.name} has nothing to hold messages for"
+                )
+            if self._held is None:
+                self._held = deque()
+
+    def release(self, key: str) -> None:
+        """Use a path, send what was held, and hold no more; harmless when repeated.
+
+        Raises
+        ------
+        Unavailable
+            There is no such path; all is as it was.
+        """
+        with self._changed:
+            if key not in self._paths:
+                raise Unavailable(f"connector {self.name} has no path {key}")
+            self._use(self._paths[key])
+            self._send_held()
+
+    def mark(self, number: int) -> bool:
+        """Send a mark behind all that went out; return whether somebody is there."""
+        with self._changed:
+            if self._current is None or not self._current.is_ready():
+                return False
+            self._current.mark(number)
+            return True
+
+    def again(
+        self,
+        path: Path,
+        name: str,
+        args: tuple[object, ...],
+        kwargs: Mapping[str, object],
+        deadline: float,
+    ) -> Any:  # noqa: ANN401, the call's own
+        """Repeat a call that `path` did not run, once another path is used.
+
+        Raises
+        ------
+        Timeout
+            None was until `deadline` [s, of the monotonic clock].
+        """
+        with self._changed:
+            left = deadline - time.monotonic()
+            if not self._changed.wait_for(lambda: self._current is not path, left):
+                raise Timeout(f"connector {self.name}: its target did not come back")
+        return getattr(self._facade, name)(*args, **kwargs)
+
+    def close(self) -> None:
+        """Close every path."""
+        for key in list(self._paths):
+            self.remove(key)
+
+    def _has_room(self) -> bool:
+        return self._held is None or len(self._held) < MOST_HELD
+
+    def _send_held(self) -> None:
+        for method, value in self._held or ():
+            self._push(method, value)
+        self._held = None
+        self._changed.notify_all()
+
+    def _push(self, method: Method | None, value: object) -> None:
+        if self._current is None:
+            self.counts.drops += 1
+            return
+        try:
+            size = self._current.push(method, value)
+        except CallError as error:
+            self.counts.drops += 1
+            log.debug("connector %s: %s", self.name, error)
+            return
+        self.counts.messages += 1
+        self.counts.bytes += size
+
+    def _use(self, path: Path | None) -> None:
+        self._current = path
+        self._changed.notify_all()
+        if path is None:
+            self._disconnect()
+            return
+        for method in self._methods:
+            setattr(self._facade, method.name, self._function(method, path))
+
+    def _function(self, method: Method, path: Path) -> Callable[..., Any]:
+        if method.oneway:
+            return _sender(self, method)
+        call = path.function(method, self)
+        return call if self._turn is None else stepping_out(self._turn, call)
+
+    def _disconnect(self) -> None:
+        for method in self._methods:
+            setattr(self._facade, method.name, refusing(self.name))
+
+
+def refusing(what: str) -> Callable[..., NoReturn]:
+    """Return a function that raises `Unavailable`, however it is called."""
+
+    def call(*_: object, **__: object) -> NoReturn:
+        raise Unavailable(f"'{what}' is not connected")
+
+    return call
+
+
+def _sender(outlet: Outlet, method: Method) -> Callable[..., None]:
+    def call(*args: Any, **kwargs: Any) -> None:  # noqa: ANN401, the call's own
+        outlet.send(method.bind(*args, **kwargs), method)
+
+    return call

@@ -1,0 +1,212 @@
+"""The path between containers: the same calls and messages, over a pipe."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from typing import Any
+
+from poise.errors import CalleeError, CallError, Timeout
+from poise.runtime.connectors.counts import Counts
+from poise.runtime.connectors.direct import Target, callee_error
+from poise.runtime.connectors.interface import Method, message_tag, methods
+from poise.runtime.connectors.outlet import Outlet
+from poise.runtime.connectors.visits import away, visit
+from poise.runtime.ports import Port
+from poise.runtime.turn import Retired, current_chain, join_chain
+from poise.wire import frame
+from poise.wire.codec import Codec, WireError, codec
+from poise.wire.frame import Frame, Kind
+from poise.wire.pipe import Closed, Handler, Pieces, Pipe
+
+log = logging.getLogger(__name__)
+
+_NOTHING: Codec[None] = Codec(type(None))
+
+
+class WiredPath:
+    """A way to a component in another container."""
+
+    def __init__(self, pipe: Pipe, port: Port, limit: float) -> None:
+        self._pipe = pipe
+        self._limit = limit
+        self._is_topic = port.kind == "publishes"
+        self._tag = message_tag(port.type)
+        self._codec = codec(port.type) if self._is_topic else _NOTHING
+
+    def is_ready(self) -> bool:
+        """Return whether the receiving end is there."""
+        return self._pipe.is_ready()
+
+    def close(self) -> None:
+        """Close the pipe."""
+        self._pipe.close()
+
+    def push(self, method: Method | None, value: object) -> int:
+        """Send a message or one-way call."""
+        if method is None:
+            kind, tag, coder = Kind.MESSAGE, self._tag, self._codec
+        else:
+            kind, tag, coder = Kind.ONEWAY, method.tag, method.arguments
+        pieces = frame.segments(coder, value, kind, tag=tag)
+        self._pipe.push(pieces, self._limit)
+        return _size(pieces)
+
+    def mark(self, number: int) -> None:
+        """Send a mark."""
+        pieces = frame.segments(_NOTHING, None, Kind.MARK, number=number)
+        self._pipe.push(pieces, self._limit)
+
+    def function(self, method: Method, outlet: Outlet) -> Callable[..., Any]:
+        """Return a function that calls a method in another container."""
+        pipe, limit, counts = self._pipe, self._limit, outlet.counts
+
+        def call(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401, the method's own
+            started = time.monotonic()
+            chain = current_chain()
+            pieces = frame.segments(
+                method.arguments,
+                method.bind(*args, **kwargs),
+                Kind.CALL,
+                tag=method.tag,
+                chain=chain,
+            )
+            try:
+                with away(chain):
+                    answer = _ask(pipe, pieces, limit)
+                if answer is None:
+                    deadline = started + limit
+                    return outlet.again(self, method.name, args, kwargs, deadline)
+                counts.bytes += _size(pieces) + _received(answer)
+                return _result(answer, method)
+            except (CallError, WireError):
+                counts.errors += 1
+                raise
+            finally:
+                counts.calls += 1
+                counts.delay.add(time.monotonic() - started)
+
+        return call
+
+
+def receiving(
+    connector: str, target: Target, port: Port, limit: float, counts: Counts
+) -> Handler:
+    """Return what a target does with the frames that come over pipes."""
+    known = methods(port.type) if port.kind == "provides" else {}
+    tag, coder = message_tag(port.type), codec(port.type) if not known else _NOTHING
+
+    def handle(received: Frame) -> Pieces | None:
+        if received.kind is Kind.MARK:
+            target.note_mark(connector, received.number)
+            return None
+        counts.bytes += _received(received)
+        try:
+            method = known.get(received.tag)
+            if received.kind is Kind.CALL:
+                counts.calls += 1
+                began = time.thread_time()
+                answer = _answer(target, _known(method, port), limit, received)
+                counts.add_cpu(time.thread_time() - began)
+                return answer
+            counts.messages += 1
+            wanted = coder if received.tag == tag and not known else None
+            value = received.value(wanted or _known(method, port).arguments)
+            target.receive(port.name, (received.tag, value))
+        except WireError as error:
+            counts.errors += 1
+            log.warning("connector %s: refused: %s", connector, error)
+            return _failure(error) if received.kind is Kind.CALL else None
+        except Timeout as error:
+            counts.drops += 1
+            log.warning("connector %s: %s", connector, error)
+        return None
+
+    return handle
+
+
+def entry_codec(port: Port, tag: int) -> Codec[Any]:
+    """Return the codec of a waiting message or one-way call, by its tag.
+
+    Raises
+    ------
+    WireError
+        The port takes nothing with that tag.
+    """
+    if port.kind == "provides":
+        return _known(methods(port.type).get(tag), port).arguments
+    return codec(port.type)
+
+
+def _known(method: Method | None, port: Port) -> Method:
+    if method is None:
+        raise WireError(
+            f"port '{port.name}' ({port.type.__qualname__}) takes nothing with this "
+            "tag: its ends were built from different versions"
+        )
+    return method
+
+
+def _answer(target: Target, method: Method, limit: float, received: Frame) -> Pieces:
+    arguments = received.value(method.arguments)
+    try:
+        with visit(received.chain, limit):
+            join_chain(received.chain)
+            return _run(target, method, arguments, limit, received.chain)
+    except Timeout as error:
+        return _failure(error)
+
+
+def _run(
+    target: Target,
+    method: Method,
+    arguments: tuple[Any, ...],
+    limit: float,
+    chain: int,
+) -> Pieces:
+    try:
+        target.turn.enter(chain, limit)
+    except Retired:
+        return frame.segments(_NOTHING, None, Kind.MOVED)
+    try:
+        result = getattr(target.component, method.name)(*arguments)
+        return frame.segments(method.result, result, Kind.RESULT, tag=method.tag)
+    except Exception as error:  # noqa: BLE001, the callee may raise anything; it crosses
+        return _failure(callee_error(error))
+    finally:
+        target.turn.leave()
+
+
+def _ask(pipe: Pipe, pieces: Pieces, limit: float) -> Frame | None:
+    """Return the answer to a call; None when its target moved and did not run it."""
+    try:
+        answer = pipe.request(pieces, limit)
+    except Closed:
+        return None
+    return None if answer.kind is Kind.MOVED else answer
+
+
+def _result(answer: Frame, method: Method) -> Any:  # noqa: ANN401, the method's own
+    if answer.kind is Kind.RESULT:
+        return answer.value(method.result)
+    type_name, message, text = answer.value(frame.FAILURE)
+    if not text and type_name == "Timeout":
+        raise Timeout(message)
+    if not text and type_name == "WireError":
+        raise WireError(f"the other end refused the call: {message}")
+    raise CalleeError(type_name, message, text)
+
+
+def _failure(error: CalleeError | Timeout | WireError) -> Pieces:
+    if isinstance(error, CalleeError):
+        return frame.failure(error.type_name, error.message, error.traceback)
+    return frame.failure(type(error).__name__, str(error))
+
+
+def _size(pieces: Pieces) -> int:
+    return sum(memoryview(piece).nbytes for piece in pieces)
+
+
+def _received(received: Frame) -> int:
+    return received.body.nbytes + received.buffers.nbytes

@@ -1,0 +1,280 @@
+"""A container: the process in which components run.
+
+It is told by its agent what should be (`ContainerSpec`), makes it so step by step, and
+tells what is (`ContainerStatus`) whenever that changes, and now and then.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import signal
+import socket
+import sys
+import threading
+import time
+import traceback
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from types import FrameType
+
+from poise.clock import Clock, SystemClock
+from poise.errors import RunError, Timeout, Unavailable
+from poise.runtime.attribution import called_cpu, calls_served
+from poise.runtime.command import Command
+from poise.runtime.implementation import find
+from poise.runtime.runner import Runner
+from poise.runtime.sampler import Sampler, proportional_memory, sample_path
+from poise.runtime.steps import Steps
+from poise.runtime.waker import Waker, is_writable, wait_readable
+from poise.runtime.wiring import Place, Transports, Wiring
+from poise.wire import control
+from poise.wire.messages import (
+    ComponentSpec,
+    ComponentStatus,
+    ContainerSpec,
+    ContainerStatus,
+    Done,
+    Failed,
+    FromContainer,
+    Goal,
+    Order,
+    ToContainer,
+)
+from poise.wire.samples import ContainerSample
+
+log = logging.getLogger(__name__)
+
+REPORT_EVERY = 1.0
+"""A status goes out at least this often [s]."""
+_JOINING_EVERY = 0.02
+"""While a connector is not joined it is looked for, and told of, this often [s]."""
+_STOP_LIMIT = 1.0
+_STEP_THREADS = 4
+_SWITCH_EVERY = 0.001
+"""How long a thread may keep the others of its container waiting [s] (Python: 5 ms)."""
+
+Incarnation = tuple[str, int]
+
+
+class Container:
+    """The components of one process and their connectors."""
+
+    def __init__(self, name: str, agent: socket.socket, place: Place) -> None:
+        self._name = name
+        self._agent = agent
+        self._clock: Clock = SystemClock()
+        self._transports = Transports(place)
+        self._wiring = Wiring(self._transports)
+        self._runners: dict[Incarnation, Runner] = {}
+        self._commands: dict[Incarnation, Command] = {}
+        self._hanging: list[Runner] = []
+        self._broken: dict[Incarnation, ComponentStatus] = {}
+        self._steps = Steps(self._runners, self._wiring, self._transports)
+        # steps wait for components and for other computers; the control thread must not
+        self._step_threads = ThreadPoolExecutor(_STEP_THREADS, "step")
+        self._telling = threading.Lock()
+        self._stopping = False
+        self._waker = Waker()
+        self._sampler = self._make_sampler(place) if place.sample_every else None
+
+    def run(self) -> None:
+        """Work until told to end, or until the agent is gone.
+
+        Raises
+        ------
+        RunError
+            The process of a command-line component ended by itself.
+        """
+        sys.setswitchinterval(_SWITCH_EVERY)
+        signal.signal(signal.SIGTERM, self._on_signal)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            if self._sampler is not None:
+                self._sampler.start()
+            self._serve()
+        except Unavailable:
+            log.warning("container '%s': the agent is gone", self._name)
+        finally:
+            self._stop()
+
+    def _on_signal(self, _signal: int, _frame: FrameType | None) -> None:
+        self._stopping = True
+        self._waker.wake()
+
+    def _serve(self) -> None:
+        report_at = 0.0
+        while not self._stopping:
+            limit = max(0.0, report_at - self._clock.now())
+            agent = self._agent.fileno()
+            ended = [fd for each in self._commands.values() for fd in each.watched()]
+            ready = wait_readable([agent, self._waker.fileno(), *ended], limit)
+            self._waker.clear()
+            if agent in ready:
+                self._hear(control.receive(self._agent, ToContainer).what)
+            if not ready.isdisjoint(ended):
+                self._raise_if_ended()
+            status = self._status()
+            self._report(status)
+            is_joined = all(connector.ready for connector in status.connectors)
+            pause = REPORT_EVERY if is_joined else _JOINING_EVERY
+            report_at = self._clock.now() + pause
+
+    def _raise_if_ended(self) -> None:
+        """End with a command that ended: the agent starts both anew, after a while."""
+        try:
+            for command in self._commands.values():
+                command.raise_if_ended()
+        except ChildProcessError as error:
+            raise RunError(str(error)) from None
+
+    def _report(self, status: ContainerStatus) -> None:
+        # an agent that is slow to listen gets the next status, not all of them
+        if is_writable(self._agent.fileno()):
+            self._tell(status)
+
+    def _hear(self, what: ContainerSpec | Order) -> None:
+        if isinstance(what, Order):
+            self._step_threads.submit(self._take_step, what)
+        else:
+            self._apply(what)
+
+    def _take_step(self, order: Order) -> None:
+        outcome = self._steps.take(order)
+        with contextlib.suppress(Timeout, Unavailable):  # the agent gave up on us
+            self._tell(outcome)
+
+    def _tell(self, what: ContainerStatus | Done | Failed) -> None:
+        with self._telling:
+            control.send(self._agent, FromContainer(what))
+
+    def _apply(self, spec: ContainerSpec) -> None:
+        wanted = {(c.name, c.epoch): c for c in spec.components}
+        for key, component in wanted.items():
+            if key not in {*self._running(), *self._broken}:
+                self._add(component, spec.folder)
+        self._connect(spec, [key for key in self._runners if key in wanted])
+        for key, running in self._running().items():
+            if key in wanted:
+                self._aim(running, wanted[key].goal)
+            else:
+                self._remove(key)
+        for key in set(self._broken) - set(wanted):
+            del self._broken[key]
+
+    def _running(self) -> dict[Incarnation, Runner | Command]:
+        return {**self._runners, **self._commands}
+
+    @staticmethod
+    def _aim(running: Runner | Command, goal: Goal) -> None:
+        if goal != "stay":
+            running.aim(goal)
+        elif isinstance(running, Runner):
+            running.stay()
+
+    def _add(self, component: ComponentSpec, folder: str) -> None:
+        asked_at = self._clock.now()
+        if component.command:
+            self._commands[component.name, component.epoch] = Command(component, folder)
+            return
+        try:
+            implementation = find(component.implementation, folder)
+            runner = Runner(component, implementation, self._clock, self._waker.wake)
+            runner.asked_at = asked_at
+        except (Exception, SystemExit):
+            log.exception("component '%s' cannot start", component.name)
+            self._note_broken(component, traceback.format_exc())
+            return
+        self._runners[component.name, component.epoch] = runner
+        runner.start()
+
+    def _note_broken(self, component: ComponentSpec, error: str) -> None:
+        self._broken[component.name, component.epoch] = ComponentStatus(
+            name=component.name,
+            epoch=component.epoch,
+            state="failed",
+            error=error,
+            errors=1,
+        )
+
+    def _connect(self, spec: ContainerSpec, staying: list[Incarnation]) -> None:
+        runners = {key: self._runners[key] for key in staying}
+        for key, text in self._wiring.apply(spec.connectors, runners).items():
+            log.error("component '%s' cannot be joined:\n%s", key[0], text)
+            self._note_broken(runners[key].spec, text)
+
+    def _remove(self, key: Incarnation) -> None:
+        running = self._running()[key]
+        runner = self._runners.pop(key, None)
+        running.aim("finalized")
+        ended = running.wait_ended(_STOP_LIMIT)
+        self._commands.pop(key, None)
+        if not ended:
+            log.warning("component '%s' did not end in %g s", key[0], _STOP_LIMIT)
+        if runner is not None:
+            self._steps.forget(runner)
+            self._hanging += () if ended else (runner,)
+
+    def _status(self) -> ContainerStatus:
+        called = called_cpu(dict(self._runners), self._wiring.ends())
+        self._hanging = [each for each in self._hanging if not each.wait_ended(0)]
+        hanging = {(r.spec.name, r.spec.epoch): r.status() for r in self._hanging}
+        components = hanging | {
+            key: each.status(called.get(key[0], 0.0))
+            for key, each in self._running().items()
+        }
+        return ContainerStatus(
+            name=self._name,
+            pid=os.getpid(),
+            cpu=time.process_time() + sum(c.cpu() for c in self._commands.values()),
+            components=tuple((components | self._broken).values()),
+            connectors=self._wiring.status(),
+        )
+
+    def _make_sampler(self, place: Place) -> Sampler:
+        path = sample_path(Path(place.socket).parent, self._name, os.getpid())
+        return Sampler(path, place.sample_every, self._sample, self._weigh)
+
+    def _weigh(self) -> int:
+        """Return the memory of this process and its commands [bytes]."""
+        commands = list(self._commands.values())
+        return proportional_memory() + sum(each.memory() for each in commands)
+
+    def _sample(self, memory: int) -> ContainerSample:
+        """Return what is counted here; called on the sampler's thread."""
+        runners, ends = dict(self._runners), self._wiring.ends()
+        commands = list(self._commands.values())
+        called = called_cpu(runners, ends)
+        served = calls_served(runners, ends)
+        return ContainerSample(
+            self._name,
+            os.getpid(),
+            self._clock.now(),
+            time.process_time() + sum(each.cpu() for each in commands),
+            memory,
+            (
+                *(
+                    runner.sample(called.get(name, 0.0), served.get(name, 0))
+                    for (name, _), runner in runners.items()
+                ),
+                *(each.sample() for each in commands),
+            ),
+            tuple(each.sample() for each in ends),
+        )
+
+    def _stop(self) -> None:
+        if self._sampler is not None:
+            self._sampler.stop()
+        deadline = self._clock.now() + _STOP_LIMIT
+        for running in self._running().values():
+            running.aim("finalized")
+        for (name, _), running in self._running().items():
+            if not running.wait_ended(max(0.0, deadline - self._clock.now())):
+                log.warning("component '%s' did not end in time", name)
+        with contextlib.suppress(Timeout, Unavailable):  # nobody may be left to tell
+            self._report(self._status())
+        self._step_threads.shutdown(wait=False, cancel_futures=True)
+        self._wiring.close()
+        self._transports.close()

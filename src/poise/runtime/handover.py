@@ -1,0 +1,218 @@
+"""What one incarnation of a component hands over to the next, and how it gets there.
+
+The new incarnation asks the old one, over a pipe of their own: first for the state
+while the old one still serves (`Ask.STATE`, for components that offer
+`snapshot_delta`), then, when it is at rest, for everything (`Ask.ALL`).
+"""
+
+from __future__ import annotations
+
+import inspect
+import time
+from collections.abc import Callable, Mapping
+from enum import IntEnum
+from typing import Any, get_type_hints
+
+from msgspec import Struct
+
+from poise.errors import Timeout, UsageError
+from poise.runtime.component import Component
+from poise.runtime.connectors.wired import entry_codec
+from poise.runtime.runner import Runner
+from poise.runtime.turn import new_chain
+from poise.wire import frame
+from poise.wire.codec import codec
+from poise.wire.frame import Frame, Kind
+from poise.wire.pipe import Pieces, Pipe
+
+PIECE = 1 << 18
+"""So many bytes are sent at a time: other calls over the same link go in between."""
+SERVE_LIMIT = 1.0
+"""A snapshot waits at most this long for the component's turn [s]."""
+
+
+class Ask(IntEnum):
+    """What the new incarnation asks for."""
+
+    STATE = 1
+    ALL = 2
+
+
+class Handover(Struct, frozen=True, kw_only=True):
+    """All that makes the next incarnation go on where the last one stopped.
+
+    Parameters
+    ----------
+    state, delta
+        Frames with what `snapshot` or `snapshot_delta` gave; empty: nothing.
+    waiting
+        Ports and frames of the messages and one-way calls that wait, oldest first.
+    due
+        Timer -> time until its next release [s].
+    """
+
+    state: bytes = b""
+    delta: bytes = b""
+    waiting: tuple[tuple[str, bytes], ...] = ()
+    due: Mapping[str, float] = {}
+
+
+class Piece(Struct, frozen=True):
+    """A part of what is handed over, and the size of the whole [bytes]."""
+
+    size: int
+    data: bytes
+
+
+_HANDOVER = codec(Handover)
+_ASK = codec(tuple[int, int])
+_PIECE = codec(Piece)
+_ERROR = codec(str)
+
+
+def key_of(component: str, old: int, new: int) -> str:
+    """Return what both incarnations call the pipe between them."""
+    return f"handover/{component}/{old}.{new}"
+
+
+class Giver:
+    """The old incarnation's side."""
+
+    def __init__(self, runner: Runner) -> None:
+        self._runner = runner
+        self._has_given_state = False
+        self._given = b""
+
+    def handle(self, received: Frame) -> Pieces:
+        """Answer the new incarnation; a component's error crosses as text."""
+        try:
+            ask, offset = received.value(_ASK)
+            if not offset:
+                given = self._state() if Ask(ask) is Ask.STATE else self._all()
+                self._given = b"".join(frame.segments(_HANDOVER, given, Kind.RESULT))
+            end = offset + PIECE
+            piece = Piece(len(self._given), self._given[offset:end])
+            if end >= len(self._given):
+                self._given = b""
+            return frame.segments(_PIECE, piece, Kind.RESULT)
+        except Exception as error:  # noqa: BLE001, a user's snapshot may raise anything
+            text = f"{type(error).__qualname__}: {error}"
+            return frame.segments(_ERROR, text, Kind.ERROR)
+
+    def _state(self) -> Handover:
+        chain = new_chain()
+        self._runner.turn.enter(chain, SERVE_LIMIT)
+        try:
+            state = self._runner.component.snapshot()
+        finally:
+            self._runner.turn.leave()
+        self._has_given_state = True
+        return Handover(state=_frame_of(state))
+
+    def _all(self) -> Handover:
+        runner = self._runner
+        state = delta = b""
+        with runner.at_rest():
+            if self._has_given_state:
+                delta = _frame_of(runner.component.snapshot_delta())
+            else:
+                state = _frame_of(runner.component.snapshot())
+            waiting = tuple(_waiting(runner))
+        now = runner.clock.now()
+        return Handover(
+            state=state,
+            delta=delta,
+            waiting=waiting,
+            due={name: s.due - now for name, s in runner.schedules.items()},
+        )
+
+
+def fetch(pipe: Pipe, ask: Ask, limit: float) -> Handover:
+    """Ask the old incarnation.
+
+    Raises
+    ------
+    UsageError
+        Its component could not give its state.
+    CallError
+        It did not answer within `limit` [s].
+    """
+    deadline = time.monotonic() + limit
+    data = bytearray()
+    size = 1
+    while len(data) < size:
+        left = deadline - time.monotonic()
+        if left <= 0:
+            raise Timeout(f"{len(data)} of {size} B of the state came in {limit:g} s")
+        asked = frame.segments(_ASK, (ask, len(data)), Kind.CALL)
+        answer = pipe.request(asked, left)
+        if answer.kind is Kind.ERROR:
+            text = answer.value(_ERROR)
+            raise UsageError(f"the state could not be taken: {text}")
+        piece = answer.value(_PIECE)
+        data += piece.data
+        size = piece.size
+    given: Handover = frame.parse(data).value(_HANDOVER)
+    return given
+
+
+def offers_delta(component: Component) -> bool:
+    """Whether the state can be sent while the component still works."""
+    return type(component).snapshot_delta is not Component.snapshot_delta
+
+
+def take(
+    runner: Runner, given: Handover, adapt: Callable[[Any], Any] | None = None
+) -> None:
+    """Let a new, inactive incarnation go on from what the old one gave just now.
+
+    Parameters
+    ----------
+    adapt
+        Turns the state of another implementation into one for this; its parameter's
+        annotation says the type that it takes.
+
+    Raises
+    ------
+    Exception
+        Whatever the component's `restore` raises; it must not be activated then.
+    """
+    component = runner.component
+    now = runner.clock.now()
+    runner.keep_phases({name: now + left for name, left in given.due.items()})
+    with runner.at_rest():
+        if given.state:
+            state = _value_of(given.state, adapt or component.restore)
+            component.restore(adapt(state) if adapt else state)
+        if given.delta:
+            component.restore_delta(_value_of(given.delta, component.restore_delta))
+    for port, data in given.waiting:
+        received = frame.parse(data)
+        value = received.value(entry_codec(runner.ports[port], received.tag))
+        runner.ends.preload(port, (received.tag, value))
+
+
+def _waiting(runner: Runner) -> list[tuple[str, bytes]]:
+    frames = []
+    for name, inbox in runner.ends.inboxes.items():
+        for tag, value in inbox.waiting():
+            coder = entry_codec(runner.ports[name], tag)
+            pieces = frame.segments(coder, value, Kind.MESSAGE, tag=tag)
+            frames.append((name, b"".join(pieces)))
+    return frames
+
+
+def _frame_of(state: Struct | None) -> bytes:
+    if state is None:
+        return b""
+    return b"".join(frame.segments(codec(type(state)), state, Kind.MESSAGE))
+
+
+def _value_of(data: bytes, method: Any) -> Any:  # noqa: ANN401, a user's method
+    hints = get_type_hints(method)
+    name = next(iter(inspect.signature(method).parameters))
+    if name not in hints:
+        raise UsageError(
+            f"{method.__qualname__}: parameter '{name}' must say the state's type"
+        )
+    return frame.parse(data).value(codec(hints[name]))

@@ -1,0 +1,16 @@
+#include "chain.h"
+
+namespace poise {
+
+thread_local Chain thread_chain = no_chain;
+
+static Chain next = 1;  // under the GIL
+
+void begin_chains(Chain first) {
+  next = first;
+  thread_chain = no_chain;
+}
+
+Chain new_chain() { return thread_chain = next++; }
+
+}  // namespace poise

@@ -1,0 +1,200 @@
+#include "direct_call.h"
+
+#include <structmember.h>
+
+#include <cstddef>
+
+#include "turn.h"
+
+namespace nb = nanobind;
+
+namespace poise {
+namespace {
+
+struct DirectCall {
+  PyObject_HEAD
+  vectorcallfunc vectorcall;
+  PyObject* method;
+  PyObject* turn;
+  PyObject* counts;
+  PyObject* translate;  // raises what a caller gets when its callee raised
+  PyObject* resend;     // takes a call whose callee has moved away; or None
+  Turn* turn_of;        // inside `turn`
+  Counts* counts_of;    // inside `counts`
+  double limit;         // [s]
+};
+
+// An error that the callee raised becomes a CalleeError; what is no Exception, such as
+// KeyboardInterrupt, goes on as it is.
+void translate_error(const DirectCall* call) {
+  if (!PyErr_ExceptionMatches(PyExc_Exception)) return;
+  PyObject *type, *value, *trace;
+  PyErr_Fetch(&type, &value, &trace);
+  PyErr_NormalizeException(&type, &value, &trace);
+  if (trace) PyException_SetTraceback(value, trace);
+  Py_XDECREF(PyObject_CallOneArg(call->translate, value));  // always raises
+  Py_XDECREF(type);
+  Py_XDECREF(value);
+  Py_XDECREF(trace);
+}
+
+void set_too_late(const DirectCall* call, double elapsed) {
+  nb::object name = nb::getattr(call->method, "__qualname__", nb::str("the callee"));
+  nb::object error = nb::module_::import_("poise.errors").attr("Timeout");
+  nb::str text = nb::str("{} took {:.3f} s, limit {:g} s").format(name, elapsed, call->limit);
+  PyErr_SetObject(error.ptr(), text.ptr());
+}
+
+PyObject* refuse(DirectCall* call, Entry entry, std::int64_t began, PyObject* const* args,
+                 std::size_t num, PyObject* names) {
+  if (entry == Entry::retired && call->resend != Py_None)
+    return PyObject_Vectorcall(call->resend, args, num, names);
+  if (entry == Entry::timeout) {
+    Counts& counts = *call->counts_of;
+    ++counts.calls;
+    ++counts.errors;
+    counts.delay.add(1e-9 * static_cast<double>(wall_now() - began));
+  }
+  set_entry_error(call->turn_of->what(), static_cast<int>(entry), call->limit, "was busy for");
+  return nullptr;
+}
+
+PyObject* invoke(PyObject* self, PyObject* const* args, std::size_t num, PyObject* names) {
+  auto* call = reinterpret_cast<DirectCall*>(self);
+  Counts& counts = *call->counts_of;
+  const std::int64_t began = wall_now();
+  const Entry entry = call->turn_of->enter(current_chain(), call->limit);
+  if (entry > Entry::late) return refuse(call, entry, began, args, num, names);
+  const std::int64_t inside = entry == Entry::late ? wall_now() : began;
+
+  // the facade may let go of this object while the callee runs
+  Py_INCREF(self);
+  const bool measured = counts.cpu.should_measure(inside);
+  const std::int64_t cpu_began = measured ? cpu_now() : 0;
+  PyObject* result = PyObject_Vectorcall(call->method, args, num, names);
+  const std::int64_t cpu = measured ? cpu_now() - cpu_began : 0;
+  call->turn_of->leave();
+
+  const std::int64_t ended = wall_now();
+  if (measured)
+    counts.cpu.add_measured(inside, ended - inside, cpu);
+  else
+    counts.cpu.add(ended - inside);
+  const double elapsed = 1e-9 * static_cast<double>(ended - began);
+  ++counts.calls;
+  counts.delay.add(elapsed);
+  if (!result) {
+    ++counts.errors;
+    translate_error(call);
+  } else if (elapsed > call->limit) {
+    ++counts.errors;
+    Py_CLEAR(result);
+    set_too_late(call, elapsed);
+  }
+  Py_DECREF(self);
+  return result;
+}
+
+int traverse(PyObject* self, visitproc visit, void* arg) {
+  auto* call = reinterpret_cast<DirectCall*>(self);
+  Py_VISIT(Py_TYPE(self));
+  Py_VISIT(call->method);
+  Py_VISIT(call->turn);
+  Py_VISIT(call->counts);
+  Py_VISIT(call->translate);
+  Py_VISIT(call->resend);
+  return 0;
+}
+
+// Break the cycle component -> facade -> this -> method -> component.
+int clear(PyObject* self) {
+  auto* call = reinterpret_cast<DirectCall*>(self);
+  Py_SETREF(call->method, Py_NewRef(Py_None));
+  Py_SETREF(call->resend, Py_NewRef(Py_None));
+  return 0;
+}
+
+void deallocate(PyObject* self) {
+  PyTypeObject* type = Py_TYPE(self);
+  PyObject_GC_UnTrack(self);
+  auto* call = reinterpret_cast<DirectCall*>(self);
+  Py_CLEAR(call->method);
+  Py_CLEAR(call->resend);
+  Py_CLEAR(call->turn);
+  Py_CLEAR(call->counts);
+  Py_CLEAR(call->translate);
+  PyObject_GC_Del(self);
+  Py_DECREF(type);
+}
+
+PyObject* create(PyTypeObject* type, PyObject* args, PyObject* keywords) {
+  static const char* names[] = {"method", "turn", "limit", "counts", "translate", "resend", nullptr};
+  PyObject *method, *turn, *counts, *translate, *resend = Py_None;
+  double limit = 0.0;
+  if (!PyArg_ParseTupleAndKeywords(args, keywords, "OOdOO|O", const_cast<char**>(names), &method,
+                                   &turn, &limit, &counts, &translate, &resend))
+    return nullptr;
+  Turn* turn_of = nullptr;
+  Counts* counts_of = nullptr;
+  if (!nb::try_cast(nb::handle(turn), turn_of) || !nb::try_cast(nb::handle(counts), counts_of) ||
+      !turn_of || !counts_of) {
+    PyErr_SetString(PyExc_TypeError, "DirectCall takes a Turn and a Counts");
+    return nullptr;
+  }
+  auto* call = PyObject_GC_New(DirectCall, type);
+  if (!call) return nullptr;
+  call->vectorcall = invoke;
+  call->method = Py_NewRef(method);
+  call->turn = Py_NewRef(turn);
+  call->counts = Py_NewRef(counts);
+  call->translate = Py_NewRef(translate);
+  call->resend = Py_NewRef(resend);
+  call->turn_of = turn_of;
+  call->counts_of = counts_of;
+  call->limit = limit;
+  auto* self = reinterpret_cast<PyObject*>(call);
+  PyObject_GC_Track(self);
+  return self;
+}
+
+PyMemberDef members[] = {
+    {"__vectorcalloffset__", T_PYSSIZET, offsetof(DirectCall, vectorcall), READONLY, nullptr},
+    {"limit", T_DOUBLE, offsetof(DirectCall, limit), READONLY, nullptr},
+    {nullptr, 0, 0, 0, nullptr},
+};
+
+PyType_Slot slots[] = {
+    {Py_tp_new, reinterpret_cast<void*>(create)},
+    {Py_tp_dealloc, reinterpret_cast<void*>(deallocate)},
+    {Py_tp_traverse, reinterpret_cast<void*>(traverse)},
+    {Py_tp_clear, reinterpret_cast<void*>(clear)},
+    {Py_tp_call, reinterpret_cast<void*>(PyVectorcall_Call)},
+    {Py_tp_members, members},
+    {0, nullptr},
+};
+
+PyType_Spec spec = {
+    "poise.runtime._calls.DirectCall",
+    sizeof(DirectCall),
+    0,
+    Py_TPFLAGS_DEFAULT | Py_TPFLAGS_HAVE_GC | Py_TPFLAGS_HAVE_VECTORCALL,
+    slots,
+};
+
+}  // namespace
+
+nb::object make_direct_call_type() { return nb::steal(PyType_FromSpec(&spec)); }
+
+void set_entry_error(const std::string& what, int entry, double limit, const char* action) {
+  if (entry == static_cast<int>(Entry::interrupted)) return;  // already set
+  if (entry == static_cast<int>(Entry::retired)) {
+    nb::object error = nb::module_::import_("poise.runtime.turn").attr("Retired");
+    PyErr_Format(error.ptr(), "component '%s' has moved away", what.c_str());
+    return;
+  }
+  nb::object error = nb::module_::import_("poise.errors").attr("Timeout");
+  nb::str text = nb::str("component '{}' {} {:g} s").format(what.c_str(), action, limit);
+  PyErr_SetObject(error.ptr(), text.ptr());
+}
+
+}  // namespace poise

@@ -1,0 +1,105 @@
+#include <Python.h>
+
+#include "turn.h"
+
+#include <semaphore.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cmath>
+#include <ctime>
+
+namespace poise {
+
+struct Turn::Waiter {
+  Waiter(Chain wanted, bool returns) : chain(wanted), steps_in(returns) {
+    sem_init(&woken, 0, 0);
+  }
+  ~Waiter() { sem_destroy(&woken); }
+
+  void wake(Entry outcome) {
+    entry = outcome;
+    sem_post(&woken);
+  }
+
+  sem_t woken;
+  Chain chain;
+  bool steps_in;
+  Entry entry = Entry::timeout;  // until somebody wakes it
+};
+
+static timespec moment_in(double seconds) {
+  constexpr double longest = 1e8;  // three years
+  seconds = seconds > 0.0 ? std::min(seconds, longest) : 0.0;
+  timespec moment{};
+  clock_gettime(CLOCK_MONOTONIC, &moment);
+  const double whole = std::floor(seconds);
+  moment.tv_sec += static_cast<time_t>(whole);
+  moment.tv_nsec += static_cast<long>((seconds - whole) * 1e9);
+  if (moment.tv_nsec >= 1'000'000'000) {
+    moment.tv_nsec -= 1'000'000'000;
+    ++moment.tv_sec;
+  }
+  return moment;
+}
+
+bool Turn::release() {
+  if (!held_) return false;
+  owner_ = no_chain;
+  const auto place = std::find_if(waiting_.begin(), waiting_.end(),
+                                  [this](Waiter* waiter) { return may_have(waiter->chain); });
+  if (place == waiting_.end()) {
+    held_ = false;
+    return true;
+  }
+  Waiter* next = *place;
+  waiting_.erase(place);
+  owner_ = next->chain;
+  next->wake(Entry::late);
+  return true;
+}
+
+void Turn::retire() {
+  retired_ = true;
+  std::deque<Waiter*> staying;
+  for (Waiter* waiter : waiting_) {
+    if (waiter->steps_in)
+      staying.push_back(waiter);
+    else
+      waiter->wake(Entry::retired);
+  }
+  waiting_.swap(staying);
+}
+
+Entry Turn::step_in(Chain chain, int depth, double limit) {
+  Entry entry = Entry::entered;
+  if (held_) {
+    entry = wait(chain, limit, true);
+    if (entry != Entry::late) return entry;
+  }
+  held_ = true;
+  owner_ = chain;
+  depth_ = depth;
+  --outside_;
+  return entry;
+}
+
+Entry Turn::wait(Chain chain, double limit, bool steps_in) {
+  const timespec until = moment_in(limit);
+  Waiter waiter(chain, steps_in);
+  waiting_.push_back(&waiter);
+  int error = 0;
+  do {
+    Py_BEGIN_ALLOW_THREADS
+    error = sem_clockwait(&waiter.woken, CLOCK_MONOTONIC, &until) ? errno : 0;
+    Py_END_ALLOW_THREADS
+  } while (error == EINTR && PyErr_CheckSignals() == 0);
+  // Under the GIL again: if nobody took it off the list, it gives up.
+  const auto place = std::find(waiting_.begin(), waiting_.end(), &waiter);
+  if (place != waiting_.end()) waiting_.erase(place);
+  if (error != EINTR) return waiter.entry;
+  if (waiter.entry == Entry::late) release();
+  return Entry::interrupted;
+}
+
+}  // namespace poise

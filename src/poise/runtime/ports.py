@@ -1,0 +1,267 @@
+"""Typed ports: how a component says what it offers and what it needs.
+
+::
+
+    class Localiser(Component):
+        poses: Provided[Poses]           # others call the methods of `Poses` on me
+        walls: Required[Walls]           # I call the methods of `Walls` on another
+        pose: Published[Pose]            # I publish messages of type `Pose`
+
+        @subscribed(keep=1)              # messages come to me; the port is `scan`
+        def scan(self, message: Scan) -> None: ...
+
+        @every(0.2, deadline=0.2)        # not a port: a timer
+        def cycle(self) -> None: ...
+
+The component never learns where the other ends are.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import (
+    Annotated,
+    Any,
+    Generic,
+    Literal,
+    TypeVar,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+import msgspec
+from msgspec import Struct, StructMeta
+
+from poise.errors import UsageError
+
+I = TypeVar("I")  # noqa: E741, an interface
+M = TypeVar("M")
+F = TypeVar("F", bound=Callable[..., Any])
+
+Kind = Literal["provides", "requires", "publishes", "subscribes"]
+Policy = Literal["keep", "block"]
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(msgspec.field,))
+class _MessageMeta(StructMeta):
+    """Tells type checkers that the subclasses of `Message` are frozen, too."""
+
+
+class Message(Struct, metaclass=_MessageMeta, frozen=True):
+    """Base of messages and states: typed, and not changed once handed over.
+
+    Fields may be anything msgspec encodes, other messages, and NumPy arrays. A
+    received array is read-only.
+    """
+
+
+class _Provides:
+    """Marks the annotation of a provided port."""
+
+
+class _Requires:
+    """Marks the annotation of a required port."""
+
+
+Provided = Annotated[I, _Provides]
+"""``name: Provided[Interface]``: the component itself has the interface's methods."""
+
+Required = Annotated[I, _Requires]
+"""``name: Required[Interface]``: ``self.name`` has the interface's methods.
+
+Each call may block up to the connector's time limit and raises
+`poise.errors.Unavailable`, `Timeout`, or `CalleeError` with what the callee raised.
+"""
+
+
+class Published(Generic[M]):
+    """``name: Published[MessageType]``: a topic that the component publishes."""
+
+    __slots__ = ("_send",)
+
+    def __init__(self, send: Callable[[M], None]) -> None:
+        self._send = send
+
+    def publish(self, message: M) -> None:
+        """Hand `message` to every subscriber, in order.
+
+        Blocks only when a subscriber asked for that (``subscribed(block=n)``) and its
+        queue is full. The message must not be changed afterwards.
+        """
+        self._send(message)
+
+
+class Queue(Struct, frozen=True):
+    """How a subscriber queues: keep the last `size` messages, or block at `size`."""
+
+    policy: Policy = "keep"
+    size: int = 1
+
+
+class Port(Struct, frozen=True):
+    """A port, as the class declares it.
+
+    `type` is the message class of a topic or the interface class of calls.
+    """
+
+    name: str
+    kind: Kind
+    type: Any
+    queue: Queue | None = None
+
+
+class Timer(Struct, frozen=True):
+    """A method to be called every `period` [s].
+
+    A release whose run has not ended `deadline` [s] later missed it; so did every
+    release that was skipped. `deadline` None: not watched.
+    """
+
+    name: str
+    period: float
+    deadline: float | None = None
+
+
+def subscribed(*, keep: int = 0, block: int = 0) -> Callable[[F], F]:
+    """Make a method the handler of a subscribed topic; the port has its name.
+
+    Parameters
+    ----------
+    keep
+        Queue at most the last `keep` messages; older ones are dropped and counted.
+        1 unless `block` is given.
+    block
+        Queue at most `block` messages and make the publisher wait when they are
+        there: nothing is dropped.
+
+    The method is called on the component's thread, once per message, in the order of
+    publication per publisher.
+    """
+    if keep and block:
+        msg = f"subscribed(keep={keep}, block={block}): give one of them, not both"
+        raise UsageError(msg)
+    queue = Queue("block", block) if block else Queue("keep", keep or 1)
+    if queue.size < 1:
+        msg = f"subscribed: a queue holds at least 1 message, not {queue.size}"
+        raise UsageError(msg)
+
+    def mark(method: F) -> F:
+        method.__poise_queue__ = queue  # type: ignore[attr-defined]
+        return method
+
+    return mark
+
+
+def every(period: float, *, deadline: float | None = None) -> Callable[[F], F]:
+    """Call a method every `period` [s] while the component is active.
+
+    Releases keep their phase: they lie at multiples of `period` after activation. When
+    releases pass while the method still runs, the last of them is run at once
+    afterwards; the others are skipped.
+
+    Parameters
+    ----------
+    period
+        [s]; > 0.
+    deadline
+        [s] after the release; > 0. None: not watched.
+    """
+    if not period > 0 or (deadline is not None and not deadline > 0):
+        msg = f"every({period}, deadline={deadline}): both must be above 0 s"
+        raise UsageError(msg)
+
+    def mark(method: F) -> F:
+        method.__poise_timer__ = (period, deadline)  # type: ignore[attr-defined]
+        return method
+
+    return mark
+
+
+def oneway(method: F) -> F:
+    """Make a method of an interface one-way: the caller does not wait for it."""
+    method.__poise_oneway__ = True  # type: ignore[attr-defined]
+    return method
+
+
+def is_oneway(interface: type, method: str) -> bool:
+    """Whether `method` of `interface` was declared `oneway`."""
+    return bool(getattr(getattr(interface, method), "__poise_oneway__", False))
+
+
+def ports_of(component: type) -> Mapping[str, Port]:
+    """Return the ports of a component class by name.
+
+    Raises
+    ------
+    UsageError
+        When a subscribed method does not say its message's type, or a provided
+        interface has a method that the component lacks.
+    """
+    ports = {}
+    for name, hint in get_type_hints(component, include_extras=True).items():
+        port = _annotated_port(name, hint)
+        if port is not None:
+            ports[name] = port
+    for name, method in inspect.getmembers(component, inspect.isfunction):
+        queue = getattr(method, "__poise_queue__", None)
+        if queue is not None:
+            ports[name] = Port(name, "subscribes", _message_type(method), queue)
+    for port in ports.values():
+        if port.kind == "provides":
+            _check_provided(component, port)
+    return ports
+
+
+def timers_of(component: type) -> Mapping[str, Timer]:
+    """Return the timers of a component class by method name."""
+    return {
+        name: Timer(name, *method.__poise_timer__)
+        for name, method in inspect.getmembers(component, inspect.isfunction)
+        if hasattr(method, "__poise_timer__")
+    }
+
+
+def methods_of(interface: type) -> tuple[str, ...]:
+    """Return the names of an interface's public methods."""
+    return tuple(
+        name
+        for name, _ in inspect.getmembers(interface, inspect.isfunction)
+        if not name.startswith("_")
+    )
+
+
+def _annotated_port(name: str, hint: Any) -> Port | None:  # noqa: ANN401, any hint
+    if get_origin(hint) is Published:
+        return Port(name, "publishes", get_args(hint)[0])
+    if get_origin(hint) is Annotated:
+        interface, *marks = get_args(hint)
+        if _Provides in marks:
+            return Port(name, "provides", interface)
+        if _Requires in marks:
+            return Port(name, "requires", interface)
+    return None
+
+
+def _message_type(method: Callable[..., Any]) -> Any:  # noqa: ANN401, any type
+    hints = get_type_hints(method)
+    names = list(inspect.signature(method).parameters)[1:]
+    if len(names) != 1 or names[0] not in hints:
+        msg = (
+            f"{method.__qualname__}: a subscribed method takes one message and says "
+            f"its type, as in `def {method.__name__}(self, message: Scan) -> None`"
+        )
+        raise UsageError(msg)
+    return hints[names[0]]
+
+
+def _check_provided(component: type, port: Port) -> None:
+    missing = [m for m in methods_of(port.type) if not hasattr(component, m)]
+    if missing:
+        msg = (
+            f"{component.__qualname__} provides {port.name}: "
+            f"{port.type.__qualname__}, but has no method {', '.join(missing)}"
+        )
+        raise UsageError(msg)

@@ -1,0 +1,271 @@
+"""Opens and closes the ends of connectors that lie in one container."""
+
+from __future__ import annotations
+
+import contextlib
+import traceback
+from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
+from contextlib import ExitStack
+from pathlib import Path as FilePath
+
+import zenoh
+from msgspec import Struct
+
+from poise.errors import RobotError, RunError, UsageError
+from poise.runtime.connectors.counts import Counts
+from poise.runtime.connectors.direct import DirectPath
+from poise.runtime.connectors.outlet import Outlet, Path
+from poise.runtime.connectors.wired import WiredPath, receiving
+from poise.runtime.ports import Port
+from poise.runtime.runner import Runner
+from poise.wire.local import LocalPipe, LocalServer
+from poise.wire.messages import ConnectorSpec, ConnectorStatus
+from poise.wire.pipe import Pipe, Server
+from poise.wire.remote import RemotePipe, RemoteServer, open_session
+from poise.wire.samples import SAMPLE_EVERY, ConnectorSample
+from poise.wire.socket_path import socket_path
+
+Runners = Mapping[tuple[str, int], Runner]
+"""The incarnations of components in a container, by name and epoch."""
+
+
+class Place(Struct, frozen=True, kw_only=True):
+    """Where a container is.
+
+    Parameters
+    ----------
+    prefix
+        What all zenoh keys of the robot begin with.
+    address
+        IP address of its computer, on which it may listen.
+    agent
+        zenoh endpoint of its computer's agent.
+    socket
+        Path of the AF_UNIX socket for containers of the same computer.
+    sample_every
+        How often it counts what it uses [s]; 0: never.
+    """
+
+    prefix: str
+    address: str
+    agent: str
+    socket: str
+    sample_every: float = SAMPLE_EVERY
+
+
+class Transports:
+    """The pipes and servers of a container; each kind is opened when first needed."""
+
+    def __init__(self, place: Place) -> None:
+        self._place = place
+        self._session: zenoh.Session | None = None
+        self._local: LocalServer | None = None
+        self._remote: RemoteServer | None = None
+
+    def local_pipe(self, key: str, container: str) -> Pipe:
+        """Return a pipe to another container of this computer."""
+        path = socket_path(FilePath(self._place.socket).parent, container)
+        return LocalPipe(key, str(path))
+
+    def remote_pipe(self, key: str, limit: float) -> Pipe:
+        """Return a pipe to a container of any computer."""
+        return RemotePipe(self._zenoh(), f"{self._place.prefix}/pipe/{key}", limit)
+
+    def local_server(self) -> Server:
+        """Return where pipes from this computer end."""
+        if self._local is None:
+            self._local = LocalServer(FilePath(self._place.socket))
+        return self._local
+
+    def remote_server(self) -> Server:
+        """Return where pipes from any computer end."""
+        if self._remote is None:
+            prefix = f"{self._place.prefix}/pipe"
+            self._remote = RemoteServer(self._zenoh(), prefix)
+        return self._remote
+
+    def close(self) -> None:
+        """Close all that was opened."""
+        for server in (self._local, self._remote):
+            if server is not None:
+                server.close()
+        if self._session is not None:
+            self._session.close()  # type: ignore[no-untyped-call]
+
+    def _zenoh(self) -> zenoh.Session:
+        if self._session is None:
+            self._session = open_session(
+                listen=[f"tcp/{self._place.address}:0"], connect=[self._place.agent]
+            )
+        return self._session
+
+
+class OpenEnds:
+    """What one connector has open in this container.
+
+    `path` and `outlet` are there when the source's end is.
+    """
+
+    def __init__(self, spec: ConnectorSpec) -> None:
+        self.spec = spec
+        self.closing = ExitStack()
+        self.path: Path | None = None
+        self.outlet: Outlet | None = None
+        self.counts: Counts = Counts()
+
+    def status(self) -> ConnectorStatus:
+        """Return what was counted, and whether the other end is there."""
+        ready = self.path is None or self.path.is_ready()
+        return self.counts.status(self.spec.name, self.spec.kind, ready=ready)
+
+    def sample(self) -> ConnectorSample:
+        """Return its counters."""
+        n = self.counts
+        return ConnectorSample(
+            self.spec.name, n.calls, n.messages, n.bytes, n.errors, n.drops
+        )
+
+
+class Wiring:
+    """The connectors of a container."""
+
+    def __init__(self, transports: Transports) -> None:
+        self._transports = transports
+        self._open: dict[str, OpenEnds] = {}
+
+    def apply(
+        self, specs: tuple[ConnectorSpec, ...], runners: Runners
+    ) -> dict[tuple[str, int], str]:
+        """Make the open connectors those of `specs`, touching only what changed.
+
+        Paths are opened before others are closed, so that a source that has both
+        goes over from one to the other.
+
+        Returns
+        -------
+        Incarnation -> why a connector at one of its ports cannot be opened.
+        """
+        wanted = {spec.key: spec for spec in specs}
+        known = {ends.outlet for ends in self._open.values()}
+        troubles: dict[tuple[str, int], str] = {}
+        for key, spec in wanted.items():
+            here = _ends_here(spec, runners)
+            # without one of a direct connector's ends, the other has nothing to join
+            if key in self._open or len(here) < (2 if spec.kind == "direct" else 1):
+                continue
+            try:
+                self._open[key] = self._join(spec, runners)
+            except Exception:  # noqa: BLE001, reading types runs users' code
+                text = f"connector {spec.name}:\n{traceback.format_exc()}"
+                troubles.update(dict.fromkeys(here, text))
+        self._hold_amid_a_move(known)
+        for key in list(self._open):
+            if key not in wanted:
+                self._open.pop(key).closing.close()
+        return troubles
+
+    def outlet(self, name: str) -> Outlet:
+        """Return the source's end of a connector that is open here.
+
+        Raises
+        ------
+        UsageError
+            There is none.
+        """
+        for ends in self._open.values():
+            if ends.spec.name == name and ends.outlet is not None:
+                return ends.outlet
+        raise UsageError(f"no connector '{name}' begins in this container")
+
+    def status(self) -> tuple[ConnectorStatus, ...]:
+        """Return the status of every open connector."""
+        return tuple(ends.status() for ends in list(self._open.values()))
+
+    def ends(self) -> list[OpenEnds]:
+        """Return what is open now, for those who count."""
+        return list(self._open.values())
+
+    def close(self) -> None:
+        """Close every connector."""
+        for ends in self._open.values():
+            ends.closing.close()
+        self._open.clear()
+
+    def _hold_amid_a_move(self, known: AbstractSet[Outlet | None]) -> None:
+        """Let what begins while its target moves send nothing before that is over.
+
+        The container was started anew, and its first incarnation was told to hold.
+        """
+        for ends in self._open.values():
+            outlet = ends.outlet
+            if outlet is not None and outlet not in known:
+                with contextlib.suppress(RunError):  # its target does not move
+                    outlet.hold()
+
+    def _join(self, spec: ConnectorSpec, runners: Runners) -> OpenEnds:
+        ends = OpenEnds(spec)
+        source = runners.get((spec.source, spec.source_epoch))
+        target = runners.get((spec.target, spec.target_epoch))
+        with ExitStack() as undo:
+            undo.callback(ends.closing.close)
+            if source is not None:
+                self._open_source(ends, source, target)
+            elif target is not None:
+                self._open_target(ends, target)
+            undo.pop_all()
+        return ends
+
+    def _open_source(
+        self, ends: OpenEnds, source: Runner, target: Runner | None
+    ) -> None:
+        spec = ends.spec
+        port = _port(source, spec.source_port)
+        if target is not None:
+            far = _port(target, spec.target_port)
+            ends.path = DirectPath(spec.name, target.ends, far, spec.limit)
+        else:
+            ends.path = WiredPath(self._pipe(spec), port, spec.limit)
+        outlet = source.ends.outlet(spec.name, port, spec.limit)
+        ends.outlet = outlet
+        ends.counts = outlet.counts
+        outlet.add(spec.key, ends.path)
+        ends.closing.callback(_remove_path, source, outlet, spec.key)
+
+    def _open_target(self, ends: OpenEnds, target: Runner) -> None:
+        spec = ends.spec
+        port = _port(target, spec.target_port)
+        server = (
+            self._transports.local_server()
+            if spec.kind == "local"
+            else self._transports.remote_server()
+        )
+        handler = receiving(spec.name, target.ends, port, spec.limit, ends.counts)
+        server.open(spec.key, handler, ends.counts.refuse)
+        ends.closing.callback(server.shut, spec.key)
+
+    def _pipe(self, spec: ConnectorSpec) -> Pipe:
+        if spec.kind == "local":
+            return self._transports.local_pipe(spec.key, spec.address)
+        return self._transports.remote_pipe(spec.key, spec.limit)
+
+
+def _ends_here(spec: ConnectorSpec, runners: Runners) -> list[tuple[str, int]]:
+    ends = (spec.source, spec.source_epoch), (spec.target, spec.target_epoch)
+    return [end for end in ends if end in runners]
+
+
+def _remove_path(source: Runner, outlet: Outlet, key: str) -> None:
+    outlet.remove(key)
+    if not outlet.paths():
+        source.ends.drop_outlet(outlet.name)
+
+
+def _port(runner: Runner, name: str) -> Port:
+    try:
+        return runner.ports[name]
+    except KeyError:
+        known = ", ".join(runner.ports) or "none"
+        raise RobotError(
+            f"component '{runner.spec.name}' has no port '{name}' (it has {known})"
+        ) from None

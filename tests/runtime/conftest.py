@@ -1,0 +1,180 @@
+"""Components to run, and two containers' wiring in one process."""
+
+from __future__ import annotations
+
+import socket
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pytest
+
+from poise import Component
+from poise.clock import SystemClock
+from poise.runtime.runner import Runner
+from poise.runtime.wiring import Place, Transports, Wiring
+from poise.wire.messages import ComponentSpec, ConnectorKind, ConnectorSpec
+from poise.wire.remote import open_session
+from poise.wire.socket_path import socket_path
+
+C = TypeVar("C", bound=Component)
+
+LIMIT = 20.0
+"""Far longer than anything here takes [s]."""
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def wait_until(holds: Callable[[], bool]) -> None:
+    """Look again and again, for what nobody tells of when it happens."""
+    deadline = time.monotonic() + LIMIT
+    while not holds():
+        assert time.monotonic() < deadline
+        threading.Event().wait(0.001)
+
+
+class News:
+    """Wakes a test when something changed."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+
+    def tell(self) -> None:
+        with self._changed:
+            self._changed.notify_all()
+
+    def wait_for(self, what: Callable[[], Any]) -> None:
+        with self._changed:
+            assert self._changed.wait_for(what, LIMIT)
+
+
+class Pair:
+    """Components ``source`` and ``target``, in one container or in two."""
+
+    def __init__(self, kind: ConnectorKind, folder: Path, agent: str) -> None:
+        self.kind = kind
+        self.news = News()
+        self.runners: dict[tuple[str, int], Runner] = {}
+        self._specs: tuple[ConnectorSpec, ...] = ()
+        self._closing = ExitStack()
+        self._folder = folder
+        self._agent = agent
+        self.sides = {"target": self._side("target")}
+        self.sides["source"] = (
+            self.sides["target"] if kind == "direct" else self._side("source")
+        )
+
+    def close(self) -> None:
+        """End the components, then what joins them."""
+        self._closing.close()
+
+    def run(self, name: str, implementation: type[C]) -> C:
+        """Start a component; return it when it is inactive."""
+        spec = ComponentSpec(name=name, goal="inactive")
+        runner = Runner(spec, implementation, SystemClock(), self.news.tell)
+        self.runners[name, 0] = runner
+        self._closing.callback(_end, runner)
+        runner.start()
+        runner.aim("inactive")
+        assert runner.wait_state({"inactive", "failed"}, LIMIT) == "inactive"
+        component = runner.component
+        assert isinstance(component, implementation)
+        return component
+
+    def join(self, port: str, other: str = "", *, limit: float = LIMIT) -> None:
+        """Join a port of ``source`` to one of ``target``."""
+        self._specs += (self._spec("source", port, "target", other or port, limit),)
+
+    def join_back(self, port: str, other: str) -> None:
+        """Join a port of ``target`` to one of ``source``."""
+        self._specs += (self._spec("target", port, "source", other, LIMIT),)
+
+    def activate(self) -> None:
+        """Open all connectors, wait until they are joined, and make both active."""
+        for name, side in self.sides.items():
+            here = {key: r for key, r in self.runners.items() if key[0] == name}
+            all_here = self.runners if self.kind == "direct" else here
+            assert side.apply(self._specs, all_here) == {}
+        wait_until(
+            lambda: all(e.ready for side in self.sides.values() for e in side.status())
+        )
+        for runner in self.runners.values():
+            runner.aim("active")
+            assert runner.wait_state({"active", "failed"}, LIMIT) == "active"
+
+    def start_source_anew(self, implementation: type[C]) -> C:
+        """End the source's container as if it was killed, and start another."""
+        self.sides["source"].close()
+        _end(self.runners.pop(("source", 0)))
+        if self.kind != "direct":
+            self.sides["source"] = self._side("source")
+        component = self.run("source", implementation)
+        self.activate()
+        return component
+
+    def drops(self) -> int:
+        """Return how many messages were lost, as the connectors count."""
+        sides = {id(side): side for side in self.sides.values()}.values()
+        return sum(end.drops for side in sides for end in side.status())
+
+    def _spec(
+        self, source: str, port: str, target: str, other: str, limit: float
+    ) -> ConnectorSpec:
+        return ConnectorSpec(
+            name=f"{source}.{port}-{target}.{other}",
+            kind=self.kind,
+            source=source,
+            source_port=port,
+            target=target,
+            target_port=other,
+            address=target,
+            limit=limit,
+        )
+
+    def _side(self, name: str) -> Wiring:
+        place = Place(
+            prefix="poise/test",
+            address="127.0.0.1",
+            agent=self._agent,
+            socket=str(socket_path(self._folder, name)),
+        )
+        transports = Transports(place)
+        wiring = Wiring(transports)
+        self._closing.callback(transports.close)
+        self._closing.callback(wiring.close)
+        return wiring
+
+
+def _end(runner: Runner) -> None:
+    runner.aim("finalized")
+    assert runner.wait_ended(LIMIT)
+
+
+@pytest.fixture(scope="session")
+def agent_endpoint() -> Iterator[str]:
+    """Open a session by which containers find each other, as by their agent's."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with open_session(listen=[endpoint]):
+        yield endpoint
+
+
+@pytest.fixture
+def pair(request: pytest.FixtureRequest, agent_endpoint: str) -> Iterator[Pair]:
+    with tempfile.TemporaryDirectory() as folder:  # pytest's are too long for sockets
+        pair = Pair(request.param, Path(folder), agent_endpoint)
+        yield pair
+        pair.close()
+
+
+every_kind = pytest.mark.parametrize(
+    "pair", ["direct", "local", "remote"], indirect=True
+)

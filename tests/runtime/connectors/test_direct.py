@@ -1,0 +1,241 @@
+"""A direct call means what a call over a wire means, and counts itself."""
+
+from __future__ import annotations
+
+import gc
+import threading
+import time
+import weakref
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NoReturn
+
+import pytest
+
+from poise.errors import CalleeError, Timeout
+from poise.runtime import _calls
+from poise.runtime.connectors.counts import Counts
+from poise.runtime.connectors.direct import direct_call
+from poise.runtime.turn import Retired, Turn, join_chain, new_chain
+from tests.runtime import reference
+
+LONG = 20.0
+
+
+class Callee:
+    """Has methods that go well, wrong, and on and on."""
+
+    def __init__(self) -> None:
+        self.facade: Any = None
+
+    def add(self, one: int, other: int = 1) -> int:
+        return one + other
+
+    def fail(self) -> None:
+        raise ValueError("no such wall")
+
+    def stop(self) -> None:
+        raise KeyboardInterrupt
+
+    def wait(self, event: threading.Event) -> None:
+        event.wait(LONG)
+
+    def again(self, depth: int) -> int:
+        """Call itself through its connector."""
+        return 0 if depth == 0 else 1 + int(self.facade(depth - 1))
+
+
+def translate(error: Exception) -> NoReturn:
+    raise CalleeError(type(error).__qualname__, str(error)) from error
+
+
+@pytest.fixture
+def turn() -> Turn:
+    made = Turn("callee")
+    made.open()
+    return made
+
+
+@pytest.fixture
+def counts() -> Counts:
+    return Counts()
+
+
+def test_calls_with_positions_and_names(turn: Turn, counts: Counts) -> None:
+    call = direct_call(Callee().add, turn, 1.0, counts)
+    assert call(1) == 2
+    assert call(1, 2) == 3
+    assert call(one=3, other=4) == 7
+    assert (counts.calls, counts.errors) == (3, 0)
+    assert counts.delay.summary().count == 3
+
+
+def test_wraps_what_the_callee_raised(turn: Turn, counts: Counts) -> None:
+    call = direct_call(Callee().fail, turn, 1.0, counts)
+    with pytest.raises(CalleeError, match="ValueError: no such wall") as caught:
+        call()
+    assert isinstance(caught.value.__cause__, ValueError)
+    assert "in fail" in caught.value.traceback
+    assert (counts.calls, counts.errors) == (1, 1)
+    turn.enter(new_chain(), 0)  # it was given back
+
+
+def test_wraps_a_wrong_argument_too(turn: Turn, counts: Counts) -> None:
+    call = direct_call(Callee().add, turn, 1.0, counts)
+    with pytest.raises(CalleeError, match="TypeError"):
+        call()
+
+
+def test_lets_an_interrupt_through(turn: Turn, counts: Counts) -> None:
+    call = direct_call(Callee().stop, turn, 1.0, counts)
+    with pytest.raises(KeyboardInterrupt):
+        call()
+    turn.enter(new_chain(), 0)
+
+
+def test_gives_up_when_the_callee_is_busy(turn: Turn, counts: Counts) -> None:
+    turn.enter(1, 0)
+    join_chain(2)
+    with pytest.raises(Timeout, match=r"'callee' was busy for 0\.01 s"):
+        direct_call(Callee().add, turn, 0.01, counts)(1)
+    assert (counts.calls, counts.errors) == (1, 1)
+
+
+def test_gives_up_a_result_that_comes_too_late(turn: Turn, counts: Counts) -> None:
+    def slow() -> None:
+        time.sleep(0.002)
+
+    with pytest.raises(Timeout, match=r"slow took 0\.0\d+ s, limit 0\.001 s"):
+        direct_call(slow, turn, 0.001, counts)()
+    assert (counts.calls, counts.errors) == (1, 1)
+
+
+def test_lets_a_chain_come_back(turn: Turn, counts: Counts) -> None:
+    callee = Callee()
+    callee.facade = direct_call(callee.again, turn, 1.0, counts)
+    assert callee.facade(20) == 20
+    assert counts.calls == 21
+
+
+def test_sends_a_call_on_when_the_callee_has_moved(turn: Turn, counts: Counts) -> None:
+    turn.retire()
+    call = direct_call(
+        Callee().add, turn, 1.0, counts, lambda one, other=1: ("there", one, other)
+    )
+    assert call(1, other=5) == ("there", 1, 5)
+    assert counts.calls == 0
+
+
+def test_sends_on_a_call_that_waits_while_the_callee_moves(
+    turn: Turn, counts: Counts
+) -> None:
+    turn.enter(1, 0)
+    call = direct_call(Callee().add, turn, LONG, counts, lambda _one: "there")
+    with ThreadPoolExecutor(1) as pool:
+        answer = pool.submit(call, 1)
+        turn.retire()
+        assert answer.result(LONG) == "there"
+
+
+def test_says_that_the_callee_moved_when_nobody_sends_on(
+    turn: Turn, counts: Counts
+) -> None:
+    turn.retire()
+    with pytest.raises(Retired):
+        direct_call(Callee().add, turn, 1.0, counts)(1)
+
+
+def test_refuses_what_is_no_turn(counts: Counts) -> None:
+    with pytest.raises(TypeError, match="a Turn and a Counts"):
+        _calls.DirectCall(len, object(), 1.0, counts, translate)  # type: ignore[arg-type]
+
+
+def test_is_freed_with_the_component_that_it_calls(turn: Turn, counts: Counts) -> None:
+    callee = Callee()
+    callee.facade = direct_call(callee.again, turn, 1.0, counts)
+    gone = weakref.ref(callee)
+    del callee
+    gc.collect()
+    assert gone() is None
+
+
+def test_counts_every_call_of_many_threads() -> None:
+    """Native and readable calls, re-entered and failing, all agree in their counts."""
+    native, readable = Counts(), reference.Counts()
+    for call, counts in (
+        (hammered(native, direct_call), native),
+        (hammered(readable, reference_call), readable),
+    ):
+        with ThreadPoolExecutor(6) as pool:
+            results = [pool.submit(hammer, call) for _ in range(6)]
+            failures = sum(result.result(LONG) for result in results)
+        # each of 6 x 1000 calls comes back once, and each hundredth fails
+        assert failures == 6 * 10
+        assert counts.calls == 6 * 1000 * 2
+        # the inner call fails, and so does the outer one that it fails in
+        assert counts.errors == 6 * 10 * 2
+        assert counts.delay.summary().count == counts.calls
+
+
+def hammered(counts: Any, make: Any) -> Any:
+    """Return a call to a callee that calls itself once, and fails now and then."""
+    turn = Turn("callee")
+    turn.open()
+
+    def method(number: int, depth: int) -> int:
+        if depth:
+            return int(call(number, 0))
+        if number % 100 == 0:
+            raise ValueError(number)
+        return number
+
+    call = make(method, turn, LONG, counts)
+    return call
+
+
+def reference_call(method: Any, turn: Any, limit: float, counts: Any) -> Any:
+    return reference.direct_call(method, turn, limit, counts, translate)
+
+
+def hammer(call: Any) -> int:
+    """Make a thousand calls, each a chain of its own; return how many failed."""
+    failures = 0
+    for number in range(1000):
+        join_chain(0)
+        try:
+            assert call(number, 1) == number
+        except CalleeError:
+            failures += 1
+    return failures
+
+
+def busy(seconds: float) -> None:
+    """Use CPU for about `seconds` [s]."""
+    end = time.thread_time() + seconds
+    while time.thread_time() < end:
+        pass
+
+
+def test_knows_the_cpu_time_of_long_calls(turn: Turn, counts: Counts) -> None:
+    call = direct_call(busy, turn, LONG, counts)
+    began = time.thread_time()
+    for _ in range(20):
+        call(0.002)
+    used = time.thread_time() - began
+    assert counts.cpu == pytest.approx(used, rel=0.1)
+
+
+def test_knows_about_the_cpu_time_of_bursts(turn: Turn, counts: Counts) -> None:
+    call = direct_call(sum, turn, LONG, counts)
+    numbers = list(range(100))
+    began = time.thread_time()
+    for _ in range(200_000):
+        call(numbers)
+    used = time.thread_time() - began
+    # the loop and the reading of clocks are the caller's own; one call in many is
+    # measured, and a busy machine blurs that
+    assert 0.2 * used < counts.cpu < 2 * used
+
+
+def test_does_not_take_waiting_for_cpu_time(turn: Turn, counts: Counts) -> None:
+    direct_call(time.sleep, turn, LONG, counts)(0.05)
+    assert counts.cpu < 0.02

@@ -1,0 +1,207 @@
+"""An outlet sends every message over exactly one of its paths, in order."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Protocol
+
+import pytest
+
+from poise import Message
+from poise.errors import RunError, Timeout, Unavailable
+from poise.runtime.connectors.interface import Method
+from poise.runtime.connectors.outlet import Facade, Outlet
+from poise.runtime.ports import Port
+
+LONG = 20.0
+
+
+class Note(Message):
+    number: int
+
+
+class Sums(Protocol):
+    def add(self, one: int) -> int: ...
+
+
+class FakePath:
+    """Remembers what goes over it."""
+
+    def __init__(self, *, ready: bool = True) -> None:
+        self.ready = ready
+        self.went: list[Any] = []
+        self.is_closed = False
+
+    def is_ready(self) -> bool:
+        return self.ready
+
+    def function(self, method: Method, outlet: Outlet) -> Callable[..., Any]:
+        def call(*args: Any, **kwargs: Any) -> Any:
+            if not self.ready:  # its target has moved
+                deadline = time.monotonic() + LONG
+                return outlet.again(self, method.name, args, kwargs, deadline)
+            return (self, *args)
+
+        return call
+
+    def push(self, _method: Method | None, value: object) -> int:
+        if not self.ready:
+            raise Unavailable("nobody there")
+        self.went.append(value)
+        return 1
+
+    def mark(self, number: int) -> None:
+        self.went.append(f"mark {number}")
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+@pytest.fixture
+def outlet() -> Outlet:
+    return Outlet("a.notes-b.notes", Port("notes", "publishes", Note), None, 0.05)
+
+
+@pytest.fixture
+def old(outlet: Outlet) -> FakePath:
+    path = FakePath()
+    outlet.add("old", path)
+    return path
+
+
+@pytest.fixture
+def new(outlet: Outlet, old: FakePath) -> FakePath:  # noqa: ARG001, the first is old
+    path = FakePath()
+    outlet.add("new", path)
+    return path
+
+
+def test_uses_the_first_path(outlet: Outlet, old: FakePath, new: FakePath) -> None:
+    outlet.send(1)
+    assert (old.went, new.went) == ([1], [])
+
+
+def test_a_mark_goes_behind_all_that_went(outlet: Outlet, old: FakePath) -> None:
+    outlet.send(1)
+    assert outlet.mark(7)
+    assert old.went == [1, "mark 7"]
+
+
+def test_no_mark_goes_to_nobody(outlet: Outlet) -> None:
+    assert not outlet.mark(7)
+    outlet.add("old", FakePath(ready=False))
+    assert not outlet.mark(7)
+
+
+@pytest.mark.parametrize("towards", ["old", "new"])
+def test_what_was_held_goes_one_way_in_order(
+    outlet: Outlet, old: FakePath, new: FakePath, towards: str
+) -> None:
+    outlet.send(1)
+    outlet.hold()
+    outlet.send(2)
+    outlet.send(3)
+    assert (old.went, new.went) == ([1], [])
+    outlet.release(towards)
+    outlet.send(4)
+    expected = {"old": ([1, 2, 3, 4], []), "new": ([1], [2, 3, 4])}
+    assert (old.went, new.went) == expected[towards]
+
+
+@pytest.mark.parametrize(("kept", "gone"), [("old", "new"), ("new", "old")])
+def test_what_was_held_goes_where_one_way_is_left(
+    outlet: Outlet, old: FakePath, new: FakePath, kept: str, gone: str
+) -> None:
+    """As when the order to release was lost."""
+    outlet.hold()
+    outlet.send(1)
+    outlet.remove(gone)
+    outlet.send(2)
+    went = {"old": old, "new": new}
+    assert went[kept].went == [1, 2]
+    assert went[gone].went == []
+    assert went[gone].is_closed
+
+
+@pytest.mark.usefixtures("old")
+def test_does_not_hold_when_no_move_goes_on(outlet: Outlet) -> None:
+    """As when the order to hold comes after the move is over."""
+    with pytest.raises(RunError, match="nothing to hold messages for"):
+        outlet.hold()
+
+
+def test_does_not_release_to_nowhere(
+    outlet: Outlet, old: FakePath, new: FakePath
+) -> None:
+    outlet.hold()
+    outlet.send(1)
+    with pytest.raises(Unavailable, match="has no path nowhere"):
+        outlet.release("nowhere")
+    assert (old.went, new.went) == ([], [])
+
+
+def test_a_publisher_waits_while_too_much_is_held(
+    outlet: Outlet, new: FakePath, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("poise.runtime.connectors.outlet.MOST_HELD", 2)
+    outlet.hold()
+    for number in range(3):
+        outlet.send(number)  # the third waits for the outlet's limit, and is lost
+    assert outlet.counts.drops == 1
+    outlet.release("new")
+    assert new.went == [0, 1]
+
+
+def test_what_does_not_go_out_is_counted(outlet: Outlet) -> None:
+    outlet.send(1)
+    outlet.add("old", FakePath(ready=False))
+    outlet.send(2)
+    assert (outlet.counts.drops, outlet.counts.messages) == (2, 0)
+
+
+@pytest.fixture
+def calling() -> tuple[Outlet, Any]:
+    facade: Any = Facade()
+    outlet = Outlet("a.sums-b.sums", Port("sums", "requires", Sums), facade, 0.05)
+    return outlet, facade
+
+
+def test_a_call_that_was_not_run_goes_where_the_target_is_now(
+    calling: tuple[Outlet, Any],
+) -> None:
+    outlet, facade = calling
+    old, new = FakePath(ready=False), FakePath()
+    outlet.add("old", old)
+    outlet.add("new", new)
+    begun = threading.Event()
+
+    def call() -> Any:
+        begun.set()
+        return facade.add(1)
+
+    with ThreadPoolExecutor() as pool:
+        result = pool.submit(call)
+        assert begun.wait(LONG)
+        outlet.release("new")
+        assert result.result(LONG) == (new, 1)
+
+
+def test_a_call_does_not_wait_for_ever_for_its_target(
+    calling: tuple[Outlet, Any],
+) -> None:
+    outlet, _ = calling
+    path = FakePath()
+    outlet.add("old", path)
+    with pytest.raises(Timeout, match="its target did not come back"):
+        outlet.again(path, "add", (1,), {}, time.monotonic())
+
+
+def test_without_a_path_calls_are_unavailable(calling: tuple[Outlet, Any]) -> None:
+    outlet, facade = calling
+    outlet.add("old", FakePath())
+    outlet.remove("old")
+    with pytest.raises(Unavailable, match=r"'a.sums-b.sums' is not connected"):
+        facade.add(1)

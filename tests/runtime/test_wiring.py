@@ -1,0 +1,269 @@
+"""The same component code over every kind of connector: it cannot tell them apart."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any, Protocol
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from poise import Component, Message, Provided, Published, Required, oneway, subscribed
+from poise.errors import CalleeError, Timeout, Unavailable
+from poise.wire.codec import WireError
+
+from .conftest import LIMIT, Pair, every_kind, wait_until
+
+
+class Scan(Message):
+    number: int
+    ranges: NDArray[np.float32]
+
+
+class Sums(Protocol):
+    def add(self, one: int, two: int = 10) -> int: ...
+
+    def mean(self, scan: Scan) -> float: ...
+
+    def echo(self, scan: Scan) -> Scan: ...
+
+    def fail(self, why: str) -> None: ...
+
+    def wait(self) -> None: ...
+
+    @oneway
+    def note(self, text: str) -> None: ...
+
+
+class Target(Component):
+    sums: Provided[Sums]
+
+    def configure(self) -> None:
+        self.heard: list[Any] = []
+        self.came = threading.Condition()
+        self.go_on = threading.Event()
+
+    def add(self, one: int, two: int = 10) -> int:
+        return one + two
+
+    def mean(self, scan: Scan) -> float:
+        return float(scan.ranges.mean())
+
+    def echo(self, scan: Scan) -> Scan:
+        return scan
+
+    def fail(self, why: str) -> None:
+        raise LookupError(why)
+
+    def wait(self) -> None:
+        self.go_on.wait(LIMIT)
+
+    def note(self, text: str) -> None:
+        self._hear(text)
+
+    @subscribed(block=4)
+    def scan(self, message: Scan) -> None:
+        self._hear(message)
+
+    def _hear(self, what: object) -> None:
+        with self.came:
+            self.heard.append(what)
+            self.came.notify_all()
+
+    def wait_for(self, count: int) -> list[Any]:
+        with self.came:
+            assert self.came.wait_for(lambda: len(self.heard) >= count, LIMIT)
+            return self.heard
+
+
+class Source(Component):
+    sums: Required[Sums]
+    scan: Published[Scan]
+
+
+def start(pair: Pair, *ports: str, limit: float = LIMIT) -> tuple[Source, Target]:
+    target, source = pair.run("target", Target), pair.run("source", Source)
+    for port in ports:
+        pair.join(port, limit=limit)
+    pair.activate()
+    return source, target
+
+
+def scan(number: int = 1) -> Scan:
+    return Scan(number, np.arange(4, dtype=np.float32))
+
+
+@every_kind
+def test_calls_bring_back_results(pair: Pair) -> None:
+    source, _ = start(pair, "sums")
+    assert source.sums.add(1, 2) == 3
+    assert source.sums.add(1) == 11
+    assert source.sums.add(two=5, one=1) == 6
+
+
+@every_kind
+def test_arrays_go_there_and_back(pair: Pair) -> None:
+    source, _ = start(pair, "sums")
+    assert source.sums.mean(scan()) == 1.5
+    back = source.sums.echo(scan(7))
+    assert back.number == 7
+    np.testing.assert_array_equal(back.ranges, scan().ranges)
+
+
+@every_kind
+def test_what_the_callee_raises_comes_back_with_its_traceback(pair: Pair) -> None:
+    source, _ = start(pair, "sums")
+    with pytest.raises(CalleeError, match="LookupError: no such") as caught:
+        source.sums.fail("no such")
+    assert caught.value.type_name == "LookupError"
+    assert caught.value.message == "no such"
+    assert "raise LookupError(why)" in caught.value.traceback
+
+
+@every_kind
+def test_a_call_that_cannot_be_made_is_the_callers_error(pair: Pair) -> None:
+    source, _ = start(pair, "sums")
+    with pytest.raises((TypeError, CalleeError)):
+        source.sums.add(1, 2, 3)  # type: ignore[call-arg]
+
+
+@every_kind
+def test_a_call_to_a_busy_component_times_out(pair: Pair) -> None:
+    source, target = start(pair, "sums", limit=0.1)
+    target_runner = pair.runners["target", 0]
+    target_runner.turn.shut(LIMIT)  # as when another chain is inside
+    with pytest.raises(Timeout):
+        source.sums.add(1, 2)
+    target_runner.turn.open()
+    assert source.sums.add(1, 2) == 3
+    target.go_on.set()
+
+
+@every_kind
+def test_without_a_connector_calls_are_unavailable(pair: Pair) -> None:
+    source, _ = start(pair)
+    with pytest.raises(Unavailable, match=r"source\.sums"):
+        source.sums.add(1, 2)
+
+
+@every_kind
+def test_when_the_connector_is_gone_calls_are_unavailable(pair: Pair) -> None:
+    source, _ = start(pair, "sums")
+    pair.sides["source"].close()
+    with pytest.raises(Unavailable):
+        source.sums.add(1, 2)
+
+
+@every_kind
+def test_one_way_calls_keep_their_order(pair: Pair) -> None:
+    source, target = start(pair, "sums")
+    sent = [f"note {n}" for n in range(50)]
+    for text in sent:
+        source.sums.note(text)
+    assert target.wait_for(50) == sent
+
+
+@every_kind
+def test_messages_keep_their_order_and_block_when_asked(pair: Pair) -> None:
+    source, target = start(pair, "scan")
+    for number in range(50):  # the queue holds four
+        source.scan.publish(scan(number))
+    assert [m.number for m in target.wait_for(50)] == list(range(50))
+    np.testing.assert_array_equal(target.heard[9].ranges, scan().ranges)
+
+
+@every_kind
+def test_publishing_to_nobody_is_no_error(pair: Pair) -> None:
+    source, _ = start(pair)
+    source.scan.publish(scan())
+
+
+@every_kind
+def test_a_message_that_finds_no_room_is_dropped_and_counted(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("poise.runtime.runner._PATIENCE", 0.01)
+    source, _ = start(pair, "scan")
+    pair.runners["target", 0].turn.shut(LIMIT)
+    for number in range(8):  # room is for four
+        source.scan.publish(scan(number))
+    wait_until(lambda: pair.drops() == 4)
+    pair.runners["target", 0].turn.open()
+
+
+@every_kind
+def test_a_source_that_was_started_anew_is_heard(pair: Pair) -> None:
+    source, target = start(pair, "scan")
+    for number in range(3):
+        source.scan.publish(scan(number))
+    target.wait_for(3)
+    again = pair.start_source_anew(Source)
+    again.scan.publish(scan(99))
+    assert [m.number for m in target.wait_for(4)] == [0, 1, 2, 99]
+
+
+@every_kind
+def test_both_ends_count(pair: Pair) -> None:
+    source, _ = start(pair, "sums")
+    for _ in range(3):
+        source.sums.add(1, 2)
+    (ends,) = pair.sides["source"].status()
+    assert (ends.kind, ends.calls, ends.errors) == (pair.kind, 3, 0)
+    assert ends.delay.count == 3
+    assert (ends.bytes > 0) is (pair.kind != "direct")
+
+
+@pytest.mark.parametrize("pair", ["local", "remote"], indirect=True)
+def test_received_arrays_cannot_be_changed(pair: Pair) -> None:
+    source, _ = start(pair, "sums")
+    with pytest.raises(ValueError, match="read-only"):
+        source.sums.echo(scan()).ranges[0] = 1
+
+
+@pytest.mark.parametrize("pair", ["local", "remote"], indirect=True)
+def test_what_cannot_cross_is_refused_where_it_is_sent(pair: Pair) -> None:
+    source, _ = start(pair, "sums")
+    with pytest.raises(WireError, match="object cannot cross"):
+        source.sums.add(object(), 2)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("pair", ["local", "remote"], indirect=True)
+def test_a_caller_that_gave_up_does_not_enter_a_second_time(pair: Pair) -> None:
+    source, target = start(pair, "sums", limit=0.1)
+    with pytest.raises(Timeout):
+        source.sums.wait()
+    with pytest.raises(Timeout):
+        source.sums.add(1, 2)  # `wait` still runs, on behalf of this very chain
+    target.go_on.set()
+    wait_until(lambda: _answers(source))
+
+
+def _answers(source: Source) -> bool:
+    try:
+        return source.sums.add(1, 2) == 3
+    except Timeout:
+        return False
+
+
+class Ping(Protocol):
+    def count(self, left: int) -> int: ...
+
+
+class PingPong(Component):
+    """Calls the other, which calls back, until nothing is left."""
+
+    ping: Required[Ping]
+    pong: Provided[Ping]
+
+    def count(self, left: int) -> int:
+        return 0 if not left else 1 + self.ping.count(left - 1)
+
+
+@every_kind
+def test_a_chain_of_calls_may_come_back(pair: Pair) -> None:
+    one, _ = pair.run("source", PingPong), pair.run("target", PingPong)
+    pair.join("ping", "pong")
+    pair.join_back("ping", "pong")
+    pair.activate()
+    assert one.ping.count(7) == 7
