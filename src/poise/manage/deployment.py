@@ -1,0 +1,208 @@
+"""From where components run to what each computer is told. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import PurePath
+
+from msgspec import Struct, structs
+
+from poise.model.robot import Architecture, Component, Connector, Robot
+from poise.wire.messages import (
+    ComponentSpec,
+    ConnectorKind,
+    ConnectorSpec,
+    ContainerSpec,
+    Deployment,
+    Goal,
+)
+
+FILLS_INTERPRETER = 0.5
+"""A component with a larger CPU demand [cores] gets a container of its own: threads of
+one Python process share one core."""
+
+Placement = Mapping[str, str]
+
+
+class Incarnation(Struct, frozen=True, kw_only=True):
+    """A component on a computer. While it moves or is replaced there are two.
+
+    Parameters
+    ----------
+    epoch
+        Tells the incarnations of a component apart; the later one has the higher.
+    implementation
+        Instead of the robot file's; empty: that one.
+    adapt
+        ``package.module:function`` that turns the state of the implementation before
+        into one for this; empty: it is the same.
+    """
+
+    component: str
+    computer: str
+    epoch: int = 0
+    goal: Goal = "active"
+    implementation: str = ""
+    adapt: str = ""
+
+    def with_goal(self, goal: Goal) -> Incarnation:
+        """Return the same with another goal."""
+        return structs.replace(self, goal=goal)
+
+
+class Layout:
+    """Which containers and connectors a robot's components have.
+
+    Parameters
+    ----------
+    folder
+        The run's folder, to which devices' paths are relative.
+    weigh
+        Whether the sizes of snapshots are taken as components are deactivated.
+    """
+
+    def __init__(self, robot: Robot, folder: str, *, weigh: bool = False) -> None:
+        self._robot = robot
+        self._weigh = weigh
+        self._folder = folder
+        self._containers = {
+            component.name: _container(architecture, component)
+            for architecture in robot.architectures
+            for component in architecture.components
+        }
+        self._components = {c.name: c for c in robot.components()}
+        # command-line components speak by their own means: nothing is joined to them
+        commands = {c.name for c in robot.components() if c.command}
+        self._joinable = [
+            connector
+            for connector in robot.all_connectors()
+            if commands.isdisjoint(end.component for end in connector.between)
+        ]
+
+    def container_of(self, component: str) -> str:
+        """Return the name of a component's container, the same on every computer."""
+        return self._containers[component]
+
+    def specs(
+        self, incarnations: Iterable[Incarnation], generation: int
+    ) -> dict[str, Deployment]:
+        """Return what should run on each computer, by its name."""
+        placed = tuple(incarnations)
+        containers: dict[str, list[ContainerSpec]] = {
+            computer.name: [] for computer in self._robot.computers
+        }
+        for (computer, container), inside in self._by_container(placed).items():
+            containers[computer].append(
+                ContainerSpec(
+                    name=container,
+                    folder=self._robot.folder,
+                    components=tuple(map(self._component, inside)),
+                    connectors=tuple(self._connectors(inside, placed)),
+                )
+            )
+        return {
+            computer: Deployment(generation=generation, containers=tuple(specs))
+            for computer, specs in containers.items()
+        }
+
+    def into(self, component: str, placed: Iterable[str]) -> list[Connector]:
+        """Return the connectors from placed components to `component`."""
+        there = set(placed)
+        return [
+            connector
+            for connector in self._joinable
+            if connector.between[1].component == component
+            and connector.between[0].component in there
+        ]
+
+    def out_of(self, component: str, placed: Iterable[str]) -> list[Connector]:
+        """Return the connectors from `component` to placed components."""
+        there = set(placed)
+        return [
+            connector
+            for connector in self._joinable
+            if connector.between[0].component == component
+            and connector.between[1].component in there
+        ]
+
+    def joined(
+        self, connector: Connector, source: Incarnation, target: Incarnation
+    ) -> ConnectorSpec:
+        """Return a connector between two incarnations."""
+        container = self._containers[target.component]
+        kind: ConnectorKind = "direct"
+        if source.computer != target.computer:
+            kind = "remote"
+        elif self._containers[source.component] != container:
+            kind = "local"
+        first, second = connector.between
+        return ConnectorSpec(
+            name=name_of(connector),
+            kind=kind,
+            source=source.component,
+            source_epoch=source.epoch,
+            source_port=first.port,
+            target=target.component,
+            target_epoch=target.epoch,
+            target_port=second.port,
+            address=container if kind == "local" else "",
+            limit=connector.limit,
+        )
+
+    def _by_container(
+        self, placed: tuple[Incarnation, ...]
+    ) -> dict[tuple[str, str], list[Incarnation]]:
+        groups: dict[tuple[str, str], list[Incarnation]] = {}
+        for each in placed:
+            key = (each.computer, self._containers[each.component])
+            groups.setdefault(key, []).append(each)
+        return groups
+
+    def _component(self, incarnation: Incarnation) -> ComponentSpec:
+        component = self._components[incarnation.component]
+        return ComponentSpec(
+            name=component.name,
+            epoch=incarnation.epoch,
+            goal=incarnation.goal,
+            implementation=incarnation.implementation or component.implementation,
+            command=component.command,
+            adapt=incarnation.adapt,
+            parameters=component.parameters,
+            devices={
+                name: str(PurePath(self._folder) / self._robot.device(name).path)
+                for name in component.devices
+            },
+            weigh=self._weigh,
+        )
+
+    def _connectors(
+        self, inside: list[Incarnation], placed: tuple[Incarnation, ...]
+    ) -> Iterator[ConnectorSpec]:
+        """Yield the connectors with an end at one of `inside`."""
+        by_name: dict[str, list[Incarnation]] = {}
+        for each in placed:
+            by_name.setdefault(each.component, []).append(each)
+        for connector in self._joinable:
+            first, second = connector.between
+            for source in by_name.get(first.component, ()):
+                for target in by_name.get(second.component, ()):
+                    strangers = (
+                        source.component == target.component
+                        and source.epoch != target.epoch
+                    )
+                    if not strangers and (source in inside or target in inside):
+                        yield self.joined(connector, source, target)
+
+
+def name_of(connector: Connector) -> str:
+    """Return the name that a connector has at run time."""
+    source, target = connector.between
+    return f"{source}-{target}"
+
+
+def _container(architecture: Architecture, component: Component) -> str:
+    alone = component.isolated or component.command
+    if alone or component.demand.get("cpu", 0.0) > FILLS_INTERPRETER:
+        # no name has a dot in it, so no two containers have the same name
+        return f"{architecture.name}.{component.name}"
+    return architecture.name

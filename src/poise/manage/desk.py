@@ -1,0 +1,199 @@
+"""Where a running robot is asked for things: `poise status`, `move`, `replace`, `stop`.
+
+A socket in the user's runtime folder, one record there and one back. The manager's
+own thread answers, between two looks at the robot: nothing happens at the same time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from msgspec import Struct
+
+from poise.errors import PoiseError, RunError, UsageError
+from poise.manage.estimates import Standing
+from poise.manage.move import MoveReport
+from poise.wire import control, stream
+from poise.wire.codec import WireError
+from poise.wire.messages import AgentStatus
+
+ANSWER_LIMIT = 60.0
+"""The manager answers within this time [s]; moves of large states take the longest."""
+
+
+class AskStatus(Struct, frozen=True, tag=True):
+    """Tell how the robot is."""
+
+
+class AskMove(Struct, frozen=True, tag=True):
+    """Move a component."""
+
+    component: str
+    computer: str
+
+
+class AskReplace(Struct, frozen=True, tag=True):
+    """Swap a component's implementation; `adapt` maps its state."""
+
+    component: str
+    implementation: str
+    adapt: str = ""
+
+
+class AskStop(Struct, frozen=True, tag=True):
+    """Stop the robot."""
+
+
+class Asked(Struct, frozen=True):
+    """What is asked."""
+
+    what: AskStatus | AskMove | AskReplace | AskStop
+
+
+class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
+    """How the robot is: where components run, and what the agents said last.
+
+    `standings` say what components need now, against what their profile says.
+    """
+
+    robot: str
+    task: str
+    placement: Mapping[str, str]
+    computers: Mapping[str, AgentStatus]
+    lost: tuple[str, ...] = ()
+    standings: tuple[Standing, ...] = ()
+
+
+class Stopping(Struct, frozen=True, tag=True):
+    """The robot stops."""
+
+
+class Moved(Struct, frozen=True, tag=True):
+    """What came of a move or replacement."""
+
+    report: MoveReport
+
+
+class Refusal(Struct, frozen=True, tag=True):
+    """It was not done, and why."""
+
+    reason: str
+
+
+class Answered(Struct, frozen=True):
+    """What is answered."""
+
+    what: RobotStatus | Stopping | Moved | Refusal
+
+
+class Desk:
+    """The manager's side.
+
+    Raises
+    ------
+    UsageError
+        A robot of this name runs already.
+    RunError
+        The folder for its socket is another user's.
+    """
+
+    def __init__(self, robot: str) -> None:
+        self._path = _path_of(robot)
+        folder = self._path.parent
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if folder.stat().st_uid != os.getuid():
+            raise RunError(
+                f"{folder} is another user's: set XDG_RUNTIME_DIR to a folder of yours"
+            )
+        if _is_alive(self._path):
+            raise UsageError(f"robot '{robot}' runs already; `poise stop` ends it")
+        self._path.unlink(missing_ok=True)
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._listener.bind(os.fspath(self._path))
+        self._listener.listen(8)
+
+    def serve(self, answer: Callable[[Asked], Answered], limit: float) -> None:
+        """Answer one asker if one comes within `limit` [s]; it may raise PoiseError."""
+        ready, _, _ = select.select([self._listener], [], [], limit)
+        if not ready:
+            return
+        connection, _ = self._listener.accept()
+        with connection, contextlib.suppress(WireError, RunError):
+            stream.set_limit(connection, control.LIMIT)
+            asked = control.receive(connection, Asked)
+            try:
+                answered = answer(asked)
+            except PoiseError as error:
+                answered = Answered(Refusal(str(error)))
+            control.send(connection, answered)
+
+    def close(self) -> None:
+        """Be asked no more."""
+        self._listener.close()
+        self._path.unlink(missing_ok=True)
+
+
+def ask(
+    robot: str | None, what: AskStatus | AskMove | AskReplace | AskStop
+) -> RobotStatus | Stopping | Moved:
+    """Ask the manager of a running robot.
+
+    Parameters
+    ----------
+    robot
+        Its name; None when only one runs.
+
+    Raises
+    ------
+    UsageError
+        No such robot runs, or several do and none is named; or the manager refuses.
+    RunError
+        The manager does not answer.
+    """
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
+        stream.set_limit(connection, ANSWER_LIMIT)
+        connection.connect(os.fspath(_find(robot)))
+        control.send(connection, Asked(what))
+        answered = control.receive(connection, Answered).what
+    if isinstance(answered, Refusal):
+        raise UsageError(answered.reason)
+    return answered
+
+
+def _folder() -> Path:
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    if runtime:
+        return Path(runtime) / "poise"
+    return Path(tempfile.gettempdir()) / f"poise-{os.getuid()}"
+
+
+def _path_of(robot: str) -> Path:
+    return _folder() / f"{robot}.sock"
+
+
+def _find(robot: str | None) -> Path:
+    running = {p.stem: p for p in sorted(_folder().glob("*.sock")) if _is_alive(p)}
+    if robot is None and len(running) == 1:
+        return next(iter(running.values()))
+    if robot in running:
+        return running[robot]
+    names = ", ".join(running) or "none"
+    if robot is None and running:
+        raise UsageError(f"several robots run ({names}): name one with --robot")
+    which = f"robot '{robot}' does not run" if robot else "no robot runs"
+    raise UsageError(f"{which} here (running: {names}); `poise up FILE` starts one")
+
+
+def _is_alive(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        try:
+            probe.connect(os.fspath(path))
+        except OSError:
+            return False
+        return True

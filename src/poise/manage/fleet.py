@@ -1,0 +1,247 @@
+"""The robot's agents as the manager sees them: what they say, whether they live."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Iterable, Mapping
+from typing import Self
+
+import msgspec
+import zenoh
+
+from poise.clock import Clock
+from poise.errors import RunError
+from poise.wire.messages import (
+    Accepted,
+    AgentStatus,
+    Answer,
+    Deployment,
+    Done,
+    Failed,
+    Order,
+    Outcome,
+    Refused,
+    Request,
+)
+from poise.wire.remote import open_session
+from poise.wire.samples import AgentSample
+
+log = logging.getLogger(__name__)
+
+MARGIN = 0.1
+"""An agent's answer to an order may come so much after the order's limit [s]."""
+_LOOK = 0.1
+ANSWER_LIMIT = 2.0
+"""An agent answers a deployment within this time [s]."""
+
+
+class Fleet:
+    """The agents of one robot. Use it as a context manager.
+
+    Parameters
+    ----------
+    robot
+        The robot's name.
+    endpoints
+        Computer -> zenoh endpoint of its agent.
+    on_sample
+        Called with every sample, on zenoh's thread; must not block.
+    """
+
+    def __init__(
+        self,
+        robot: str,
+        endpoints: Mapping[str, str],
+        clock: Clock,
+        on_sample: Callable[[AgentSample], object] | None = None,
+    ) -> None:
+        self._prefix = f"poise/{robot}"
+        self._clock = clock
+        self._changed = threading.Condition()
+        self._statuses: dict[str, AgentStatus] = {}
+        self._alive: set[str] = set()
+        self._lost: set[str] = set()
+        # no gossip: the manager talks to agents alone, not to every container
+        self._session = open_session(
+            connect=tuple(endpoints.values()), gossip=False, lease=1.0
+        )
+        self._declared = [
+            self._session.declare_subscriber(
+                f"{self._prefix}/status/*", self._on_status
+            ),
+            self._session.liveliness().declare_subscriber(
+                f"{self._prefix}/alive/*", self._on_alive, history=True
+            ),
+        ]
+        if on_sample is not None:
+            decoder = msgspec.msgpack.Decoder(AgentSample)
+            self._declared.append(
+                self._session.declare_subscriber(
+                    f"{self._prefix}/samples/*",
+                    lambda sample: on_sample(decoder.decode(sample.payload.to_bytes())),
+                )
+            )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the agents as they are."""
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def statuses(self) -> dict[str, AgentStatus]:
+        """Return what each agent said last, by computer."""
+        with self._changed:
+            return dict(self._statuses)
+
+    def lost(self) -> frozenset[str]:
+        """Return the computers whose agents were there and are no more."""
+        with self._changed:
+            return frozenset(self._lost)
+
+    def wait_alive(
+        self,
+        computers: Iterable[str],
+        limit: float,
+        check: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Wait until the agents of all `computers` are there and said how they are.
+
+        Parameters
+        ----------
+        check
+            Called now and then; may raise to end the waiting.
+
+        Raises
+        ------
+        RunError
+            One was not there within `limit` [s].
+        """
+        wanted, deadline = set(computers), self._clock.now() + limit
+        while not self._wait(lambda: wanted <= self._there(), _LOOK):
+            check()
+            if self._clock.now() < deadline:
+                continue
+            missing = ", ".join(sorted(wanted - self._there()))
+            raise RunError(
+                f"no agent answered within {limit:g} s on: {missing}. Is `poise agent` "
+                "running there, and can this computer reach it?"
+            )
+
+    def wait_news(self, is_enough: Callable[[], bool], limit: float) -> bool:
+        """Wait until `is_enough` says so, asked at every news; whether it did.
+
+        `is_enough` may raise to end the waiting; `limit` is in [s].
+        """
+        return self._wait(is_enough, limit)
+
+    def deploy(self, deployments: Mapping[str, Deployment]) -> dict[str, str]:
+        """Tell agents what should run, all at once; by computer.
+
+        Returns
+        -------
+        Computer -> why its agent did not take it within `ANSWER_LIMIT`; empty when all
+        did.
+        """
+        asked = [
+            (computer, self._ask(computer, deployment, ANSWER_LIMIT))
+            for computer, deployment in deployments.items()
+        ]
+        refusals = {computer: _refusal(replies) for computer, replies in asked}
+        return {
+            computer: f"the agent of '{computer}' {refusal}"
+            for computer, refusal in refusals.items()
+            if refusal
+        }
+
+    def order(self, orders: Iterable[tuple[str, Order]]) -> list[Outcome]:
+        """Tell containers to take steps, all at once; return what came of each.
+
+        Parameters
+        ----------
+        orders
+            Computers and orders. An agent that does not answer counts as failed.
+        """
+        asked = [
+            (computer, order, self._ask(computer, order, order.limit + MARGIN))
+            for computer, order in orders
+        ]
+        return [
+            _outcome(computer, order, replies) for computer, order, replies in asked
+        ]
+
+    def _ask(
+        self, computer: str, request: Request, limit: float
+    ) -> Iterable[zenoh.Reply]:
+        return self._session.get(
+            f"{self._prefix}/agent/{computer}",
+            payload=msgspec.msgpack.encode(request),
+            timeout=limit,
+        )
+
+    def _wait(self, is_enough: Callable[[], bool], limit: float) -> bool:
+        with self._changed:
+            return self._changed.wait_for(is_enough, limit)
+
+    def _there(self) -> set[str]:
+        return self._alive & self._statuses.keys()
+
+    def _on_status(self, sample: zenoh.Sample) -> None:
+        try:
+            status = msgspec.msgpack.decode(sample.payload.to_bytes(), type=AgentStatus)
+        except msgspec.DecodeError as error:
+            log.warning("%s: refused: %s", sample.key_expr, error)
+            return
+        with self._changed:
+            self._statuses[status.computer] = status
+            self._changed.notify_all()
+
+    def _on_alive(self, sample: zenoh.Sample) -> None:
+        computer = str(sample.key_expr).rpartition("/")[2]
+        with self._changed:
+            if sample.kind == zenoh.SampleKind.PUT:
+                self._alive.add(computer)
+                self._lost.discard(computer)
+            elif computer in self._alive:
+                self._alive.discard(computer)
+                self._lost.add(computer)
+            self._changed.notify_all()
+
+
+def _decoded(sample: zenoh.Sample) -> Accepted | Refused | Done | Failed:
+    """Return an agent's answer; `Refused` when it is none."""
+    try:
+        answer: Accepted | Refused | Done | Failed = msgspec.msgpack.decode(
+            sample.payload.to_bytes(), type=Answer
+        )
+    except msgspec.DecodeError as error:
+        return Refused(f"not an answer: {error}")
+    return answer
+
+
+def _refusal(replies: Iterable[zenoh.Reply]) -> str:
+    """Return why an agent did not take a deployment; empty when it did."""
+    for reply in replies:
+        if reply.ok is None:
+            continue
+        answer = _decoded(reply.ok)
+        if isinstance(answer, Accepted):
+            return ""
+        why = answer.reason if isinstance(answer, Refused) else str(answer)
+        return f"refused: {why}"
+    return f"did not answer within {ANSWER_LIMIT:g} s"
+
+
+def _outcome(computer: str, order: Order, replies: Iterable[zenoh.Reply]) -> Outcome:
+    for reply in replies:
+        if reply.ok is None:
+            continue
+        answer = _decoded(reply.ok)
+        if isinstance(answer, Done | Failed):
+            return answer
+        return Failed(order.number, f"the agent of '{computer}' answered {answer}")
+    return Failed(order.number, f"the agent of '{computer}' did not answer")

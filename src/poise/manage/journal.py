@@ -1,0 +1,65 @@
+"""Every decision of the manager, and what came of it, in an SQLite file."""
+
+from __future__ import annotations
+
+import sqlite3
+import time
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from msgspec import Struct
+
+_SCHEMA = """
+CREATE TABLE IF NOT EXISTS entries (
+    id INTEGER PRIMARY KEY,
+    at REAL NOT NULL,     -- seconds since the epoch
+    kind TEXT NOT NULL,   -- seen, decided, done, failed
+    what TEXT NOT NULL,   -- one sentence for people
+    facts TEXT NOT NULL   -- JSON for machines
+)
+"""
+
+
+class Entry(Struct, frozen=True):
+    """A line of the journal; `at` in seconds since the epoch."""
+
+    at: float
+    kind: str
+    what: str
+    facts: Any
+
+
+class Journal:
+    """Written by the manager's thread; any program may read it meanwhile.
+
+    Parameters
+    ----------
+    path
+        The file; made when it is not there. ``:memory:`` keeps it in memory.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self._database = sqlite3.connect(path, isolation_level=None, timeout=1.0)
+        self._database.execute("PRAGMA journal_mode=WAL")
+        self._database.execute("PRAGMA synchronous=NORMAL")
+        self._database.execute(_SCHEMA)
+
+    def note(self, kind: str, what: str, **facts: object) -> None:
+        """Add a line: `what` for people, `facts` for machines."""
+        text = msgspec.json.encode(facts).decode()
+        self._database.execute(
+            "INSERT INTO entries (at, kind, what, facts) VALUES (?, ?, ?, ?)",
+            (time.time(), kind, what, text),
+        )
+
+    def entries(self) -> list[Entry]:
+        """Return all lines, oldest first."""
+        rows = self._database.execute(
+            "SELECT at, kind, what, facts FROM entries ORDER BY id"
+        )
+        return [Entry(at, k, what, msgspec.json.decode(f)) for at, k, what, f in rows]
+
+    def close(self) -> None:
+        """Close the file."""
+        self._database.close()

@@ -1,0 +1,254 @@
+"""A robot's components, running: started, watched, moved, stopped.
+
+It believes only what agents observed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+
+from poise.errors import RunError
+from poise.manage.deployment import Incarnation, Layout, Placement
+from poise.manage.fleet import Fleet
+from poise.manage.journal import Journal
+from poise.model.robot import Robot
+from poise.wire.messages import (
+    AgentStatus,
+    ComponentStatus,
+    ConnectorStatus,
+    Deployment,
+    Goal,
+)
+
+READY_LIMIT = 20.0
+"""All components are configured and all connectors joined within this time [s]."""
+ACTIVE_LIMIT = 10.0
+STOP_LIMIT = 5.0
+
+
+class Run:
+    """The components of a task on the robot's computers.
+
+    Parameters
+    ----------
+    placement
+        Component -> computer.
+    folder
+        The run's folder, to which devices' paths are relative.
+    weigh
+        Whether the sizes of snapshots are taken as components are deactivated.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        placement: Placement,
+        fleet: Fleet,
+        journal: Journal,
+        folder: str,
+        *,
+        weigh: bool = False,
+    ) -> None:
+        self.robot = robot
+        self.fleet = fleet
+        self.journal = journal
+        self.layout = Layout(robot, folder, weigh=weigh)
+        self._epochs: dict[str, int] = {}
+        self.placed = {
+            name: Incarnation(
+                component=name, computer=computer, epoch=self.next_epoch(name)
+            )
+            for name, computer in placement.items()
+        }
+        self._generation = 0
+        self._told: dict[str, Deployment] = {}
+
+    def start(self) -> None:
+        """Start everything, all inactive first, then active.
+
+        Raises
+        ------
+        RunError
+            A component failed, a computer was lost, or a limit passed; its message
+            names the component and holds its traceback.
+        """
+        self.reach("inactive", READY_LIMIT)
+        self.reach("active", ACTIVE_LIMIT)
+        self.journal.note("done", "everything runs", placement=self.placement())
+
+    def placement(self) -> dict[str, str]:
+        """Return component -> computer, as it is now."""
+        return {name: each.computer for name, each in self.placed.items()}
+
+    def watch(self, seconds: float) -> None:
+        """Let it run for `seconds` [s].
+
+        Raises
+        ------
+        RunError
+            A component failed or a computer was lost.
+        """
+        self.fleet.wait_news(self._raise_on_trouble, seconds)
+
+    def stop(self) -> None:
+        """Stop everything; agents that are gone are left out.
+
+        Raises
+        ------
+        RunError
+            Something still ran after `STOP_LIMIT`.
+        """
+        left = self.computers()
+        self.tell((), left)
+        if not self.fleet.wait_news(lambda: self._is_empty(left), STOP_LIMIT):
+            raise RunError(f"containers still ran {STOP_LIMIT:g} s after the stop")
+        self.journal.note("done", "everything stopped")
+
+    def reach(self, goal: Goal, limit: float) -> None:
+        """Bring every component to a goal within `limit` [s]; `start` says the rest."""
+        wanted = [each.with_goal(goal) for each in self.placed.values()]
+        self.tell(wanted, self.computers())
+        self.wait(wanted, limit)
+        self.journal.note("done", f"all components are {goal}")
+
+    def tell(self, wanted: Iterable[Incarnation], computers: Iterable[str]) -> None:
+        """Tell the agents of `computers` what should run, where that has changed.
+
+        Raises
+        ------
+        RunError
+            An agent refused or did not answer.
+        """
+        # later than any that the agents ever saw, from whatever manager
+        seen = [status.generation for status in self.fleet.statuses().values()]
+        self._generation = max(self._generation, *seen, 0) + 1
+        specs = self.layout.specs(wanted, self._generation)
+        news = {
+            computer: specs[computer]
+            for computer in computers
+            if computer not in self._told
+            or self._told[computer].containers != specs[computer].containers
+        }
+        refusals = self.fleet.deploy(news)
+        self._told |= {c: spec for c, spec in news.items() if c not in refusals}
+        if refusals:
+            self.raise_on_lost()  # which explains a silence
+            raise RunError("; ".join(refusals.values()))
+
+    def next_epoch(self, component: str) -> int:
+        """Return an epoch that no incarnation of the component has had."""
+        self._epochs[component] = self._epochs.get(component, -1) + 1
+        return self._epochs[component]
+
+    def wait(
+        self,
+        wanted: Iterable[Incarnation],
+        limit: float,
+        trouble: Callable[[], bool] | None = None,
+    ) -> None:
+        """Wait until `wanted` are at their goals and all their connectors are joined.
+
+        Parameters
+        ----------
+        trouble
+            Called at every news; raises to end the waiting. None: any trouble does.
+
+        Raises
+        ------
+        RunError
+            They were not within `limit` [s], or there was trouble.
+        """
+        wanted = tuple(wanted)
+        look = trouble or self._raise_on_trouble
+
+        def is_reached() -> bool:
+            look()
+            return not self._missing(wanted)
+
+        if not self.fleet.wait_news(is_reached, limit):
+            missing = "; ".join(self._missing(wanted))
+            raise RunError(f"not there within {limit:g} s: {missing}")
+
+    def current(self) -> dict[str, AgentStatus]:
+        """Return the statuses that speak of what the agents were told last."""
+        return {
+            computer: status
+            for computer, status in self.fleet.statuses().items()
+            if computer in self._told
+            and status.generation >= self._told[computer].generation
+        }
+
+    def computers(self) -> set[str]:
+        """Return the names of the robot's computers that are there."""
+        return {computer.name for computer in self.robot.computers} - self.fleet.lost()
+
+    def has_ended(self, gone: Incarnation) -> bool:
+        """Return whether an incarnation is not there any more, so far as is known."""
+        if gone.computer in self.fleet.lost():
+            return True
+        status = self.current().get(gone.computer)
+        return status is not None and all(
+            (component.name, component.epoch) != (gone.component, gone.epoch)
+            for component in components_of({gone.computer: status})
+        )
+
+    def _missing(self, wanted: tuple[Incarnation, ...]) -> list[str]:
+        """Return what there is still to wait for, in words."""
+        statuses = self.current()
+        silent = self._told.keys() - statuses.keys()
+        there = {(c.name, c.epoch, c.state) for c in components_of(statuses)}
+        faults = [fault for status in statuses.values() for fault in status.faults]
+        missing = [f"computer '{name}' is silent" for name in sorted(silent)]
+        missing += [
+            f"component '{each.component}' is not {each.goal}"
+            for each in wanted
+            if (each.component, each.epoch, each.goal) not in there
+        ]
+        missing += [
+            f"connector '{connector.name}' is not joined"
+            for connector in connectors_of(statuses)
+            if not connector.ready
+        ]
+        if not missing:
+            return []
+        return missing + [f"container '{f.container}' {f.message}" for f in faults]
+
+    def _is_empty(self, computers: set[str]) -> bool:
+        statuses = self.current()
+        return all(
+            computer in statuses and not statuses[computer].containers
+            for computer in computers - self.fleet.lost()
+        )
+
+    def _raise_on_trouble(self) -> bool:
+        self.raise_on_lost()
+        for component in components_of(self.fleet.statuses()):
+            if component.state == "failed":
+                self.journal.note("failed", f"component '{component.name}' failed")
+                raise RunError(
+                    f"component '{component.name}' failed:\n{component.error}"
+                )
+        return False
+
+    def raise_on_lost(self) -> bool:
+        """Raise RunError when a computer was lost; return False otherwise."""
+        lost = self.fleet.lost()
+        if lost:
+            names = ", ".join(sorted(lost))
+            self.journal.note("seen", f"the agent of '{names}' is gone")
+            raise RunError(f"the agent of '{names}' is gone")
+        return False
+
+
+def components_of(statuses: Mapping[str, AgentStatus]) -> Iterator[ComponentStatus]:
+    """Yield the components in all statuses."""
+    for status in statuses.values():
+        for container in status.containers:
+            yield from container.components
+
+
+def connectors_of(statuses: Mapping[str, AgentStatus]) -> Iterator[ConnectorStatus]:
+    """Yield the connector ends in all statuses."""
+    for status in statuses.values():
+        for container in status.containers:
+            yield from container.connectors

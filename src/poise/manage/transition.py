@@ -1,0 +1,180 @@
+"""From one placement to another: an ordered, checked plan of steps. Pure.
+
+No computer is overfull at any moment: a component goes to a computer only when that has
+room for all of its demand, and leaves room behind only when it has gone. Where
+components wait for each other's room, one of them makes a detour over a third computer;
+where there is none with room, one is stopped for the while, and the plan says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Literal
+
+from msgspec import Struct
+
+from poise.errors import RobotError
+from poise.model.check.hosts import allowed_hosts
+from poise.model.robot import Component, Robot
+from poise.units import format_amount
+
+_SLACK = 1e-9
+
+Placement = Mapping[str, str]
+
+
+class Step(Struct, frozen=True, kw_only=True):
+    """One step of a transition.
+
+    Parameters
+    ----------
+    source, target
+        Computers; a start has no source, a stop no target.
+    why
+        Why it is not the direct way: a detour, or a short stop; empty when it is.
+    """
+
+    kind: Literal["start", "stop", "move"]
+    component: str
+    source: str = ""
+    target: str = ""
+    why: str = ""
+
+    def __str__(self) -> str:
+        way = {
+            "start": f"start {self.component} on {self.target}",
+            "stop": f"stop {self.component} on {self.source}",
+            "move": f"move {self.component} from {self.source} to {self.target}",
+        }[self.kind]
+        return f"{way} ({self.why})" if self.why else way
+
+
+def plan_transition(robot: Robot, now: Placement, then: Placement) -> tuple[Step, ...]:
+    """Return the steps from placement `now` to `then`.
+
+    Stops come first, then moves, then starts; taking all steps yields `then`.
+
+    Raises
+    ------
+    RobotError
+        `then` is too much for a computer, or moves what may not be moved; the message
+        names it.
+    """
+    return _Planner(robot, now, then).plan()
+
+
+class _Planner:
+    def __init__(self, robot: Robot, now: Placement, then: Placement) -> None:
+        self._components = {c.name: c for c in robot.components()}
+        self._usable = {
+            h.name: {r: h.usable(r) for r in h.capacity} for h in robot.computers
+        }
+        self._allowed = allowed_hosts(robot)
+        self._now = dict(now)
+        self._then = then
+        self._steps: list[Step] = []
+        self._check(then)
+
+    def plan(self) -> tuple[Step, ...]:
+        for name in sorted(self._now.keys() - self._then.keys()):
+            self._stop(name)
+        parked = self._move_all()
+        for name in sorted(self._then.keys() - self._now.keys()):
+            why = "after a short stop" if name in parked else ""
+            self._start(name, why)
+        return tuple(self._steps)
+
+    def _check(self, then: Placement) -> None:
+        loads = self._loads(then)
+        for computer, usable in self._usable.items():
+            for resource, used in loads[computer].items():
+                if used > usable.get(resource, 0.0) + _SLACK:
+                    raise RobotError(
+                        f"computer '{computer}' would be overfull: "
+                        f"{format_amount(resource, used)} of {resource} wanted, "
+                        f"{format_amount(resource, usable.get(resource, 0.0))} usable"
+                    )
+        for name in self._now.keys() & then.keys():
+            if self._now[name] != then[name] and not self._components[name].movable:
+                raise RobotError(
+                    f"component '{name}' is not movable, but would go from "
+                    f"'{self._now[name]}' to '{then[name]}'"
+                )
+
+    def _move_all(self) -> set[str]:
+        """Move all that is elsewhere; return what had to be stopped instead."""
+        parked: set[str] = set()
+        detours: set[str] = set()
+        while pending := self._pending():
+            name = _first(pending, self._fits_at_target)
+            if name is not None:
+                self._move(name, self._then[name])
+                continue
+            detour = self._detour(pending, detours)
+            if detour is not None:
+                detours.add(detour[0])
+                self._move(*detour, why="a detour: there was no room yet")
+                continue
+            smallest = pending[0]
+            self._stop(smallest, "a short stop: no computer has room for a detour")
+            parked.add(smallest)
+        return parked
+
+    def _pending(self) -> list[str]:
+        """Return what must still move, the least state and demand first."""
+        return sorted(
+            (n for n, h in self._now.items() if self._then.get(n, h) != h),
+            key=lambda name: (*_weight(self._components[name]), name),
+        )
+
+    def _detour(self, pending: Iterable[str], done: set[str]) -> tuple[str, str] | None:
+        for name in pending:
+            for computer in sorted(self._allowed[name] - {self._now[name]}):
+                if name not in done and self._fits(name, computer):
+                    return name, computer
+        return None
+
+    def _fits_at_target(self, name: str) -> bool:
+        return self._fits(name, self._then[name])
+
+    def _fits(self, name: str, computer: str) -> bool:
+        load = self._loads(self._now)[computer]
+        usable = self._usable[computer]
+        return all(
+            load.get(resource, 0.0) + amount <= usable.get(resource, 0.0) + _SLACK
+            for resource, amount in self._components[name].demand.items()
+        )
+
+    def _loads(self, placement: Placement) -> dict[str, dict[str, float]]:
+        loads: dict[str, dict[str, float]] = {name: {} for name in self._usable}
+        for name, computer in placement.items():
+            load = loads[computer]
+            for resource, amount in self._components[name].demand.items():
+                load[resource] = load.get(resource, 0.0) + amount
+        return loads
+
+    def _move(self, name: str, target: str, why: str = "") -> None:
+        source = self._now[name]
+        self._now[name] = target
+        self._add(
+            Step(kind="move", component=name, source=source, target=target, why=why)
+        )
+
+    def _stop(self, name: str, why: str = "") -> None:
+        source = self._now.pop(name)
+        self._add(Step(kind="stop", component=name, source=source, why=why))
+
+    def _start(self, name: str, why: str) -> None:
+        self._now[name] = self._then[name]
+        self._add(Step(kind="start", component=name, target=self._then[name], why=why))
+
+    def _add(self, step: Step) -> None:
+        self._steps.append(step)
+
+
+def _weight(component: Component) -> tuple[float, float]:
+    return component.state, component.demand.get("cpu", 0.0)
+
+
+def _first(names: Iterable[str], holds: Callable[[str], bool]) -> str | None:
+    return next((name for name in names if holds(name)), None)

@@ -1,0 +1,147 @@
+"""A small robot, and a fleet of agents that does what a test says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import pytest
+
+from poise.model.robot import (
+    Architecture,
+    Component,
+    Computer,
+    Connector,
+    Device,
+    End,
+    Robot,
+)
+from poise.wire.messages import (
+    AgentStatus,
+    ComponentStatus,
+    ContainerStatus,
+    Deployment,
+    Fault,
+)
+
+
+@pytest.fixture
+def robot() -> Robot:
+    """Return a robot whose architecture ``eye`` sends pictures to ``mind``."""
+    return Robot(
+        name="tiny",
+        folder="/robot",
+        computers=(
+            Computer(name="left", capacity={"cpu": 2.0, "memory": 1e9}, speed=0.5),
+            Computer(name="right", capacity={"cpu": 1.0, "memory": 1e9}),
+        ),
+        devices=(Device(name="camera", computer="left", path="camera.sock"),),
+        architectures=(
+            Architecture(
+                name="eye",
+                function="seeing",
+                components=(
+                    Component(
+                        name="grabber",
+                        implementation="eye:Grabber",
+                        devices=("camera",),
+                        parameters={"rate": 5},
+                    ),
+                    Component(name="filter", implementation="eye:Filter"),
+                    Component(
+                        name="heavy", implementation="eye:Heavy", demand={"cpu": 0.6}
+                    ),
+                    Component(name="alone", implementation="eye:Alone", isolated=True),
+                    Component(name="driver", command=("./driver", "-v")),
+                ),
+                connectors=(
+                    _joined("grabber.raw", "filter.raw"),
+                    _joined("filter.clean", "heavy.clean"),
+                    _joined("driver.out", "filter.out"),
+                ),
+            ),
+            Architecture(
+                name="mind",
+                function="thinking",
+                components=(Component(name="thinker", implementation="mind:Thinker"),),
+            ),
+        ),
+        connectors=(_joined("filter.clean", "thinker.seen", limit=0.3),),
+    )
+
+
+def _joined(source: str, target: str, limit: float = 1.0) -> Connector:
+    ends = tuple(End(*end.split(".")) for end in (source, target))
+    return Connector(between=(ends[0], ends[1]), limit=limit)
+
+
+class FakeFleet:
+    """Agents that are at once what they are told to be, but for what a test spoils."""
+
+    def __init__(self, *computers: str, generation: int = 0) -> None:
+        self.gone: set[str] = set()
+        self.refusing: set[str] = set()
+        self.deaf: set[str] = set()
+        self.deployed: list[tuple[str, Deployment]] = []
+        self.states: dict[str, ComponentStatus] = {}
+        self.faults: tuple[Fault, ...] = ()
+        self._statuses = {
+            name: AgentStatus(computer=name, generation=generation, uptime=0, cpu=0)
+            for name in computers
+        }
+
+    def statuses(self) -> dict[str, AgentStatus]:
+        return dict(self._statuses)
+
+    def lost(self) -> frozenset[str]:
+        return frozenset(self.gone)
+
+    def wait_news(self, is_enough: Callable[[], bool], limit: float) -> bool:  # noqa: ARG002, it does not wait
+        return is_enough()
+
+    def deploy(self, deployments: Mapping[str, Deployment]) -> dict[str, str]:
+        refusals = {}
+        for computer, deployment in deployments.items():
+            if computer in self.refusing:
+                refusals[computer] = f"the agent of '{computer}' refused: not today"
+                continue
+            self.deployed.append((computer, deployment))
+            if computer not in self.deaf:
+                self._statuses[computer] = self._obeyed(computer, deployment)
+        return refusals
+
+    def _obeyed(self, computer: str, deployment: Deployment) -> AgentStatus:
+        containers = tuple(
+            ContainerStatus(
+                name=container.name,
+                pid=1,
+                components=tuple(
+                    self.states.get(
+                        c.name,
+                        ComponentStatus(
+                            name=c.name,
+                            epoch=c.epoch,
+                            state="inactive" if c.goal == "stay" else c.goal,
+                        ),
+                    )
+                    for c in container.components
+                ),
+            )
+            for container in deployment.containers
+        )
+        return AgentStatus(
+            computer=computer,
+            generation=deployment.generation,
+            uptime=0,
+            cpu=0,
+            containers=containers,
+            faults=self.faults,
+        )
+
+
+def connector_names(deployment: Deployment) -> dict[str, Any]:
+    """Return container -> the kinds of its connectors, by name."""
+    return {
+        container.name: {c.name: c.kind for c in container.connectors}
+        for container in deployment.containers
+    }

@@ -1,0 +1,119 @@
+import io
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from poise.errors import UsageError
+from poise.estimate.profile import ComponentProfile, Profile
+from poise.estimate.spread import Spread
+from poise.manage.estimates import Estimates
+from poise.manage.metrics import MetricsServer, to_prometheus
+from poise.manage.recording import Recording, load, replay, save
+from poise.manage.table import COLUMNS, write_csv
+from poise.model.robot import Robot
+from tests.manage.sampled.conftest import Sampler
+
+
+def test_stands_against_the_profile(robot: Robot, steady: Sampler) -> None:
+    """The computer's 10 % are 5 % of the reference computer's core."""
+    known = ComponentProfile(version="", cpu=Spread(mean=0.05))
+    profile = Profile(
+        robot="r",
+        poise="",
+        computer="a",
+        speed=0.5,
+        at="",
+        seconds=1.0,
+        components={"eye": known},
+    )
+    estimates = Estimates(robot, profile, emulated=False)
+    drifts = [d for k in range(200) for d in estimates.take(steady(0.2 * k))]
+    assert drifts == []
+    eye, mind = estimates.standings()
+    assert (eye.component, eye.computer, eye.expected) == ("eye", "a", 0.05)
+    assert eye.estimate.mean == pytest.approx(0.05)
+    assert mind.expected is None
+    assert mind.estimate.mean == pytest.approx(0.1)
+
+
+def test_time_of_an_emulated_computer_is_the_references(
+    robot: Robot, steady: Sampler
+) -> None:
+    estimates = Estimates(robot, None, emulated=True)
+    for k in range(20):
+        estimates.take(steady(0.2 * k))
+    assert estimates.standings()[0].estimate.mean == pytest.approx(0.1)
+
+
+def test_estimates_traffic(robot: Robot, steady: Sampler) -> None:
+    estimates = Estimates(robot, None, emulated=True)
+    for k in range(50):
+        estimates.take(steady(0.2 * k))
+    (traffic,) = estimates.traffic()
+    assert traffic.connector == "eye.x-mind.x"
+    assert traffic.now.messages == pytest.approx(10)
+    assert traffic.now.size == 500
+
+
+def test_a_replay_gives_the_same_estimates(
+    robot: Robot, steady: Sampler, tmp_path: Path
+) -> None:
+    live, recording = Estimates(robot, None, emulated=True), Recording()
+    for k in range(100):
+        live.take(steady(0.2 * k))
+        recording.add(steady(0.2 * k))
+    save(recording.take(), tmp_path / "run.samples")
+    again = Estimates(robot, None, emulated=True)
+    replay(load(tmp_path / "run.samples"), again.take)
+    assert again.standings() == live.standings()
+    assert recording.take() == []
+
+
+def test_says_what_is_no_recording(tmp_path: Path) -> None:
+    (tmp_path / "x").write_text("hello")
+    with pytest.raises(UsageError, match="is no recording"):
+        load(tmp_path / "x")
+    with pytest.raises(UsageError, match="cannot be read"):
+        load(tmp_path / "y")
+
+
+def test_writes_a_row_for_every_component(steady: Sampler) -> None:
+    out = io.StringIO()
+    write_csv([steady(1.0), steady(2.0)], out)
+    head, first, *_, last = out.getvalue().splitlines()
+    assert head == ",".join(COLUMNS)
+    assert first == "a,see,eye,0,1.0,0.1,0.0,10,10,0.32,9000000"
+    assert last.startswith("a,see,mind,0,2.0,0.4,")
+
+
+def test_speaks_to_prometheus(robot: Robot, steady: Sampler) -> None:
+    estimates = Estimates(robot, None, emulated=True)
+    for k in range(20):
+        estimates.take(steady(0.25 * k))
+    text = to_prometheus(estimates)
+    lines = [x for x in text.splitlines() if x.startswith("poise_component_cpu_cores{")]
+    labels, values = zip(*(line.split(" ") for line in lines), strict=True)
+    assert labels == tuple(
+        f'poise_component_cpu_cores{{component="{name}",computer="a"}}'
+        for name in ("eye", "mind")
+    )
+    assert [float(value) for value in values] == pytest.approx([0.1, 0.2])
+
+
+def test_serves_metrics_and_nothing_else(robot: Robot, steady: Sampler) -> None:
+    estimates = Estimates(robot, None, emulated=True)
+    for k in range(3):
+        estimates.take(steady(0.25 * k))
+    server = MetricsServer(estimates, ("127.0.0.1", 0))
+    at = f"http://127.0.0.1:{server.port}"
+    try:
+        with urllib.request.urlopen(f"{at}/metrics", timeout=5) as answer:
+            assert answer.read().decode() == to_prometheus(estimates)
+        with pytest.raises(urllib.error.HTTPError) as refused:
+            urllib.request.urlopen(f"{at}/other", timeout=5)
+        refused.value.close()
+        assert refused.value.code == 404
+    finally:
+        server.close()

@@ -1,0 +1,134 @@
+"""Containers and connectors of a placement, by hand."""
+
+from __future__ import annotations
+
+import pytest
+
+from poise.manage.deployment import Incarnation, Layout
+from poise.model.robot import Architecture, Component, Computer, Robot
+from poise.wire.messages import ComponentSpec, Deployment
+
+from .conftest import connector_names
+
+ALL = ("grabber", "filter", "heavy", "alone", "driver", "thinker")
+
+
+def deployments(robot: Robot, **where: str) -> dict[str, Deployment]:
+    placed = [Incarnation(component=n, computer=c) for n, c in where.items()]
+    return Layout(robot, "/run").specs(placed, generation=3)
+
+
+def everything_on(computer: str) -> dict[str, str]:
+    return dict.fromkeys(ALL, computer)
+
+
+def test_an_architecture_shares_a_container_but_for_those_that_need_their_own(
+    robot: Robot,
+) -> None:
+    left = deployments(robot, **everything_on("left"))["left"]
+    assert {
+        c.name: [component.name for component in c.components] for c in left.containers
+    } == {
+        "eye": ["grabber", "filter"],
+        "eye.heavy": ["heavy"],  # it would fill an interpreter
+        "eye.alone": ["alone"],  # it asked for that
+        "eye.driver": ["driver"],  # it is a process of its own
+        "mind": ["thinker"],
+    }
+    assert left.generation == 3
+
+
+def test_every_computer_is_told_even_to_run_nothing(robot: Robot) -> None:
+    assert deployments(robot, grabber="left")["right"].containers == ()
+
+
+def test_connectors_are_as_near_as_their_ends(robot: Robot) -> None:
+    where = {**everything_on("left"), "thinker": "right"}
+    told = deployments(robot, **where)
+    assert connector_names(told["left"]) == {
+        "eye": {
+            "grabber.raw-filter.raw": "direct",
+            "filter.clean-heavy.clean": "local",
+            "filter.clean-thinker.seen": "remote",
+        },
+        "eye.heavy": {"filter.clean-heavy.clean": "local"},
+        "eye.alone": {},
+        "eye.driver": {},  # nothing can be joined to a command
+    }
+    assert connector_names(told["right"]) == {
+        "mind": {"filter.clean-thinker.seen": "remote"}
+    }
+
+
+def test_both_ends_are_told_the_same(robot: Robot) -> None:
+    where = {**everything_on("left"), "thinker": "right"}
+    told = deployments(robot, **where)
+    ends = [
+        connector
+        for deployment in told.values()
+        for container in deployment.containers
+        for connector in container.connectors
+        if connector.target == "thinker"
+    ]
+    assert len(ends) == 2
+    assert ends[0] == ends[1]
+    assert ends[0].limit == 0.3
+
+
+def test_a_connector_to_a_component_that_does_not_run_is_left_out(
+    robot: Robot,
+) -> None:
+    told = deployments(robot, filter="left")
+    assert connector_names(told["left"]) == {"eye": {}}
+
+
+def test_a_component_is_told_all_it_needs(robot: Robot) -> None:
+    (container,) = deployments(robot, grabber="left")["left"].containers
+    assert container.folder == "/robot"
+    assert container.components == (
+        ComponentSpec(
+            name="grabber",
+            goal="active",
+            implementation="eye:Grabber",
+            parameters={"rate": 5},
+            devices={"camera": "/run/camera.sock"},
+        ),
+    )
+
+
+def test_a_command_is_told_its_command_line(robot: Robot) -> None:
+    (container,) = deployments(robot, driver="left")["left"].containers
+    assert container.components[0].command == ("./driver", "-v")
+    assert container.components[0].implementation == ""
+
+
+def test_while_a_component_moves_both_incarnations_are_joined(robot: Robot) -> None:
+    placed = [
+        Incarnation(component="grabber", computer="left"),
+        Incarnation(component="filter", computer="left"),
+        Incarnation(component="filter", computer="right", epoch=1, goal="inactive"),
+    ]
+    told = Layout(robot, "/run").specs(placed, generation=1)
+    keys = {
+        connector.key: connector.kind
+        for connector in told["left"].containers[0].connectors
+    }
+    assert keys == {
+        "grabber.raw-filter.raw/0.0": "direct",
+        "grabber.raw-filter.raw/0.1": "remote",
+    }
+
+
+@pytest.mark.parametrize("names", [("a-b", "c"), ("a", "b-c")])
+def test_no_two_containers_have_one_name(names: tuple[str, str]) -> None:
+    architecture = Architecture(
+        name=names[0],
+        function="f",
+        components=(Component(name=names[1], isolated=True),),
+    )
+    robot = Robot(
+        name="r",
+        computers=(Computer(name="c", capacity={"cpu": 1}),),
+        architectures=(architecture,),
+    )
+    assert Layout(robot, "/").container_of(names[1]) == ".".join(names)

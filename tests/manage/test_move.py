@@ -1,0 +1,454 @@
+"""Moves between real agents: each ends where it should, whatever goes wrong."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import pytest
+
+from poise.clock import SystemClock
+from poise.errors import UsageError
+from poise.manage.deployment import name_of
+from poise.manage.fleet import Fleet
+from poise.manage.journal import Journal
+from poise.manage.move import GATE_LIMIT, OPEN_LIMIT, MoveReport, move, replace
+from poise.manage.run import Run, components_of
+from poise.model.robot import (
+    Architecture,
+    Component,
+    Computer,
+    Connector,
+    End,
+    Robot,
+)
+from poise.wire.messages import Order, Outcome
+from tests.runtime.conftest import free_port, wait_until
+
+pytestmark = pytest.mark.slow
+
+LIMIT = 20.0
+CODE = '''
+import os, threading
+from typing import Protocol
+from poise import Component, Message, Provided, Published, Required, every, subscribed
+from poise.errors import CallError
+
+class Number(Message):
+    value: int
+
+class Doubles(Protocol):
+    def double(self, value: int) -> int: ...
+
+class Telling(Component):
+    """Writes numbers where the test reads them at once."""
+
+    def configure(self):
+        path = os.path.join(self.parameters["folder"], self.name)
+        self.file = os.open(path, os.O_CREAT | os.O_WRONLY)
+
+    def tell(self, *numbers):
+        os.pwrite(self.file, b"".join(b"%10d" % n for n in numbers), 0)
+
+class Source(Telling):
+    """Publishes numbers, and asks for them to be doubled."""
+
+    numbers: Published[Number]
+    doubles: Required[Doubles]
+
+    def configure(self):
+        super().configure()
+        self.sent = self.answered = self.refused = 0
+
+    @every(0.002)
+    def produce(self):
+        self.sent += 1
+        self.numbers.publish(Number(self.sent))
+        try:
+            self.answered += self.doubles.double(self.sent) == 2 * self.sent
+        except CallError:
+            self.refused += 1
+        self.tell(self.answered, self.refused)
+
+class Counted(Message):
+    last: int
+    wrong: int
+    ticks: int
+
+class Counter(Component):
+    """Counts the numbers that do not follow the last."""
+
+    passed: Published[Number]
+    doubles: Provided[Doubles]
+
+    def configure(self):
+        self.state = Counted(0, 0, 0)
+
+    def double(self, value: int) -> int:
+        return 2 * value
+
+    @subscribed(block=100)
+    def numbers(self, message: Number):
+        last, wrong, ticks = self.state.last, self.state.wrong, self.state.ticks
+        self.state = Counted(message.value, wrong + (message.value != last + 1), ticks)
+        self.passed.publish(message)
+
+    @every(0.05)
+    def tick(self):
+        self.state = Counted(self.state.last, self.state.wrong, self.state.ticks + 1)
+
+    def snapshot(self) -> Counted:
+        return self.state
+
+    def restore(self, state: Counted) -> None:
+        self.state = state
+
+class Large(Message):
+    data: bytes
+    counted: Counted
+
+class Gradual(Counter):
+    """Sends a large state while it works, and then only what changed."""
+
+    def configure(self):
+        super().configure()
+        self.data = bytes(2_000_000)
+
+    def snapshot(self) -> Large:
+        return Large(self.data, self.state)
+
+    def restore(self, state: Large) -> None:
+        assert len(state.data) == 2_000_000
+        self.state = state.counted
+
+    def snapshot_delta(self) -> Counted:
+        return self.state
+
+    def restore_delta(self, delta: Counted) -> None:
+        self.state = delta
+
+class Unrestorable(Counter):
+    def restore(self, state: Counted) -> None:
+        raise LookupError("no such map")
+
+class Unactivatable(Counter):
+    def activate(self):
+        if self.state.last:
+            raise LookupError("no such motor")
+
+class Hanging(Counter):
+    def activate(self):
+        if self.state.last:
+            threading.Event().wait(60)
+
+class Busy(Counter):
+    @every(0.01)
+    def dawdle(self):
+        if self.state.last:
+            threading.Event().wait(2)
+
+class Tripled(Message):
+    end: int
+
+class Adapted(Counter):
+    def restore(self, state: Tripled) -> None:
+        self.state = Counted(state.end, 0, 0)
+
+def adapt(old: Counted) -> Tripled:
+    return Tripled(old.last)
+
+class Sink(Telling):
+    def configure(self):
+        super().configure()
+        self.last = self.wrong = 0
+
+    @subscribed(block=100)
+    def passed(self, message: Number):
+        self.wrong += message.value != self.last + 1
+        self.last = message.value
+        self.tell(self.last, self.wrong)
+'''
+
+
+class Striking:
+    """A fleet that does something before or after a round of orders."""
+
+    def __init__(self, fleet: Fleet) -> None:
+        self._fleet = fleet
+        self.round = 0
+        self.before: dict[int, Callable[[], None]] = {}
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._fleet, name)
+
+    def order(self, orders: Iterable[tuple[str, Order]]) -> list[Outcome]:
+        strike = self.before.pop(self.round, None)
+        self.round += 1
+        if strike is not None:
+            strike()
+        return self._fleet.order(orders)
+
+
+class World:
+    """Two agents, and a robot whose `counter` moves between them."""
+
+    def __init__(self, folder: Path, fleet: Fleet, journal: Journal, name: str) -> None:
+        self.folder = folder
+        self.name = name
+        self.striking = Striking(fleet)
+        self.journal = journal
+        self.run: Run
+
+    def start(
+        self, counter: str, source: str = "left", *, isolated: bool = False
+    ) -> Run:
+        (self.folder / self.name).mkdir()
+        robot = _robot(self.folder, self.name, counter, isolated=isolated)
+        placement = {"source": source, "counter": "left", "sink": "left"}
+        fleet: Fleet = self.striking  # type: ignore[assignment] # it stands in for one
+        self.run = Run(robot, placement, fleet, self.journal, str(self.folder))
+        self.run.start()
+        self.works()
+        return self.run
+
+    def told(self, component: str) -> tuple[int, int]:
+        """Return what a component tells: progress, and what went wrong."""
+        with contextlib.suppress(FileNotFoundError):
+            said = (self.folder / self.name / component).read_bytes()
+            if said:
+                return int(said[:10]), int(said[10:])
+        return 0, 0
+
+    def wrong(self) -> int:
+        """Return how many numbers or answers did not come as they should."""
+        return self.told("sink")[1] + self.told("source")[1]
+
+    def wait_for(self, holds: Callable[[], bool]) -> None:
+        assert self.run.fleet.wait_news(holds, LIMIT)
+
+    def works(self) -> None:
+        """Wait until numbers go through, and calls are answered."""
+        for component in ("sink", "source"):
+            before = self.told(component)[0]
+            wait_until(lambda b=before, c=component: self.told(c)[0] not in {0, b})  # type: ignore[misc]
+
+    def kill(self, computer: str, component: str) -> None:
+        """Kill the container of a component, and wait until that is seen."""
+        container = self.run.layout.container_of(component)
+        faults = len(self.run.fleet.statuses()[computer].faults)
+        for each in self.run.fleet.statuses()[computer].containers:
+            if each.name == container:
+                os.kill(each.pid, signal.SIGKILL)
+        self.wait_for(lambda: len(self.run.fleet.statuses()[computer].faults) > faults)
+
+    def active(self) -> list[str]:
+        """Return where a `counter` is active, by what was said last."""
+        return [
+            computer
+            for computer, status in self.run.current().items()
+            for component in components_of({computer: status})
+            if (component.name, component.state) == ("counter", "active")
+        ]
+
+
+def _robot(folder: Path, name: str, counter: str, *, isolated: bool) -> Robot:
+    implementations = {"source": "Source", "counter": counter, "sink": "Sink"}
+    joints = (
+        ("source.numbers", "counter.numbers"),
+        ("source.doubles", "counter.doubles"),
+        ("counter.passed", "sink.passed"),
+    )
+    architecture = Architecture(
+        name=name,
+        function="one",
+        components=tuple(
+            Component(
+                name=n,
+                implementation=f"moved:{c}",
+                isolated=isolated,
+                parameters={"folder": str(folder / name)},
+            )
+            for n, c in implementations.items()
+        ),
+        connectors=tuple(
+            Connector(between=(End(*a.split(".")), End(*b.split("."))), limit=3.0)
+            for a, b in joints
+        ),
+    )
+    capacity = {"cpu": 1.0, "memory": 1e9}
+    computers = tuple(Computer(name=n, capacity=capacity) for n in ("left", "right"))
+    return Robot(
+        name="moves",
+        folder=str(folder),
+        computers=computers,
+        architectures=(architecture,),
+    )
+
+
+@pytest.fixture(scope="module")
+def agents() -> Iterator[tuple[Path, Fleet]]:
+    """Start both agents."""
+    robot = f"moves{os.getpid()}"
+    with contextlib.ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        (folder / "moved.py").write_text(CODE)
+        ports = {"left": free_port(), "right": free_port()}
+        lifeline, held = os.pipe()
+        for name in ports:
+            stack.enter_context(_agent(robot, name, ports, folder, lifeline))
+        stack.callback(os.close, held)
+        stack.callback(os.close, lifeline)
+        ends = {name: f"tcp/127.0.0.1:{port}" for name, port in ports.items()}
+        fleet = stack.enter_context(Fleet(robot, ends, SystemClock()))
+        fleet.wait_alive(ports, LIMIT)
+        yield folder, fleet
+
+
+@pytest.fixture
+def world(
+    agents: tuple[Path, Fleet], request: pytest.FixtureRequest
+) -> Iterator[World]:
+    """Give each test containers with names, and so back-offs, of their own."""
+    journal = Journal(":memory:")
+    world = World(*agents, journal, f"c{abs(hash(request.node.name)) % 10**8}")
+    yield world
+    world.run.stop()
+    journal.close()
+
+
+def _agent(
+    robot: str, name: str, ports: dict[str, int], folder: Path, lifeline: int
+) -> subprocess.Popen[bytes]:
+    argv = [sys.executable, "-m", "poise", "agent", name, "--robot", robot]
+    argv += ["--address", "127.0.0.1", "--port", str(ports[name])]
+    argv += ["--folder", str(folder / name), "--lifeline", str(lifeline)]
+    for other, port in ports.items():
+        if other != name:
+            argv += ["--peer", f"127.0.0.1:{port}"]
+    return subprocess.Popen(argv, pass_fds=[lifeline], stderr=subprocess.DEVNULL)
+
+
+def assert_bounded(report: MoveReport) -> None:
+    """Allow the gate its limits, and time on a machine that is busy otherwise."""
+    assert report.gate_shut < GATE_LIMIT + OPEN_LIMIT + 2.0
+
+
+@pytest.mark.parametrize(
+    ("source", "containers"), [("left", "one"), ("left", "two"), ("right", "one")]
+)
+def test_nothing_is_lost_doubled_or_reordered(
+    world: World, source: str, containers: str
+) -> None:
+    """There and back: the other ends are direct, local and remote in turn."""
+    run = world.start("Counter", source, isolated=containers == "two")
+    for computer in ("right", "left", "right", "left"):
+        report = move(run, "counter", computer)
+        assert (report.committed, report.reason) == (True, "")
+    world.works()
+    assert world.wrong() == 0
+
+
+def test_a_large_state_goes_ahead_and_timers_keep_on(world: World) -> None:
+    run = world.start("Gradual")
+    assert move(run, "counter", "right").committed
+    world.works()
+    assert world.told("sink")[1] == 0
+
+
+@pytest.mark.parametrize(
+    ("implementation", "words"),
+    [
+        ("Unrestorable", "LookupError: no such map"),
+        ("Unactivatable", "LookupError: no such motor"),
+        ("Hanging", "is not activated|took over"),
+        ("Busy", "did not come to rest"),
+    ],
+)
+def test_leads_back_when_the_component_cannot_move(
+    world: World, implementation: str, words: str
+) -> None:
+    run = world.start(implementation)
+    report = move(run, "counter", "right")
+    assert not report.committed
+    assert re.search(words, report.reason)
+    assert_bounded(report)
+    assert run.placement()["counter"] == "left"
+    world.works()
+    assert world.told("sink")[1] == 0
+
+
+def test_a_move_after_one_that_led_back_succeeds(world: World) -> None:
+    run = world.start("Counter")
+    world.striking.before[2] = lambda: world.kill("right", "counter")
+    first, second = move(run, "counter", "right"), move(run, "counter", "right")
+    assert (first.committed, second.committed) == (False, True), second.reason
+    world.works()
+    assert world.told("sink")[1] == 0
+
+
+def test_a_missing_implementation_is_not_put_in(world: World) -> None:
+    run = world.start("Counter")
+    report = replace(run, "counter", "moved:Nowhere")
+    assert not report.committed
+    assert "has no class 'Nowhere'" in report.reason
+    assert report.gate_shut == 0.0
+    world.works()
+    assert world.told("sink")[1] == 0
+
+
+def test_an_implementation_is_replaced_and_its_state_adapted(world: World) -> None:
+    run = world.start("Counter")
+    report = replace(run, "counter", "moved:Adapted", "moved:adapt")
+    assert (report.committed, report.reason) == (True, "")
+    world.works()
+    assert world.told("sink")[1] == 0
+
+
+@pytest.mark.parametrize("victim", [("left", "counter"), ("right", "counter")])
+@pytest.mark.parametrize("before", [2, 3, 4, 5])
+def test_a_container_that_is_killed_between_two_rounds(
+    world: World, victim: tuple[str, str], before: int
+) -> None:
+    """Rounds: offer, precopy, shut, flush, take over, open."""
+    run = world.start("Counter", isolated=True)
+    world.striking.before[before] = lambda: world.kill(*victim)
+    started = time.monotonic()
+    report = move(run, "counter", "right")
+    assert time.monotonic() - started < LIMIT
+    assert_bounded(report)
+    if victim[0] == "right":
+        assert report.committed == (before == 5)
+    world.works()
+    world.wait_for(lambda: world.active() == [run.placement()["counter"]])
+
+
+@pytest.mark.parametrize("before", [3, 5])
+def test_a_source_that_is_killed_between_two_rounds(world: World, before: int) -> None:
+    run = world.start("Counter", "right", isolated=True)
+    world.striking.before[before] = lambda: world.kill("right", "source")
+    report = move(run, "counter", "right")
+    assert_bounded(report)
+    world.works()
+    world.wait_for(lambda: world.active() == [run.placement()["counter"]])
+
+
+def test_refuses_what_cannot_be_moved(world: World) -> None:
+    run = world.start("Counter")
+    with pytest.raises(UsageError, match="no component 'nobody' runs"):
+        move(run, "nobody", "right")
+    with pytest.raises(UsageError, match="no computer 'nowhere'"):
+        move(run, "counter", "nowhere")
+    with pytest.raises(UsageError, match="runs on 'left' already"):
+        move(run, "counter", "left")
+    assert {name_of(c) for c in run.layout.into("counter", run.placed)} == {
+        "source.numbers-counter.numbers",
+        "source.doubles-counter.doubles",
+    }

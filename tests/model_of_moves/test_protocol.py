@@ -1,0 +1,56 @@
+"""Moves lose, double and reorder nothing, and end, whatever happens when."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.model_of_moves.checker import Report, explore
+from tests.model_of_moves.protocol import Protocol, initial
+from tests.model_of_moves.world import Bounds, State, is_final, trouble_of
+
+BOUNDS = [
+    Bounds(messages=3),
+    Bounds(messages=2, gives_up=1),
+    Bounds(messages=1, callers="cr"),
+    Bounds(messages=0, callers="cr", gives_up=1),
+    Bounds(messages=0, callers="r", gives_up=1, kills=1),
+    Bounds(messages=2, kills=1, killed="S"),
+    Bounds(messages=2, kills=1, killed="o"),
+    Bounds(messages=2, kills=1, killed="n"),
+    Bounds(messages=1, kills=1, gives_up=1),
+]
+BUGS = [
+    ("no drain", Bounds(messages=0, callers="r"), "a chain is inside"),
+    ("no flush", Bounds(messages=1), "lost"),
+    ("mark overtakes", Bounds(messages=1), "lost"),
+    ("keep the path", Bounds(messages=2, gives_up=1), "lost"),
+    ("hold for ever", Bounds(messages=1, gives_up=1), "stuck"),
+    ("hold too late", Bounds(messages=1, gives_up=1), "stuck"),
+    ("rest too late", Bounds(messages=1, gives_up=1), "stuck"),
+    ("ignore failures", Bounds(messages=1, gives_up=1), "two are at work"),
+    ("work before it is kept", Bounds(messages=1, gives_up=1), "two are at work"),
+    ("remove nothing", Bounds(messages=1), "stuck"),
+    ("send at birth", Bounds(messages=2, kills=1, killed="S"), "lost"),
+    ("work at birth", Bounds(messages=1, kills=1, killed="o"), "two are at work"),
+]
+
+
+def check(bounds: Bounds, bug: str = "") -> Report[State]:
+    return explore(
+        initial(bounds),
+        Protocol(bounds, bug).successors,
+        trouble_of,
+        lambda state: is_final(state, bounds),
+    )
+
+
+@pytest.mark.parametrize("bounds", BOUNDS, ids=str)
+def test_every_move_ends_well(bounds: Bounds) -> None:
+    report = check(bounds)
+    assert not report.trouble, (report.trouble, *report.way)
+
+
+@pytest.mark.parametrize(("bug", "bounds", "trouble"), BUGS, ids=str)
+def test_what_is_done_wrong_is_found(bug: str, bounds: Bounds, trouble: str) -> None:
+    report = check(bounds, bug)
+    assert report.trouble.startswith(trouble), (report.trouble, *report.way)
