@@ -1,0 +1,23 @@
+"""Poise keeps a robot's software in balance over its on-board computers."""
+
+from poise.runtime.component import Component
+from poise.runtime.ports import (
+    Message,
+    Provided,
+    Published,
+    Required,
+    every,
+    oneway,
+    subscribed,
+)
+
+__all__ = [
+    "Component",
+    "Message",
+    "Provided",
+    "Published",
+    "Required",
+    "every",
+    "oneway",
+    "subscribed",
+]

@@ -1,0 +1,73 @@
+"""`poise agent`: run what the manager wants to run on this computer."""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from poise.cli.options import parse_option
+from poise.errors import UsageError
+from poise.runtime.agent import Agent, AgentSetup
+from poise.units import SECONDS
+
+PORT = 7447
+_PORTS = 1 << 16
+
+
+def agent_command(
+    computer: Annotated[str, typer.Argument(help="This computer's name.")],
+    robot: Annotated[str, typer.Option(help="The robot's name.")],
+    address: Annotated[
+        str, typer.Option(help="IP address by which the others reach this computer.")
+    ],
+    port: Annotated[int, typer.Option(help="TCP port.")] = PORT,
+    peer: Annotated[
+        list[str] | None,
+        typer.Option(help="ADDRESS or ADDRESS:PORT of another computer's agent."),
+    ] = None,
+    folder: Annotated[
+        Path | None, typer.Option(help="Folder for its sockets; else a temporary one.")
+    ] = None,
+    sample_every: Annotated[
+        str, typer.Option(help="How often to count what is used; 0: never.")
+    ] = "200 ms",
+    lifeline: Annotated[
+        int | None, typer.Option(hidden=True, help="End at this descriptor's end.")
+    ] = None,
+) -> None:
+    """Run the containers of this computer until Ctrl-C.
+
+    Example: poise agent main --robot t-rot --address 10.0.0.1 --peer 10.0.0.2
+    """
+    if not 0 < port < _PORTS:
+        raise UsageError(f"--port {port}: a port lies between 1 and {_PORTS - 1}")
+    logging.basicConfig(
+        format=f"%(asctime)s {computer} %(levelname)s %(name)s: %(message)s",
+        level="WARNING",
+    )
+    logging.getLogger("poise.component").setLevel("INFO")
+    with tempfile.TemporaryDirectory(prefix="poise-agent-") as temporary:
+        Agent(
+            AgentSetup(
+                robot=robot,
+                computer=computer,
+                address=address,
+                port=port,
+                peers=tuple(endpoint(each) for each in peer or ()),
+                folder=str(folder or temporary),
+                lifeline=lifeline,
+                sample_every=parse_option("--sample-every", sample_every, SECONDS),
+            )
+        ).run()
+
+
+def endpoint(address: str) -> str:
+    """Return the zenoh endpoint of ``ADDRESS`` or ``ADDRESS:PORT``."""
+    host, colon, port = address.rpartition(":")
+    if not colon or not port.isdigit():
+        return f"tcp/{address}:{PORT}"
+    return f"tcp/{host}:{port}"

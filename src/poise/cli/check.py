@@ -1,0 +1,74 @@
+"""`poise check`: every problem of a robot file, and of the code that it names."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+
+from poise.errors import Problem, RobotError, UsageError
+
+
+def check_command(
+    file: Annotated[Path | None, typer.Argument(help="The robot file.")] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the problems as JSON.")
+    ] = False,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON Schema of robot files.")
+    ] = False,
+) -> None:
+    """Check a robot file and the code that it names.
+
+    Every problem is told at once, as file:line:column and what is wrong there. The
+    exit code is 0 when there is none.
+
+    Example: poise check robot.yaml
+    """
+    if schema:
+        _print_schema()
+        return
+    if file is None:
+        raise UsageError("give a robot file, as in `poise check robot.yaml`")
+    problems = find_problems(file)
+    _print_json(problems) if as_json else _print_text(file, problems)
+    if problems:
+        raise typer.Exit(1)
+
+
+def find_problems(path: Path) -> tuple[Problem, ...]:
+    """Return what is wrong with the file; when nothing is, what is with its code."""
+    from poise.model.load import load_source
+    from poise.runtime.check import check_code
+
+    try:
+        source = load_source(path)
+    except RobotError as error:
+        return error.problems
+    findings = check_code(source.robot)
+    return tuple(sorted(source.positions.problem(f) for f in findings))
+
+
+def _print_schema() -> None:
+    from poise.model.schema import schema_text
+
+    sys.stdout.write(schema_text())
+
+
+def _print_json(problems: tuple[Problem, ...]) -> None:
+    report = {"ok": not problems, "problems": msgspec.to_builtins(problems)}
+    sys.stdout.write(json.dumps(report, indent=2) + "\n")
+
+
+def _print_text(path: Path, problems: tuple[Problem, ...]) -> None:
+    if not problems:
+        sys.stdout.write(f"{path}: no problems\n")
+        return
+    for problem in problems:
+        sys.stderr.write(f"{problem}\n")
+    count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
+    sys.stderr.write(f"{path}: {count}\n")

@@ -1,0 +1,330 @@
+"""`poise demo`: the paper's case study, with static placement and with Poise's."""
+
+from __future__ import annotations
+
+import itertools
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+from msgspec import Struct
+from rich.console import Console
+
+from poise.cli.launch import Decision, Kind, decide, prepared, run_task
+from poise.cli.progress import Meanwhile, progress
+from poise.cli.tables import table
+from poise.errors import RobotError, RunError
+from poise.manage.move import MoveReport, move
+from poise.manage.report import RunReport
+from poise.manage.run import Run, components_of
+from poise.model.robot import Robot
+from poise.units import format_seconds
+from poise.wire.messages import Summary
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+
+_DRIVE = 20.0
+_CALLS = 2.0
+_NAVIGATOR = "motion_controller"
+_MOVED = "localiser"
+_MOVE_AT = 4.0
+_MOST_MISSED = 0.01
+"""Share of deadlines that Poise may miss."""
+_MOST_MET = 0.5
+"""Share of deadlines that static placement may meet, to fail as in the paper."""
+
+
+class Drive(Struct, frozen=True, kw_only=True):
+    """One drive of the robot.
+
+    Parameters
+    ----------
+    deadline_miss_share
+        Share of the navigator's 200 ms deadlines that were missed.
+    pose_age, map_age
+        Age of pose and map when the navigator used them [s].
+    cpu_share
+        Computer -> share of its CPU that was used.
+    void
+        Why the drive says nothing about the robot; empty when it does.
+    """
+
+    placement: str
+    deadline_miss_share: float
+    pose_age: Summary
+    map_age: Summary
+    goal_reached: bool
+    decision_seconds: float
+    cpu_share: Mapping[str, float]
+    seconds: float
+    where: Mapping[str, str]
+    void: str
+
+
+class Scene(Struct, frozen=True, kw_only=True):
+    """A component moves while the robot drives.
+
+    Parameters
+    ----------
+    before, during, after
+        Deadlines of the navigator that were missed, and how many there were: until the
+        move began, until a second after it ended, and from then on.
+    """
+
+    move: MoveReport
+    before: tuple[int, int]
+    during: tuple[int, int]
+    after: tuple[int, int]
+    goal_reached: bool
+    void: str
+
+
+class Calls(Struct, frozen=True, kw_only=True):
+    """How long calls take: in one container, and between two computers [s]."""
+
+    direct: Summary
+    message: Summary
+
+
+class DemoReport(Struct, frozen=True, kw_only=True):
+    """All that the demo measured."""
+
+    runs: tuple[Drive, ...]
+    scene: Scene
+    calls: Calls
+
+
+def demo_command(
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the numbers as JSON.")
+    ] = False,
+    examples: Annotated[
+        Path, typer.Option(help="The folder with the examples trot and calls.")
+    ] = EXAMPLES,
+) -> None:
+    """Drive a home service robot through a home, placed by hand and by Poise.
+
+    24 components on two emulated computers, as in the paper's case study: first all on
+    the main computer, then where Poise puts them. Takes about a minute.
+
+    Example: poise demo
+    """
+    if not (examples / "trot" / "robot.yaml").is_file():
+        raise RobotError(
+            f"the demo's robot is not at {examples}: run it in a clone of Poise, or "
+            "give its examples folder with --examples"
+        )
+    console = Console(stderr=as_json, highlight=False)
+    report = DemoReport(
+        runs=(
+            _drive(examples, "static", console),
+            _drive(examples, "auto", console),
+        ),
+        scene=_move_while_driving(examples, console),
+        calls=_calls(examples, console),
+    )
+    if as_json:
+        text = msgspec.json.format(msgspec.json.encode(report))
+        sys.stdout.write(text.decode() + "\n")
+    else:
+        _show(report, console)
+    trouble = _trouble(report)
+    if trouble:
+        Console(stderr=True).print(trouble)
+        raise typer.Exit(1)
+
+
+def _drive(examples: Path, kind: Kind, console: Console) -> Drive:
+    """Drive once; a second time when the host spoilt the first."""
+    titles = {"static": "everything on Main", "auto": "where Poise puts it"}
+    console.rule(f"[bold]T-Rot, {titles[kind]}")
+    robot = prepared(examples / "trot" / "robot.yaml", console.print)
+    for _ in range(2):
+        decision = decide(robot, "serve", kind)
+        report = _serve(robot, decision, console)
+        drive = _read_drive(report)
+        console.print(_outcome(drive))
+        if not drive.void:
+            break
+    return drive
+
+
+def _serve(
+    robot: Robot,
+    decision: Decision,
+    console: Console,
+    meanwhile: Meanwhile | None = None,
+) -> RunReport:
+    """Run T-Rot's task and show how it goes on."""
+    with progress(console, _DRIVE, live=True) as show:
+
+        def look(run: Run, now: float) -> None:
+            show(run, now)
+            if meanwhile is not None:
+                meanwhile(run, now)
+
+        return run_task(
+            robot, "serve", decision, seconds=_DRIVE, say=console.print, meanwhile=look
+        )
+
+
+def _read_drive(report: RunReport) -> Drive:
+    navigator = report.component(_NAVIGATOR)
+    (cycle,) = navigator.timers
+    return Drive(
+        placement=report.placement,
+        deadline_miss_share=cycle.missed / cycle.releases if cycle.releases else 1.0,
+        pose_age=navigator.measures.get("pose_age", Summary()),
+        map_age=navigator.measures.get("map_age", Summary()),
+        goal_reached=bool(report.simulation.get("goal_reached")),
+        decision_seconds=report.decision_seconds,
+        cpu_share=report.cpu_share,
+        seconds=report.seconds,
+        where=report.where,
+        void=report.void,
+    )
+
+
+def _outcome(drive: Drive) -> str:
+    if drive.void:
+        return f"[yellow]void:[/] {drive.void}"
+    reached = "reached its goal" if drive.goal_reached else "did not reach its goal"
+    return (
+        f"the robot {reached} in {drive.seconds:.1f} s; the navigator missed "
+        f"{drive.deadline_miss_share:.1%} of its deadlines"
+    )
+
+
+def _move_while_driving(examples: Path, console: Console) -> Scene:
+    console.rule("[bold]T-Rot's localiser moves while it drives")
+    robot = prepared(examples / "trot" / "robot.yaml", console.print)
+    decision = decide(robot, "serve", "auto")
+    there = decision.placement[_MOVED]
+    target = next(c.name for c in robot.computers if c.name != there)
+    mover = _Mover(target)
+    report = _serve(robot, decision, console, mover.look)
+    scene = mover.scene(report)
+    console.print(_told(scene))
+    return scene
+
+
+class _Mover:
+    """Moves the localiser in mid-drive, and counts deadlines around that."""
+
+    def __init__(self, target: str) -> None:
+        self._target = target
+        self._report: MoveReport | None = None
+        self._ended = 0.0
+        self._counts: list[tuple[int, int]] = []
+
+    def look(self, run: Run, now: float) -> None:
+        """Move when it is time; `now` is since the start of the drive [s]."""
+        if self._report is None and now > _MOVE_AT:
+            self._counts.append(_deadlines(run))
+            self._report = move(run, _MOVED, self._target)
+            self._ended = now
+        elif len(self._counts) == 1 and now > self._ended + 1:
+            self._counts.append(_deadlines(run))
+
+    def scene(self, report: RunReport) -> Scene:
+        """Return what came of it."""
+        if self._report is None:
+            raise RunError(
+                f"the drive ended before {_MOVE_AT:g} s: {report.simulation}"
+            )
+        (cycle,) = report.component(_NAVIGATOR).timers
+        counts = [(0, 0), *self._counts, (cycle.missed, cycle.releases)]
+        parts = [(b[0] - a[0], b[1] - a[1]) for a, b in itertools.pairwise(counts)]
+        before, during, after = (*parts, (0, 0))[:3]
+        return Scene(
+            move=self._report,
+            before=before,
+            during=during,
+            after=after,
+            goal_reached=bool(report.simulation.get("goal_reached")),
+            void=report.void,
+        )
+
+
+def _deadlines(run: Run) -> tuple[int, int]:
+    """Return how many deadlines the navigator missed so far, and how many it had."""
+    for component in components_of(run.fleet.statuses()):
+        if component.name == _NAVIGATOR:
+            (cycle,) = component.timers
+            return cycle.missed, cycle.releases
+    raise RunError(f"component '{_NAVIGATOR}' is gone")
+
+
+def _told(scene: Scene) -> str:
+    report = scene.move
+    if not report.committed:
+        return f"[yellow]{_MOVED} stayed on {report.source}:[/] {report.reason}"
+    parts = ("before", scene.before), ("during", scene.during), ("after", scene.after)
+    missed = ", ".join(f"{name} {m} of {of}" for name, (m, of) in parts)
+    return (
+        f"{_MOVED} went from {report.source} to {report.target}; its gate was shut for "
+        f"{format_seconds(report.gate_shut)}; deadlines missed: {missed}; goal "
+        f"{'reached' if scene.goal_reached else 'not reached'}"
+    )
+
+
+def _calls(examples: Path, console: Console) -> Calls:
+    console.rule("[bold]How long calls take")
+    robot = prepared(examples / "calls" / "robot.yaml", console.print)
+    decision = decide(robot, "call", "auto")
+    report = run_task(robot, "call", decision, seconds=_CALLS, say=console.print)
+    measures = report.component("caller").measures
+    return Calls(direct=measures["near"], message=measures["far"])
+
+
+def _show(report: DemoReport, console: Console) -> None:
+    """Print the numbers side by side, a column per run."""
+    rows = table("", *(_TITLES[drive.placement] for drive in report.runs))
+    for computer in report.runs[0].cpu_share:
+        shares = [f"{drive.cpu_share.get(computer, 0):.0%}" for drive in report.runs]
+        rows.add_row(f"CPU used on {computer}", *shares)
+    for label, read in _ROWS.items():
+        rows.add_row(label, *(read(drive) for drive in report.runs))
+    console.print(rows)
+    console.print(_told(report.scene))
+    calls = report.calls
+    console.print(
+        f"a call to a component beside it: {_typical(calls.direct)}; "
+        f"to one on the other computer: {_typical(calls.message)}"
+    )
+
+
+_TITLES = {"static": "static (all on Main)", "auto": "Poise"}
+
+
+def _typical(summary: Summary) -> str:
+    return f"{format_seconds(summary.median)} (p99 {format_seconds(summary.p99)})"
+
+
+_ROWS: Mapping[str, Callable[[Drive], str]] = {
+    "200 ms deadlines missed": lambda d: f"{d.deadline_miss_share:.1%}",
+    "age of the pose used, median (p99)": lambda d: _typical(d.pose_age),
+    "age of the map used, median (p99)": lambda d: _typical(d.map_age),
+    "goal reached": lambda d: "yes" if d.goal_reached else "no",
+    "time": lambda d: f"{d.seconds:.1f} s",
+    "placement decided in": lambda d: (
+        format_seconds(d.decision_seconds) if d.decision_seconds else "by hand"
+    ),
+    "void": lambda d: "yes" if d.void else "no",
+}
+
+
+def _trouble(report: DemoReport) -> str:
+    """Return what did not come out as in the paper; empty when all did."""
+    by_placement = {drive.placement: drive for drive in report.runs}
+    static, auto = by_placement["static"], by_placement["auto"]
+    if static.void or auto.void:
+        return "a run is void: this machine was too busy for the emulation"
+    if static.goal_reached or static.deadline_miss_share < 1 - _MOST_MET:
+        return "static placement did not fail as it does in the paper"
+    if not auto.goal_reached or auto.deadline_miss_share >= _MOST_MISSED:
+        return "Poise's placement did not meet the navigator's deadlines"
+    return ""

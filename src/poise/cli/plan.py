@@ -1,0 +1,155 @@
+"""`poise plan`: decide where each component runs, say why, and ask what if."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+from msgspec.structs import replace
+from rich.console import Console
+
+from poise import plan
+from poise.cli.plan_questions import changed
+from poise.cli.profiles import profiled
+from poise.cli.show_plan import show, show_comparison, show_explanation
+from poise.errors import UsageError
+from poise.model import load
+from poise.model.robot import Robot
+
+
+def plan_command(
+    file: Annotated[Path, typer.Argument(help="Robot file, or problem in .json.")],
+    task: Annotated[str | None, typer.Option(help="Task to place; else all.")] = None,
+    method: Annotated[
+        str, typer.Option(help="auto, greedy, exact, search, cpsat or static.")
+    ] = "auto",
+    budget: Annotated[float, typer.Option(help="Time to decide [s].")] = 0.1,
+    seed: Annotated[int, typer.Option(help="Seed of the search.")] = 0,
+    steps: Annotated[
+        int | None, typer.Option(help="Steps instead of time: reproducible.")
+    ] = None,
+    fewer: Annotated[
+        bool,
+        typer.Option("--fewer", help="Put aside what does not fit, by priority."),
+    ] = False,
+    explain: Annotated[
+        str | None, typer.Option(help="Say why this component is where it is.")
+    ] = None,
+    compare: Annotated[
+        str | None, typer.Option(help="Methods side by side: static,greedy,search.")
+    ] = None,
+    without: Annotated[
+        list[str] | None, typer.Option(help="What if this computer were gone?")
+    ] = None,
+    add: Annotated[
+        list[str] | None, typer.Option(help="What if: NAME:cpu=2,memory=4GiB")
+    ] = None,
+    scale: Annotated[
+        list[str] | None,
+        typer.Option(help="What if: RESOURCE=0.5 or COMPUTER=2 (x capacity)"),
+    ] = None,
+    smallest: Annotated[
+        bool, typer.Option("--smallest", help="The cheapest computers that do.")
+    ] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Decide where each component runs, say why, and ask what if.
+
+    Examples
+    --------
+    poise plan robot.yaml --task fetch
+
+    poise plan robot.yaml --explain mapper
+
+    poise plan robot.yaml --compare static,greedy,auto
+
+    poise plan robot.yaml --without main --add new:cpu=4,memory=8GiB
+    """
+    notes = Console(stderr=True, highlight=False)
+    robot, problem = read(file, task, notes.print)
+    problem = changed(problem, without or [], add or [], scale or [])
+
+    def solved(name: str) -> plan.Result:
+        if name == "static":
+            return plan.evaluate(problem, _static(robot, problem), "static")
+        return plan.solve(problem, budget, name, seed, steps=steps, fewer=fewer)
+
+    if compare is not None:
+        results = {name.strip(): solved(name.strip()) for name in compare.split(",")}
+        _answer_comparison(problem, results, json=json)
+        return
+    extra: dict[str, Any] = {}
+    if smallest:
+        kept, result = plan.smallest(
+            problem, lambda smaller: plan.solve(smaller, budget, method, seed)
+        )
+        dropped = [h.name for h in problem.computers if h.name not in kept]
+        problem = plan.without(problem, dropped) if result.feasible else problem
+        extra["computers"] = kept
+    else:
+        result = solved(method)
+    if not result.aside and not result.architectures:
+        result = replace(result, trace=plan.trace(problem))
+    explanation = None
+    if explain is not None and result.placement:
+        explanation = plan.explain(problem, result.placement, explain)
+        extra["explanation"] = explanation
+    if json:
+        _print_json({**as_json(result), **extra})
+    elif explanation is not None:
+        show_explanation(explanation, Console())
+    else:
+        show(problem, result, Console())
+    if not result.feasible:
+        raise typer.Exit(1)
+
+
+def read(
+    file: Path, task: str | None, say: Callable[[str], None]
+) -> tuple[Robot | None, plan.Problem]:
+    """Return the problem in `file`, and the robot when it describes one.
+
+    Parameters
+    ----------
+    say
+        Told where a robot's demands are from.
+    """
+    if file.suffix != ".json":
+        found = profiled(load(file))
+        for sentence in found.says:
+            say(sentence)
+        return found.robot, plan.problem_of(found.robot, task)
+    if task is not None:
+        raise UsageError(f"--task {task}: {file} is a plain problem and has no tasks")
+    return None, plan.load(file)
+
+
+def as_json(result: plan.Result) -> dict[str, Any]:
+    """Return a result as plain values, with its gap."""
+    fields: dict[str, Any] = msgspec.to_builtins(result)
+    return {**fields, "gap": result.gap}
+
+
+def _static(robot: Robot | None, problem: plan.Problem) -> dict[str, str]:
+    if robot is None:
+        raise UsageError("'static' needs a robot file: a plain problem has no homes")
+    return plan.static(robot, problem)
+
+
+def _answer_comparison(
+    problem: plan.Problem, results: dict[str, plan.Result], *, json: bool
+) -> None:
+    if json:
+        _print_json({"results": {name: as_json(r) for name, r in results.items()}})
+    else:
+        show_comparison(problem, results, Console())
+    if not any(result.feasible for result in results.values()):
+        raise typer.Exit(1)
+
+
+def _print_json(value: object) -> None:
+    sys.stdout.write(msgspec.json.encode(value).decode() + "\n")

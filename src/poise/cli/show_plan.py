@@ -1,0 +1,140 @@
+"""What `poise plan` prints for people."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from poise import plan, units
+
+BAR = 10
+"""Length of a full bar [characters]."""
+
+
+def show(problem: plan.Problem, result: plan.Result, console: Console) -> None:
+    """Print a result: placement and load by computer, then the terms of F."""
+    if result.objective is None:
+        console.print(f"[bold red]no placement[/]: {result.reason}", highlight=False)
+        return
+    resources = problem.resources
+    table = Table("computer", "components", *resources)
+    for computer in problem.computers:
+        names = [c for c, h in result.placement.items() if h == computer.name]
+        bars = [bar(problem, result, computer, resource) for resource in resources]
+        table.add_row(computer.name, ", ".join(names), *bars)
+    console.print(table)
+    if result.reason:
+        console.print(f"[bold red]not feasible[/]: {result.reason}", highlight=False)
+    if result.aside:
+        console.print(
+            f"[bold red]put aside[/]: {', '.join(result.aside)}", highlight=False
+        )
+    for function, architecture in result.architectures.items():
+        console.print(f"{function}: by {architecture}", highlight=False)
+    console.print(_terms(result), highlight=False)
+
+
+def bar(
+    problem: plan.Problem, result: plan.Result, computer: plan.Computer, resource: str
+) -> Text:
+    """Return how much of a resource is used, as a bar and a share of the capacity."""
+    speed = computer.speed if resource == "cpu" else 1.0
+    capacity = computer.capacity.get(resource, 0.0) * speed
+    used = sum(
+        c.demand.get(resource, 0.0)
+        for c in problem.components
+        if result.placement.get(c.name) == computer.name
+    )
+    if capacity <= 0:
+        return Text("none" if not used else units.format_amount(resource, used))
+    share = used / capacity
+    full = min(BAR, round(share * BAR))
+    return Text(f"{'█' * full}{'░' * (BAR - full)} {share:4.0%}")
+
+
+def show_comparison(
+    problem: plan.Problem, results: dict[str, plan.Result], console: Console
+) -> None:
+    """Print results side by side: the terms of F, then load by computer."""
+    names = list(results)
+    table = Table("", *names)
+    for label in ("total", "communication", "balance", "move"):
+        table.add_row(label, *(_term(results[name], label) for name in names))
+    table.add_row("lower bound", *(_number(results[n].bound) for n in names))
+    table.add_row("proven", *("yes" if results[n].proven else "no" for n in names))
+    table.add_row("feasible", *("yes" if results[n].feasible else "NO" for n in names))
+    table.add_row("decided in", *(_seconds(results[n]) for n in names))
+    table.add_section()
+    for computer in problem.computers:
+        for resource in problem.resources:
+            table.add_row(
+                f"{computer.name} {resource}",
+                *(bar(problem, results[name], computer, resource) for name in names),
+            )
+    console.print(table)
+    for name, result in results.items():
+        if result.reason:
+            console.print(f"{name}: {result.reason}", highlight=False)
+
+
+def show_explanation(explanation: plan.Explanation, console: Console) -> None:
+    """Print why a component is where it is, and what each other computer costs."""
+    console.print(
+        f"{explanation.component} is on {explanation.computer}: {explanation.reason}",
+        highlight=False,
+    )
+    if explanation.together:
+        names = ", ".join(explanation.together)
+        console.print(f"It moves together with {names}.", highlight=False)
+    table = Table("computer", "F", "change", "communication", "balance", "move", "")
+    for option in explanation.options:
+        change = option.change
+        here = option.computer == explanation.computer
+        table.add_row(
+            option.computer,
+            f"{option.objective.total:.6g}",
+            *(
+                "" if here else f"{value:+.4g}"
+                for value in (
+                    change.total,
+                    change.communication,
+                    change.balance,
+                    change.move,
+                )
+            ),
+            option.obstacle or ("here" if here else ""),
+        )
+    console.print(table)
+
+
+def _terms(result: plan.Result) -> str:
+    terms = result.objective
+    if terms is None:
+        return ""
+    parts = [
+        f"communication {terms.communication:.6g}",
+        f"balance {terms.balance:.6g}",
+        f"move {terms.move:.6g}",
+    ]
+    if terms.quality:
+        parts.append(f"quality {terms.quality:.6g}")
+    known = ", proven to be the least" if result.proven else ""
+    if result.bound is not None and not result.proven:
+        known = f", at least {result.bound:.6g} in any placement"
+    return (
+        f"F = {terms.total:.6g} = {' + '.join(parts)} ({result.scale} scale, "
+        f"{result.spread}){known}; by {result.method} in {_seconds(result)}"
+    )
+
+
+def _term(result: plan.Result, label: str) -> str:
+    return _number(getattr(result.objective, label, None))
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.6g}"
+
+
+def _seconds(result: plan.Result) -> str:
+    return units.format_seconds(result.seconds)

@@ -1,0 +1,82 @@
+"""A profile, for people."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.table import Table
+
+from poise.estimate.predict import overheads
+from poise.estimate.profile import ComponentProfile, Profile
+from poise.estimate.rule import cpu_demand, memory_demand
+from poise.model.robot import Robot
+from poise.units import format_bytes, format_rate, format_seconds
+
+
+def show_profile(robot: Robot, profile: Profile, console: Console) -> None:
+    """Print a profile's components, timers and connectors."""
+    console.print(
+        f"robot '{profile.robot}' on '{profile.computer}' (speed {profile.speed:g}), "
+        f"{profile.at}, Poise {profile.poise}, {profile.seconds:g} s each time"
+    )
+    console.print(_components(robot, profile))
+    console.print(_timers(profile))
+    console.print(_connectors(profile))
+
+
+def _components(robot: Robot, profile: Profile) -> Table:
+    table = Table(
+        "component", "mean", "p95", "p99", "peak", "sustained", "memory", "snapshot"
+    )
+    table.add_column("start")
+    table.add_column("demand: CPU, memory")
+    table.add_column("")
+    for component in robot.components():
+        found = profile.components.get(component.name)
+        if found is not None:
+            table.add_row(component.name, *_row(found))
+    return table
+
+
+def _row(found: ComponentProfile) -> list[str]:
+    cpu = found.cpu
+    shares = [f"{each:.1%}" for each in (cpu.p95, cpu.p99, cpu.peak, cpu.sustained)]
+    error = f" ± {cpu.error:.1%}" if cpu.error is not None else ""
+    return [
+        f"{cpu.mean:.2%}{error}",
+        *shares,
+        format_bytes(found.memory),
+        format_bytes(found.state) if found.state else "",
+        format_seconds(found.start),
+        f"{cpu_demand(found):.2%}, {format_bytes(memory_demand(found))}",
+        "" if found.stable else f"[yellow]unstable: ± {found.repeat / 2:.1%}[/]",
+    ]
+
+
+def _timers(profile: Profile) -> Table:
+    table = Table("timer", "period", "median", "p99", "longest", "missed")
+    for name, component in profile.components.items():
+        for timer, found in component.timers.items():
+            table.add_row(
+                f"{name}.{timer}",
+                format_seconds(found.period),
+                format_seconds(found.median),
+                format_seconds(found.p99),
+                format_seconds(found.maximum),
+                f"{found.missed:.1%}",
+            )
+    return table
+
+
+def _connectors(profile: Profile) -> Table:
+    table = Table("connector", "calls", "messages", "size", "traffic", "overhead")
+    relative = overheads(profile)
+    for name, found in profile.connectors.items():
+        table.add_row(
+            name,
+            format_rate(found.calls) if found.calls else "",
+            format_rate(found.messages) if found.messages else "",
+            format_bytes(found.size),
+            f"{format_bytes(found.traffic)}/s",
+            f"{relative[name]:.3g}",
+        )
+    return table

@@ -1,0 +1,98 @@
+"""`poise status`: how a running robot is."""
+
+from __future__ import annotations
+
+import sys
+
+import msgspec
+from rich.console import Console
+from rich.table import Table
+
+from poise.cli.move import AsJson, Robot
+from poise.cli.tables import table
+from poise.manage.desk import AskStatus, RobotStatus, ask
+from poise.manage.estimates import Standing
+from poise.manage.run import connectors_of
+from poise.units import format_bytes, format_seconds
+from poise.wire.messages import ConnectorStatus, TimerStatus
+
+
+def status_command(robot: Robot = None, as_json: AsJson = False) -> None:
+    """Show where a running robot's components are, and how they and connectors do.
+
+    Example: poise status
+    """
+    answer = ask(robot, AskStatus())
+    assert isinstance(answer, RobotStatus)  # noqa: S101, what the manager answers
+    if as_json:
+        sys.stdout.write(msgspec.json.encode(answer).decode() + "\n")
+        return
+    console = Console(highlight=False)
+    console.print(f"robot '{answer.robot}', task '{answer.task}'")
+    for name in answer.lost:
+        console.print(f"[red]computer '{name}' is lost[/]")
+    console.print(_components(answer))
+    console.print(_connectors(answer))
+    for name, computer in answer.computers.items():
+        for fault in computer.faults:
+            console.print(f"[red]{name}: container '{fault.container}' {fault.message}")
+
+
+def _components(answer: RobotStatus) -> Table:
+    rows = table(
+        "component", "computer", "state", "CPU", "profile", "errors", "missed deadlines"
+    )
+    standings = {each.component: each for each in answer.standings}
+    for computer, status in sorted(answer.computers.items()):
+        for container in status.containers:
+            for component in container.components:
+                missed = ", ".join(map(_missed, component.timers))
+                errors = str(component.errors or "")
+                needs = _needs(standings.get(component.name))
+                rows.add_row(
+                    component.name, computer, component.state, *needs, errors, missed
+                )
+    return rows
+
+
+def _needs(standing: Standing | None) -> tuple[str, str]:
+    """Return what a component needs now, and what its profile says."""
+    if standing is None:
+        return "", ""
+    now, expected = standing.estimate, standing.expected
+    error = f" ± {now.error:.1%}" if now.error is not None else ""
+    starved = f", starved {now.starved:.0%}" if now.starved else ""
+    colour = "yellow" if now.drift else "default"
+    text = f"[{colour}]{now.mean:.1%}{error}{starved}[/]"
+    return text, "" if expected is None else f"{expected:.1%}"
+
+
+def _missed(timer: TimerStatus) -> str:
+    if timer.deadline is None or not timer.releases:
+        return ""
+    return f"{timer.name} {timer.missed / timer.releases:.1%}"
+
+
+def _connectors(answer: RobotStatus) -> Table:
+    """Return one row a connector: each of its two ends counts a part."""
+    ends: dict[str, list[ConnectorStatus]] = {}
+    for connector in connectors_of(answer.computers):
+        ends.setdefault(connector.name, []).append(connector)
+    rows = table("connector", "kind", "calls", "messages", "bytes", "drops", "delay")
+    for name, both in sorted(ends.items()):
+        rows.add_row(name, *_cells(both))
+    return rows
+
+
+def _cells(ends: list[ConnectorStatus]) -> tuple[str, ...]:
+    size = max(end.bytes for end in ends)
+    delay = max((end.delay for end in ends), key=lambda summary: summary.count)
+    is_joined = all(end.ready for end in ends)
+    return (
+        ends[0].kind if is_joined else f"{ends[0].kind}, not joined",
+        str(max(end.calls for end in ends) or ""),
+        str(max(end.messages for end in ends) or ""),
+        format_bytes(size) if size else "",
+        str(sum(end.drops for end in ends) or ""),
+        format_seconds(delay.median) if delay.count else "",
+    )

@@ -1,0 +1,151 @@
+"""`poise up`: start a robot and keep it running."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from poise.cli.launch import Kind, Watching, decide, prepared, running
+from poise.cli.profiles import read_profile
+from poise.errors import RobotError
+from poise.manage.desk import (
+    Answered,
+    Asked,
+    AskMove,
+    AskReplace,
+    AskStatus,
+    AskStop,
+    Desk,
+    Moved,
+    RobotStatus,
+    Stopping,
+)
+from poise.manage.estimates import Estimates
+from poise.manage.journal import Journal
+from poise.manage.metrics import MetricsServer
+from poise.manage.move import move, replace
+from poise.manage.recording import Recording, save
+from poise.manage.run import Run
+from poise.model.robot import Robot
+from poise.wire.samples import AgentSample
+
+_LOOK_EVERY = 0.2
+
+
+def up_command(
+    file: Annotated[Path, typer.Argument(help="The robot file.")],
+    task: Annotated[
+        str | None, typer.Option(help="The task; else the file's first.")
+    ] = None,
+    placement: Annotated[
+        Kind, typer.Option(help="auto: Poise decides; static: home computers.")
+    ] = "auto",
+    journal: Annotated[
+        Path | None, typer.Option(help="File for the journal (SQLite).")
+    ] = None,
+    metrics: Annotated[
+        int | None, typer.Option(help="TCP port for Prometheus, on this computer.")
+    ] = None,
+    record: Annotated[
+        Path | None, typer.Option(help="File for what agents tell of what is used.")
+    ] = None,
+) -> None:
+    """Start a robot and keep it running until Ctrl-C or `poise stop`.
+
+    Meanwhile `poise status`, `poise move` and `poise replace` work on it.
+
+    Example: poise up robot.yaml --task fetch
+    """
+    console = Console(highlight=False)
+    robot = prepared(file, console.print)
+    chosen = task or _first_task(robot)
+    decision = decide(robot, chosen, placement)
+    with contextlib.ExitStack() as stack:
+        desk = Desk(robot.name)
+        stack.callback(desk.close)
+        book = Journal(journal or ":memory:")
+        stack.callback(book.close)
+        emulated = all(computer.address is None for computer in robot.computers)
+        estimates = Estimates(robot, read_profile(robot), emulated=emulated)
+        if metrics is not None:
+            server = MetricsServer(estimates, ("127.0.0.1", metrics))
+            stack.callback(server.close)
+        recording = Recording()
+        if record is not None:
+            stack.callback(lambda: save(recording.take(), record))
+        seen = _Seen(estimates, recording if record else None, console)
+        watching = Watching(seen.take)
+        up = running(robot, decision.placement, book, console.print, watching)
+        run = stack.enter_context(up).run
+        console.print(
+            f"robot '{robot.name}' is up with task '{chosen}'; Ctrl-C ends it"
+        )
+        manager = _Manager(run, chosen, estimates)
+        while not manager.is_stopping:
+            desk.serve(manager.answer, _LOOK_EVERY)
+            run.raise_on_lost()
+        console.print("stopping")
+
+
+class _Seen:
+    """Takes what agents tell of what is used."""
+
+    def __init__(
+        self, estimates: Estimates, recording: Recording | None, console: Console
+    ) -> None:
+        self._estimates = estimates
+        self._recording = recording
+        self._console = console
+
+    def take(self, sample: AgentSample) -> None:
+        """Estimate, keep, and say when a demand has shifted."""
+        if self._recording is not None:
+            self._recording.add(sample)
+        for name, drift in self._estimates.take(sample):
+            self._console.print(
+                f"[yellow]'{name}' needs {drift.after:.1%} of a core now, "
+                f"{drift.before:.1%} before[/]"
+            )
+
+
+class _Manager:
+    """Answers what is asked of a running robot."""
+
+    def __init__(self, run: Run, task: str, estimates: Estimates) -> None:
+        self._run = run
+        self._estimates = estimates
+        self._task = task
+        self.is_stopping = False
+
+    def answer(self, asked: Asked) -> Answered:
+        """Do what is asked."""
+        run = self._run
+        match asked.what:
+            case AskMove(component, computer):
+                return Answered(Moved(move(run, component, computer)))
+            case AskReplace(component, implementation, adapt):
+                return Answered(Moved(replace(run, component, implementation, adapt)))
+            case AskStop():
+                self.is_stopping = True
+                return Answered(Stopping())
+            case AskStatus():
+                return Answered(
+                    RobotStatus(
+                        robot=run.robot.name,
+                        task=self._task,
+                        placement=run.placement(),
+                        computers=run.fleet.statuses(),
+                        lost=tuple(sorted(run.fleet.lost())),
+                        standings=tuple(self._estimates.standings()),
+                    )
+                )
+
+
+def _first_task(robot: Robot) -> str:
+    if not robot.tasks:
+        raise RobotError(f"robot '{robot.name}' has no task to run")
+    return robot.tasks[0].name

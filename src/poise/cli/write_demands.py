@@ -1,0 +1,53 @@
+"""Puts a profile's demands into the robot file itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from poise.estimate.profile import ComponentProfile, Profile
+from poise.estimate.rule import cpu_demand, memory_demand
+from poise.model.edit import with_values
+from poise.model.load import load_source
+
+_MIB = 2**20
+
+
+def write_demands(file: Path, profile: Profile) -> list[Path]:
+    """Write what the rule makes of `profile` under the components of a robot file.
+
+    All else in the file, and in those that it includes, stays as it is written.
+
+    Returns
+    -------
+    The files that changed.
+
+    Raises
+    ------
+    RobotError
+        The robot file has a problem; nothing was written.
+    """
+    source = load_source(file)
+    paths = [
+        ("architectures", architecture.name, "components", component.name)
+        for architecture in source.robot.architectures
+        for component in architecture.components
+        if component.name in profile.components
+    ]
+    places = {path: source.positions.at(path) for path in paths}
+    before = {p.file: Path(p.file).read_text("utf-8") for p in places.values()}
+    texts = before
+    # from the last to the first: lines that are added move only what is done
+    for path in sorted(paths, key=lambda path: -places[path].line):
+        values = _values(profile.components[path[-1]])
+        texts = with_values(texts, source.positions, path, values)
+    changed = [name for name in texts if texts[name] != before[name]]
+    for name in changed:
+        Path(name).write_text(texts[name], "utf-8")
+    return [Path(name) for name in changed]
+
+
+def _values(found: ComponentProfile) -> dict[str, str]:
+    return {
+        "cpu": f"{100 * cpu_demand(found):.3g}%",
+        "memory": f"{memory_demand(found) / _MIB:.3g} MiB",
+    }

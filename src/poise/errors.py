@@ -1,0 +1,95 @@
+"""The errors that Poise raises, sorted by what a caller can do about them.
+
+::
+
+    PoiseError
+      UsageError        you called it wrongly: correct the call
+      RobotError        the robot file or a problem is wrong: correct the file
+      RunError          the world broke: a process, a computer or a link
+        CallError       a call through a connector did not bring back a result
+          Unavailable   nobody answers at the other end
+          Timeout       the answer did not come within the connector's limit
+          CalleeError   the callee raised; its type, message and traceback are here
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from msgspec import Struct
+
+
+class Problem(Struct, frozen=True, order=True):
+    """One thing that is wrong in a file.
+
+    `line` and `column` count from 1; a problem of the file as a whole has 0 in both.
+    """
+
+    file: str
+    line: int
+    column: int
+    message: str
+
+    def __str__(self) -> str:
+        where = f"{self.file}:{self.line}:{self.column}" if self.line else self.file
+        return f"{where}: {self.message}"
+
+
+class PoiseError(Exception):
+    """Anything that Poise raises on purpose."""
+
+
+class UsageError(PoiseError):
+    """A command or function was used wrongly; nothing was changed."""
+
+
+class RobotError(PoiseError):
+    """A robot file, or what it describes, is wrong; nothing was started.
+
+    Parameters
+    ----------
+    message
+        What is wrong. Empty: the problems, one a line.
+    problems
+        Every problem that was found, when they lie in files.
+    """
+
+    def __init__(self, message: str = "", problems: Sequence[Problem] = ()) -> None:
+        super().__init__(message or "\n".join(map(str, problems)))
+        self.problems = tuple(problems)
+
+
+class RunError(PoiseError):
+    """Something in the running world broke: a process, a computer, a link."""
+
+
+class CallError(RunError):
+    """A call through a connector did not bring back a result."""
+
+
+class Unavailable(CallError):
+    """Nobody answers at the other end of a connector."""
+
+
+class Timeout(CallError):
+    """The answer did not come within the connector's time limit."""
+
+
+class CalleeError(CallError):
+    """The callee raised an error, wherever it runs.
+
+    Parameters
+    ----------
+    type_name
+        The qualified name of the callee's error class, such as ``"ValueError"``.
+    message
+        What ``str`` gave of the callee's error.
+    traceback
+        The callee's traceback as text, for people.
+    """
+
+    def __init__(self, type_name: str, message: str, traceback: str = "") -> None:
+        super().__init__(f"{type_name}: {message}")
+        self.type_name = type_name
+        self.message = message
+        self.traceback = traceback

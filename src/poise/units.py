@@ -1,0 +1,177 @@
+"""Quantities as people write them, and back: `512 MiB`, `20%`, `200 ms`, `10 Hz`.
+
+Inside Poise everything is SI: cores, bytes, seconds, 1/s, bytes/s, shares of 1. A
+plain number is SI already.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Mapping
+
+from msgspec import Struct
+
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S.*?)?\s*")
+_LONGEST = 60
+"""[characters] A longer text is no quantity; it is cut before it is shown."""
+
+
+class Dimension(Struct, frozen=True):
+    """What is measured, and the units that it may be written in.
+
+    `units` maps each unit to its factor; ``""`` stands for a plain number.
+    """
+
+    name: str
+    units: Mapping[str, float]
+    example: str
+
+    def accepted(self) -> str:
+        """Return an example and the units, for people."""
+        named = ", ".join(unit for unit in self.units if unit)
+        return f"{self.name} such as {self.example}" + (named and f" (units: {named})")
+
+
+_SIZES = {
+    "B": 1.0,
+    "kB": 1e3,
+    "MB": 1e6,
+    "GB": 1e9,
+    "TB": 1e12,
+    "KiB": 2.0**10,
+    "MiB": 2.0**20,
+    "GiB": 2.0**30,
+    "TiB": 2.0**40,
+}
+_BITS = {"bit": 1 / 8, "kbit": 1e3 / 8, "Mbit": 1e6 / 8, "Gbit": 1e9 / 8}
+
+CORES = Dimension(
+    "number of cores",
+    {"": 1.0, "core": 1.0, "cores": 1.0, "%": 0.01},
+    "20% or 1.5 cores",
+)
+BYTES = Dimension("size", {"": 1.0, **_SIZES}, "512 MiB")
+SECONDS = Dimension(
+    "time",
+    {
+        "": 1.0,
+        "s": 1.0,
+        "ms": 1e-3,
+        "us": 1e-6,
+        "µs": 1e-6,
+        "ns": 1e-9,
+        "min": 60.0,
+        "h": 3600.0,
+    },
+    "200 ms",
+)
+RATE = Dimension(
+    "rate", {"": 1.0, "Hz": 1.0, "kHz": 1e3, "1/s": 1.0, "/s": 1.0}, "10 Hz"
+)
+BANDWIDTH = Dimension(
+    "bandwidth",
+    {
+        "": 1.0,
+        **{f"{unit}/s": factor for unit, factor in (_SIZES | _BITS).items()},
+        **{f"{unit[:-2]}ps": _BITS[unit] for unit in ("kbit", "Mbit", "Gbit")},
+    },
+    "100 Mbit/s",
+)
+RATIO = Dimension("share", {"": 1.0, "%": 0.01}, "5% or 0.05")
+NUMBER = Dimension("number", {"": 1.0}, "2")
+
+DIMENSIONS = {
+    d.name: d for d in (CORES, BYTES, SECONDS, RATE, BANDWIDTH, RATIO, NUMBER)
+}
+
+
+def parse(text: str | float, dimension: Dimension) -> float:
+    """Return the quantity `text` in SI: finite and >= 0.
+
+    Raises
+    ------
+    ValueError
+        When it is no number, negative, not finite, or its unit is not one of the
+        dimension's. The message names the value and the accepted units.
+    """
+    match = _QUANTITY.fullmatch(str(text)) if len(str(text)) <= _LONGEST else None
+    if match is None:
+        raise ValueError(f"{quoted(text)} is not a {dimension.accepted()}")
+    number, unit = float(match[1]), match[2] or ""
+    if unit not in dimension.units:
+        raise ValueError(
+            f"{quoted(text)} has the unknown unit '{unit}'"
+            f"{_similar(unit, dimension)}; it takes a {dimension.accepted()}"
+        )
+    value = number * dimension.units[unit]
+    if not math.isfinite(value):
+        raise ValueError(f"{quoted(text)} is too large for a {dimension.name}")
+    if value < 0 or match[1].startswith("-"):
+        raise ValueError(f"{quoted(text)} is negative; a {dimension.name} is not")
+    return value
+
+
+def quoted(value: object) -> str:
+    """Return `value` in quotes on one line, cut when it is long."""
+    text = str(value)
+    text = text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+    return f"'{''.join(c if c.isprintable() else repr(c)[1:-1] for c in text)}'"
+
+
+def format_cores(cores: float) -> str:
+    """Return cores for people, as in ``1.5 cores``."""
+    return f"{_number(cores)} {'core' if cores == 1 else 'cores'}"
+
+
+def format_bytes(size: float) -> str:
+    """Return a size [bytes] for people, as in ``512 MiB``."""
+    return _scaled(size, {unit: _SIZES[unit] for unit in ("B", "KiB", "MiB", "GiB")})
+
+
+def format_seconds(seconds: float) -> str:
+    """Return a time [s] for people, as in ``200 ms``."""
+    return _scaled(seconds, {"ns": 1e-9, "µs": 1e-6, "ms": 1e-3, "s": 1.0})
+
+
+def format_rate(rate: float) -> str:
+    """Return a rate [1/s] for people, as in ``10 Hz``."""
+    return _scaled(rate, {"Hz": 1.0, "kHz": 1e3})
+
+
+def format_bandwidth(bandwidth: float) -> str:
+    """Return a bandwidth [bytes/s] for people, as in ``12.5 MB/s``."""
+    return _scaled(bandwidth, {f"{u}/s": _SIZES[u] for u in ("B", "kB", "MB", "GB")})
+
+
+def format_ratio(ratio: float) -> str:
+    """Return a share of 1 for people, as in ``20%``."""
+    return f"{_number(ratio * 100)}%"
+
+
+def format_amount(resource: str, amount: float) -> str:
+    """Return an amount of a resource, in the unit that the resource has."""
+    formats = {"cpu": format_cores, "memory": format_bytes}
+    return formats.get(resource, _number)(amount)
+
+
+def _similar(unit: str, dimension: Dimension) -> str:
+    lower = {known.lower(): known for known in dimension.units if known}
+    close = difflib.get_close_matches(unit.lower(), lower, n=1, cutoff=0.5)
+    return f" (did you mean '{lower[close[0]]}'?)" if close else ""
+
+
+def _scaled(value: float, units: Mapping[str, float]) -> str:
+    """Write `value` in the largest unit in which it is at least 1."""
+    fits = [unit for unit, factor in units.items() if abs(value) >= factor * 0.9995]
+    smallest = "s" if "s" in units else next(iter(units))
+    unit = fits[-1] if fits else (smallest if value == 0 else next(iter(units)))
+    return f"{_number(value / units[unit])} {unit}"
+
+
+def _number(value: float) -> str:
+    """Write three significant digits, and never an exponent below a million."""
+    if abs(value) >= 1000:  # noqa: PLR2004, three digits left of the point
+        return f"{value:.0f}" if abs(value) < 1e6 else f"{value:.3g}"  # noqa: PLR2004
+    return f"{value:.3g}"

@@ -1,0 +1,127 @@
+"""`poise check` as people and scripts run it."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from poise.cli.main import COMMANDS, build
+
+ROOT = Path(__file__).parents[2]
+POISE = "import sys; from poise.cli.main import main; sys.exit(main())"
+
+
+def poise(*arguments: str, before: str = "") -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", before + POISE, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+@pytest.fixture
+def bad_file(tmp_path: Path) -> Path:
+    path = tmp_path / "robot.yaml"
+    path.write_text("robot: r\ncomputers: {main: {cpu: 1 kB, memory: -1}}\n")
+    return path
+
+
+@pytest.mark.slow
+def test_says_that_a_right_file_has_no_problems() -> None:
+    done = poise("check", str(ROOT / "examples/paper/robot.yaml"))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.endswith("robot.yaml: no problems\n")
+
+
+@pytest.mark.slow
+def test_tells_every_problem_with_its_place_and_exits_1(bad_file: Path) -> None:
+    done = poise("check", str(bad_file))
+    first, second, last = done.stderr.splitlines()
+    assert first.startswith(f"{bad_file}:2:20: computers.main.cpu: '1 kB'")
+    assert second.startswith(f"{bad_file}:2:31: computers.main.memory: '-1'")
+    assert last == f"{bad_file}: 2 problems"
+    assert (done.returncode, done.stdout) == (1, "")
+
+
+@pytest.mark.slow
+def test_json_is_for_scripts(bad_file: Path) -> None:
+    done = poise("check", str(bad_file), "--json")
+    report = json.loads(done.stdout)
+    assert report["ok"] is False
+    assert done.returncode == 1
+    assert [set(p) for p in report["problems"]] == [
+        {"file", "line", "column", "message"}
+    ] * 2
+    assert (report["problems"][0]["line"], report["problems"][0]["column"]) == (2, 20)
+
+
+@pytest.mark.slow
+def test_code_is_checked_when_the_file_is_right(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text(
+        "robot: r\ncomputers: {main: {cpu: 1, memory: 1}}\n"
+        "architectures: {x: {function: f, components: {\n"
+        '  a: {implementation: "nowhere.at:All"}}}}\n'
+    )
+    done = poise("check", str(path))
+    assert done.returncode == 1
+    assert f"{path}:4:7: there is no module 'nowhere'" in done.stderr
+
+
+@pytest.mark.slow
+def test_prints_the_schema() -> None:
+    done = poise("check", "--schema")
+    assert done.returncode == 0
+    assert json.loads(done.stdout)["title"] == "Poise robot file"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arguments", [["check"], ["chek"], ["check", "--jsn", "x"]])
+def test_wrong_use_exits_2(arguments: list[str]) -> None:
+    done = poise(*arguments)
+    assert done.returncode == 2
+    assert done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.slow
+def test_a_missing_file_is_a_problem_without_a_traceback(tmp_path: Path) -> None:
+    done = poise("check", str(tmp_path / "none.yaml"))
+    assert done.returncode == 1
+    assert "none.yaml: does not exist" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.slow
+def test_an_interrupt_ends_with_130() -> None:
+    interrupt = (
+        "import poise.cli.check as c\n"
+        "def stop(*_):\n    raise KeyboardInterrupt\n"
+        "c.find_problems = stop\n"
+    )
+    done = poise("check", "robot.yaml", before=interrupt)
+    assert (done.returncode, done.stderr) == (130, "")
+
+
+@pytest.mark.slow
+def test_help_gives_an_example_of_every_command() -> None:
+    for command in (
+        build([name]).registered_commands[i] for i, name in enumerate(COMMANDS)
+    ):
+        told = poise(command.name or "", "--help").stdout
+        assert "Example" in told
+        assert f"poise {command.name} " in told.partition("Example")[2] + " "
+
+
+@pytest.mark.slow
+def test_help_loads_nothing_heavy() -> None:
+    done = poise(
+        "--help",
+        before="import atexit, sys; atexit.register(lambda: print("
+        "'loaded', [m for m in ('zenoh', 'numpy', 'ortools') if m in sys.modules]))\n",
+    )
+    assert "loaded []" in done.stdout

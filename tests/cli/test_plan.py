@@ -1,0 +1,128 @@
+"""`poise plan`, as a person or a script calls it."""
+
+import json
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner, Result
+
+from poise.cli.plan import plan_command
+from poise.errors import UsageError
+
+ROBOT = Path(__file__).parents[2] / "examples" / "paper" / "robot.yaml"
+
+PROBLEM = """
+{"components": [{"name": "a", "demand": {"cpu": 1}},
+                {"name": "b", "demand": {"cpu": 1}, "only": ["two"]}],
+ "computers": [{"name": "one", "capacity": {"cpu": 2}},
+               {"name": "two", "capacity": {"cpu": 1}}],
+ "connectors": [{"between": ["a", "b"], "overhead": 1}]}
+"""
+
+
+def call(*arguments: object) -> Result:
+    app = typer.Typer()
+    app.command()(plan_command)
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.fixture
+def problem_file(tmp_path: Path) -> Path:
+    path = tmp_path / "problem.json"
+    path.write_text(PROBLEM)
+    return path
+
+
+def test_the_papers_example_shows_what_the_greedy_tried() -> None:
+    result = call(ROBOT, "--method", "greedy", "--json")
+    assert result.exit_code == 0, result.output
+    answer = json.loads(result.stdout)
+    tried = [[trial["total"] for trial in step["trials"]] for step in answer["trace"]]
+    assert tried[1:] == [[60, 27.5], [47.5, 22.5]]
+    assert answer["objective"]["total"] == 22.5
+    assert answer["feasible"]
+    assert answer["trace"][2]["chosen"] == answer["placement"]["C3"]
+
+
+def test_a_plain_problem_is_placed(problem_file: Path) -> None:
+    answer = json.loads(call(problem_file, "--json").stdout)
+    assert answer["placement"] == {"a": "one", "b": "two"}
+
+
+def test_people_see_the_placement(problem_file: Path) -> None:
+    text = call(problem_file).stdout
+    assert "one" in text
+    assert "F = " in text
+
+
+def test_a_problem_without_a_solution_exits_with_1(tmp_path: Path) -> None:
+    path = tmp_path / "problem.json"
+    path.write_text(PROBLEM.replace('"capacity": {"cpu": 1}', '"capacity": {}'))
+    result = call(path, "--json")
+    assert result.exit_code == 1
+    assert json.loads(result.stdout)["feasible"] is False
+
+
+def test_says_why_a_component_is_where_it_is() -> None:
+    result = call(ROBOT, "--explain", "C3", "--json")
+    options = json.loads(result.stdout)["explanation"]["options"]
+    assert [round(option["objective"]["total"], 9) for option in options] == [
+        22.5,
+        47.5,
+    ]
+
+
+def test_compares_methods_side_by_side() -> None:
+    result = call(ROBOT, "--compare", "static,greedy,search,exact", "--json")
+    results = json.loads(result.stdout)["results"]
+    assert results["static"]["objective"]["total"] == 75
+    assert results["exact"]["proven"]
+    text = call(ROBOT, "--compare", "static,greedy").stdout
+    assert "█" in text
+
+
+def test_asks_what_if(problem_file: Path) -> None:
+    more = call(problem_file, "--add", "three:cpu=200%,memory=4GiB", "--json")
+    assert json.loads(more.stdout)["feasible"]
+    less = call(problem_file, "--scale", "CPU=0.1", "--json")
+    assert less.exit_code == 1
+    assert "cpu" in json.loads(less.stdout)["reason"]
+    fewest = call(problem_file, "--smallest", "--json")
+    assert json.loads(fewest.stdout)["computers"] == ["one", "two"]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        ("--without", "two"),
+        ("--without", "nowhere"),
+        ("--add", "three"),
+        ("--add", "three:cpu=much"),
+        ("--scale", "cpu=-1"),
+        ("--scale", "gpu=2"),
+        ("--task", "dance"),
+        ("--method", "magic"),
+        ("--budget", "nan"),
+        ("--explain", "nobody"),
+        ("--compare", "static"),
+    ],
+)
+def test_refuses_what_it_cannot_do(problem_file: Path, wrong: tuple[str, str]) -> None:
+    result = call(problem_file, *wrong)
+    assert isinstance(result.exception, UsageError)
+
+
+def test_shows_what_was_put_aside(tmp_path: Path) -> None:
+    path = tmp_path / "tight.json"
+    path.write_text(
+        '{"components": [{"name": "a", "demand": {"cpu": 2}},'
+        ' {"name": "b", "demand": {"cpu": 2}}],'
+        ' "computers": [{"name": "one", "capacity": {"cpu": 3}}],'
+        ' "architectures": [{"name": "A", "components": ["a"], "priority": 1},'
+        ' {"name": "B", "components": ["b"]}]}'
+    )
+    assert call(path).exit_code == 1
+    result = call(path, "--fewer")
+    assert result.exit_code == 0
+    assert "put aside: B" in result.stdout

@@ -1,0 +1,273 @@
+"""`poise run` as a person runs it: real processes on emulated computers."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from poise.cli.main import build
+from poise.cli.run import run_command
+from poise.emulate.remains import sweep
+from poise.errors import PoiseError
+from poise.runtime.waker import wait_readable
+
+LIMIT = 60.0
+POISE = (sys.executable, "-m", "poise")
+_started: list[int] = []
+HELLO = Path(__file__).parents[2] / "examples" / "hello" / "robot.yaml"
+
+CODE = """
+import os, signal
+from poise import Component, every
+
+class Quiet(Component): pass
+
+class Announcing(Component):
+    def activate(self):
+        print("up", os.getpid(), os.getppid(), flush=True)
+
+class Angry(Component):
+    def configure(self):
+        raise LookupError("no map here")
+
+class Grumbling(Component):
+    @every(0.01)
+    def tick(self):
+        raise LookupError("again")
+
+class Murderous(Component):
+    def activate(self):
+        zygote = os.getppid()
+        agent = int(open(f"/proc/{zygote}/stat").read().split()[3])
+        os.kill(agent, signal.SIGKILL)
+"""
+
+ROBOT = """
+robot: tiny
+computers:
+  left: {{cpu: 1, memory: 1 GiB, speed: 0.4}}
+  right: {{cpu: 1, memory: 1 GiB, speed: 0.4}}
+architectures:
+  working:
+    function: work
+    home: left
+    components:
+      worker: {{{component}, cpu: 5%, memory: 20 MiB}}
+tasks:
+  work: {{actions: [{{name: work, functions: [work]}}]}}
+"""
+
+
+def start(*arguments: object) -> subprocess.Popen[str]:
+    """Start `poise run` with everything it prints in one pipe."""
+    process = subprocess.Popen(
+        [*POISE, "run", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    _started.append(process.pid)
+    return process
+
+
+def run(*arguments: object) -> tuple[int, str]:
+    process = start(*arguments)
+    said, _ = process.communicate(timeout=LIMIT)
+    return process.returncode, said
+
+
+Write = Callable[[str], Path]
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Write:
+    """Write a robot file for one component and the module it may name."""
+
+    def write(component: str) -> Path:
+        (tmp_path / "tiny_robot.py").write_text(textwrap.dedent(CODE))
+        path = tmp_path / "robot.yaml"
+        path.write_text(ROBOT.format(component=component))
+        return path
+
+    return write
+
+
+def implementation(name: str) -> str:
+    return f'implementation: "tiny_robot:{name}"'
+
+
+def remains() -> set[str]:
+    """Return what the runs of this test left on this machine."""
+    places = (Path("/run/poise"), Path("/run/netns"), Path("/sys/fs/cgroup"))
+    return {
+        str(found)
+        for place in places
+        for pid in _started
+        for found in place.glob(f"**/poise-{pid}-*")
+    }
+
+
+@pytest.fixture
+def leaves_nothing() -> Iterator[None]:
+    """Hold that nothing of a run is there after its test."""
+    _started.clear()
+    yield
+    assert remains() == set()
+
+
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("leaves_nothing")]
+
+
+def test_a_run_ends_with_a_report_and_prints_nothing_else(tmp_path: Path) -> None:
+    report = tmp_path / "report"
+    arguments = ["--task", "greet", "--for", "1.3s", "--report", str(report), "--json"]
+    result = subprocess.run(
+        [*POISE, "run", str(HELLO), *arguments],
+        capture_output=True,
+        text=True,
+        timeout=LIMIT,
+        check=False,
+    )
+    told = json.loads(result.stdout)
+    # a machine too busy for the emulation makes the run void, which is told by code 1
+    assert result.returncode == (1 if told["void"] else 0), result.stderr
+    assert told == json.loads((report / "report.json").read_text())
+    assert told["where"].keys() == {"counter", "printer"}
+    assert {c["name"] for c in told["components"]} == {"counter", "printer"}
+    assert told["faults"] == []
+    assert (report / "journal.sqlite").exists()
+    assert "printer has 10" in result.stderr
+
+
+def test_a_component_that_raises_on_start_ends_the_run(robot: Write) -> None:
+    code, said = run(robot(implementation("Angry")), "--task", "work")
+    assert code == 1
+    assert "component 'worker' failed:" in said
+    assert "LookupError: no map here" in said
+
+
+@pytest.mark.parametrize(
+    ("component", "says"),
+    [
+        ('implementation: "no_such_module:Any"', "no module 'no_such_module'"),
+        (implementation("Qiet"), "did you mean 'Quiet'?"),
+        (implementation("Quiet") + ", devices: [eye]", "no device 'eye'"),
+    ],
+)
+def test_a_file_with_problems_starts_nothing(
+    robot: Write, component: str, says: str
+) -> None:
+    code, said = run(robot(component), "--task", "work")
+    assert code == 1
+    assert says in said
+    assert "emulating" not in said
+
+
+def test_what_is_described_for_planning_only_does_not_run(robot: Write) -> None:
+    code, said = run(robot("movable: true"), "--task", "work")
+    assert code == 1
+    assert "components without `implementation` or `command`: worker" in said
+    assert "emulating" not in said
+
+
+def test_errors_of_a_component_that_goes_on_are_told(robot: Write) -> None:
+    _, said = run(robot(implementation("Grumbling")), "--task", "work", "--for", "2s")
+    assert "worker:" in said
+    assert "LookupError: again" in said
+
+
+def test_an_agent_that_is_killed_is_said_at_once(robot: Write) -> None:
+    code, said = run(robot(implementation("Murderous")), "--task", "work")
+    assert code == 1
+    assert "the agent of '" in said
+    assert "' is gone" in said
+
+
+def test_a_command_runs_as_a_component(robot: Write) -> None:
+    component = "command: [sh, -c, 'echo I am $POISE_COMPONENT; exec sleep 100']"
+    code, said = run(robot(component), "--task", "work", "--for", "0.5s")
+    assert "I am worker" in said
+    assert code == 0 or "void" in said
+
+
+@pytest.mark.parametrize(
+    ("task", "for_", "says"),
+    [
+        ("greet", "soon", "--for soon"),
+        ("greet", "0 s", "longer than 0 s"),
+        ("grete", "1 s", "no task 'grete'"),
+    ],
+)
+def test_used_wrongly_it_says_so_and_starts_nothing(
+    task: str, for_: str, says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(PoiseError, match=says):
+        run_command(HELLO, task, for_=for_)
+    assert "emulating" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "arguments", [[], ["--task", "greet", "--placement", "lucky"], ["--tsak", "greet"]]
+)
+def test_options_that_are_wrong_end_with_code_2(arguments: list[str]) -> None:
+    result = CliRunner().invoke(build(["run"]), ["run", str(HELLO), *arguments])
+    assert result.exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("sent", "code", "moment"),
+    [
+        (signal.SIGINT, 130, "emulating"),
+        (signal.SIGTERM, 143, "starting"),
+        (signal.SIGINT, 130, "up"),
+    ],
+)
+def test_a_signal_ends_everything(
+    robot: Write, sent: signal.Signals, code: int, moment: str
+) -> None:
+    process = start(
+        robot(implementation("Announcing")), "--task", "work", "--for", "60s"
+    )
+    assert process.stdout is not None
+    pids: list[int] = []
+    for line in process.stdout:
+        if line.startswith("up"):
+            pids = [int(pid) for pid in line.split()[1:]]
+        if line.startswith(moment):
+            break
+    process.send_signal(sent)
+    rest, _ = process.communicate(timeout=LIMIT)
+    assert process.returncode == code, rest
+    for pid in pids:
+        assert not Path(f"/proc/{pid}").exists()
+
+
+def test_nothing_survives_a_manager_that_is_killed(robot: Write) -> None:
+    process = start(
+        robot(implementation("Announcing")), "--task", "work", "--for", "60s"
+    )
+    assert process.stdout is not None
+    line = next(line for line in process.stdout if line.startswith("up"))
+    pidfds = [os.pidfd_open(int(pid)) for pid in line.split()[1:]]
+    assert remains()  # or the test looks in the wrong place
+    process.kill()
+    for pidfd in pidfds:
+        assert wait_readable([pidfd], LIMIT)
+        os.close(pidfd)
+    process.communicate(timeout=LIMIT)
+    sweep()  # as the next run does
+
+
+@pytest.mark.parametrize("command", ["run", "agent"])
+def test_help_has_an_example(command: str) -> None:
+    said = CliRunner().invoke(build([command]), [command, "--help"]).output
+    assert f"Example: poise {command}" in said

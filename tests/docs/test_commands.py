@@ -1,0 +1,63 @@
+"""Every command line of the documents is one that `poise` understands."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+
+import click
+import pytest
+import typer
+
+from poise.cli.main import COMMANDS, build
+
+ROOT = Path(__file__).parents[2]
+DOCUMENTS = [
+    ROOT / "README.md",
+    *sorted((ROOT / "docs").rglob("*.md")),
+    *sorted((ROOT / "examples").rglob("*.md")),
+]
+
+
+def written(text: str) -> Iterator[str]:
+    """Yield the command lines in blocks for a shell, and in table cells."""
+    for block in re.findall(r"```(?:sh|console)?\n(.*?)```", text, re.DOTALL):
+        for line in block.splitlines():
+            found = re.match(
+                r"(?:\$ |\.venv/bin/)?(poise [a-z].*?)\s*(?:[&>|#].*)?$", line
+            )
+            if found:
+                yield found[1]
+    yield from re.findall(r"^\| `(poise [^`]+)`", text, re.MULTILINE)
+
+
+LINES = sorted(
+    {line for document in DOCUMENTS for line in written(document.read_text())}
+)
+
+
+def test_the_documents_show_every_command() -> None:
+    assert {line.split()[1] for line in LINES} == COMMANDS.keys()
+
+
+@pytest.mark.parametrize("line", LINES)
+def test_the_command_line_is_understood(line: str) -> None:
+    _, *words = shlex.split(line)
+    group = typer.main.get_command(build(words))
+    assert isinstance(group, typer.core.TyperGroup)
+    command = group.commands[words[0]]
+    try:
+        # parses all words, checks their types, and runs nothing
+        command.make_context(words[0], words[1:])
+    except click.ClickException as error:
+        pytest.fail(f"{line}: {error.format_message()}")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help_with_an_example(name: str) -> None:
+    module, function = COMMANDS[name][0].split(":")
+    text = getattr(import_module(f"poise.cli.{module}"), function).__doc__
+    assert re.search(rf"Examples?(:|\n *-+)\s+poise {name}", text or "")

@@ -1,0 +1,114 @@
+"""A component on the bench, as a user would test it."""
+
+from __future__ import annotations
+
+import pytest
+
+from poise import Component, Message, Published, Required, every, subscribed
+from poise.errors import UsageError
+from poise.testing import Bench, VirtualClock
+
+
+class Level(Message):
+    litres: float
+
+
+class Tank:
+    def level(self) -> float:
+        raise NotImplementedError
+
+
+class Pump(Component):
+    tank: Required[Tank]
+    report: Published[Level]
+
+    def configure(self) -> None:
+        self.wish = float(self.parameters["wish"])
+
+    @subscribed(keep=1)
+    def order(self, message: Level) -> None:
+        self.wish = message.litres
+
+    @every(0.1)
+    def look(self) -> None:
+        self.measure("missing", self.wish - self.tank.level())
+
+    @every(0.3)
+    def tell(self) -> None:
+        self.report.publish(Level(self.tank.level()))
+
+
+class HalfFull(Tank):
+    def level(self) -> float:
+        return 5.0
+
+
+def pump() -> Bench[Pump]:
+    return Bench(Pump, {"wish": 8}, tank=HalfFull())
+
+
+def test_timers_run_at_their_times() -> None:
+    bench = pump()
+    bench.advance(0.3)
+    assert bench.measured["missing"] == [3.0, 3.0, 3.0]
+    assert bench.published["report"] == [Level(5.0)]
+    assert bench.clock.now() == pytest.approx(0.3)
+
+
+def test_many_small_steps_are_one_large_one() -> None:
+    bench = pump()
+    for _ in range(30):
+        bench.advance(0.1)
+    assert len(bench.measured["missing"]) == 30
+    assert len(bench.published["report"]) == 10
+
+
+def test_messages_reach_their_port() -> None:
+    bench = pump()
+    bench.send("order", Level(6.0))
+    bench.advance(0.1)
+    assert bench.measured["missing"] == [1.0]
+
+
+def test_a_port_that_is_not_there_is_named_with_those_that_are() -> None:
+    with pytest.raises(UsageError, match="Pump subscribes no 'orders', but order"):
+        pump().send("orders", Level(1.0))
+    with pytest.raises(UsageError, match="Pump requires no 'tnak', but tank"):
+        Bench(Pump, {"wish": 8}, tnak=HalfFull())
+
+
+def test_a_required_port_must_be_given() -> None:
+    with pytest.raises(UsageError, match=r"Pump requires tank: .*tank=\.\.\."):
+        Bench(Pump, {"wish": 8})
+
+
+def test_what_the_code_raises_comes_out() -> None:
+    class Dry(Tank):
+        def level(self) -> float:
+            raise RuntimeError("dry")
+
+    bench = Bench(Pump, {"wish": 8}, tank=Dry())
+    with pytest.raises(RuntimeError, match="dry"):
+        bench.advance(0.1)
+
+
+def test_it_ends_with_the_hooks() -> None:
+    called: list[str] = []
+
+    class Ending(Component):
+        def deactivate(self) -> None:
+            called.append("deactivate")
+
+        def cleanup(self) -> None:
+            called.append("cleanup")
+
+    with Bench(Ending):
+        assert called == []
+    assert called == ["deactivate", "cleanup"]
+
+
+def test_the_clock_goes_on_only_when_told() -> None:
+    clock = VirtualClock(7.0)
+    assert clock.now() == 7.0
+    clock.sleep(0.5)
+    assert clock.now() == 7.5

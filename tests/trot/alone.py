@@ -1,0 +1,64 @@
+"""Components on their own: every port is played by the test."""
+
+from __future__ import annotations
+
+import types
+from collections import defaultdict
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from poise.clock import Clock
+from poise.runtime.component import Component, Context, create
+from poise.runtime.ports import Published, ports_of
+
+C = TypeVar("C", bound=Component)
+
+
+class VirtualClock:
+    """A clock that moves when it is told to."""
+
+    def __init__(self) -> None:
+        self.time = 0.0
+
+    def now(self) -> float:
+        return self.time
+
+    def sleep(self, seconds: float) -> None:
+        self.time += seconds
+
+
+class Alone(types.SimpleNamespace):
+    """A component with nobody around: what it published and what it measured."""
+
+    component: Any
+    published: dict[str, list[Any]]
+    measured: dict[str, list[float]]
+
+
+def alone(
+    implementation: type[C],
+    parameters: Mapping[str, Any] | None = None,
+    *,
+    clock: Clock | None = None,
+    devices: Mapping[str, str] | None = None,
+    providers: Mapping[str, object] | None = None,
+) -> Alone:
+    """Return a configured component; devices that are not given are away."""
+    published: dict[str, list[Any]] = defaultdict(list)
+    measured: dict[str, list[float]] = defaultdict(list)
+    names = ("laser", "wheels", "microphones", "speakers")
+    context = Context(
+        name=implementation.__name__,
+        parameters=parameters or {},
+        devices={name: f"/nowhere/{name}.sock" for name in names} | dict(devices or {}),
+        clock=clock or VirtualClock(),
+        measure=lambda name, value: measured[name].append(value),
+    )
+    component = create(implementation, context)
+    for port in ports_of(implementation).values():
+        if port.kind == "publishes":
+            setattr(component, port.name, Published(published[port.name].append))
+    for name, provider in (providers or {}).items():
+        setattr(component, name, provider)
+    component.configure()
+    return Alone(component=component, published=published, measured=measured)
