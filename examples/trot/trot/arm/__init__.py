@@ -1,0 +1,1 @@
+"""Moves the arm: kinematics, collisions, trajectory, joints."""

@@ -1,0 +1,1 @@
+"""Listens: who speaks, from where, and where to look next."""

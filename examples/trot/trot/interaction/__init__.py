@@ -1,0 +1,1 @@
+"""Talks with people: understanding, dialogue, mood, face, gestures, voice."""

@@ -1,0 +1,1 @@
+"""Drives the robot to its goal: laser, pose, map, path, wheels."""

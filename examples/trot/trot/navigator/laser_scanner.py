@@ -1,0 +1,50 @@
+"""Reads the laser range finder, and the wheels' odometry along with it."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from poise.runtime.component import Component
+from poise.runtime.ports import Published, every
+from trot.device import Device
+from trot.effort import Block, Effort
+from trot.laser_model import MAX_RANGE, PERIOD
+from trot.messages import Pose, Scan
+from trot.packets import Odometry, unpack_odometry, unpack_ranges
+
+
+class LaserScanner(Component):
+    """Publishes each scan with the odometry of the same moment."""
+
+    scan: Published[Scan]
+
+    def configure(self) -> None:
+        self._effort = Effort.declared(self.parameters)
+        self._laser = Device(self.device("laser"))
+        self._wheels = Device(self.device("wheels"))
+        self._odometry: deque[Odometry] = deque(maxlen=64)
+
+    @every(PERIOD)
+    def read(self) -> None:
+        # The wait keeps the timer in step with the laser: no scan lies about.
+        packets = self._laser.receive(timeout=0.8 * PERIOD)
+        self._odometry += [unpack_odometry(p) for p in self._wheels.receive()]
+        if not packets or not self._odometry:
+            return
+        since = self._effort.start()
+        stamp, ranges = unpack_ranges(packets[-1])
+        ranges = np.clip(ranges, 0.0, MAX_RANGE)
+        self._effort.spend(self._speckles, since)
+        odometry = min(self._odometry, key=lambda o: abs(o[0] - stamp))
+        self.scan.publish(Scan(stamp, ranges, Pose(*odometry)))
+
+    def cleanup(self) -> None:
+        self._laser.close()
+        self._wheels.close()
+
+    def _speckles(self, block: Block) -> int:
+        """Count the readings of a stretch of past ones that agree with no neighbour."""
+        steps = np.abs(np.diff(block[:4096]))
+        return int(np.count_nonzero((steps[1:] > 0.5) & (steps[:-1] > 0.5)))

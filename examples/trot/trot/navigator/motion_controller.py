@@ -1,0 +1,109 @@
+"""Drives: the cycle that checks pose and map every 200 ms (paper, section V)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from poise.errors import CallError
+from poise.runtime.component import Component
+from poise.runtime.ports import Required, every, subscribed
+from trot.device import Device
+from trot.effort import Block, Effort
+from trot.interfaces import Maps, Poses
+from trot.messages import Map, Path, Pose
+from trot.navigator.dynamic_window import MAX_SPEED, MAX_TURN, Trial, lattice
+from trot.navigator.surroundings import Surroundings
+from trot.packets import pack_command
+
+BLIND = 0.6
+"""[s] With a pose or a map older than this the robot stands still."""
+
+LOOK_AHEAD = 0.7
+"""[m] The point of the path to make for."""
+
+NEAR_GOAL = 0.1
+"""[m] Here the robot stops."""
+
+
+class MotionController(Component):
+    """Follows the path by what pose and map say, and stands still without them."""
+
+    poses: Required[Poses]
+    maps: Required[Maps]
+
+    def configure(self) -> None:
+        self._effort = Effort.declared(self.parameters)
+        self._wheels = Device(self.device("wheels"))
+        self._path = Path(0.0, np.zeros((0, 2), np.float32))
+
+    @subscribed(keep=1)
+    def path(self, message: Path) -> None:
+        self._path = message
+
+    @every(0.2, deadline=0.2)
+    def cycle(self) -> None:
+        try:
+            pose, seen = self.poses.latest_pose(), self.maps.latest_map()
+        except CallError as error:
+            self.log.info("no command this time: %s", error)
+            return
+        since = self._effort.start()
+        speed, turn = self._best(pose, seen, since)
+        now = self.clock.now()
+        # Before the first path nothing is driven by, and no age matters.
+        if len(self._path.points) > 0:
+            self.measure("pose_age", now - pose.stamp)
+            self.measure("map_age", now - seen.stamp)
+        if now - min(pose.stamp, seen.stamp) > BLIND:
+            speed = turn = 0.0
+        self._wheels.send(pack_command(speed, turn))
+
+    def deactivate(self) -> None:
+        self._wheels.send(pack_command(0.0, 0.0))
+
+    def cleanup(self) -> None:
+        self._wheels.close()
+
+    def _best(self, pose: Pose, seen: Map, since: float) -> tuple[float, float]:
+        """Return the best command found in the time there is."""
+        around = Surroundings(pose, seen)
+        target = make_for(self._path.points, pose, around)
+        if target is None:
+            return 0.0, 0.0
+        trial = Trial(pose, around, target)
+        best = trial.best(lattice())
+
+        def improve(block: Block) -> None:
+            nonlocal best
+            near = (block[:64].reshape(32, 2).astype(float) - 0.5) * (0.1, 0.3)
+            low, high = (0.0, -MAX_TURN), (MAX_SPEED, MAX_TURN)
+            best = trial.best(np.vstack([best, np.clip(best + near, low, high)]))
+
+        self._effort.spend(improve, since)
+        return float(best[0]), float(best[1])
+
+
+def make_for(
+    points: NDArray[np.float32], pose: Pose, around: Surroundings
+) -> NDArray[np.float64] | None:
+    """Return the point of a path to make for; None at its end, or when it is empty.
+
+    It is the furthest one within `LOOK_AHEAD` to which the robot fits straight: one
+    behind a corner would hold it there.
+    """
+    if len(points) == 0:
+        return None
+    away = np.hypot(points[:, 0] - pose.x, points[:, 1] - pose.y)
+    if away[-1] < NEAR_GOAL:
+        return None
+    nearest = int(away.argmin())
+    far = np.nonzero(away[nearest:] >= LOOK_AHEAD)[0]
+    last = nearest + int(far[0]) if len(far) else len(points) - 1
+    ahead = points[nearest : last + 1].astype(float)
+    share = np.linspace(0, 1, 15)
+    x = pose.x + (ahead[:, :1] - pose.x) * share
+    y = pose.y + (ahead[:, 1:] - pose.y) * share
+    straight = np.nonzero(around.is_wide(around.clearance(x, y)))[0]
+    index = int(straight[-1]) if len(straight) else min(2, len(ahead) - 1)
+    return np.asarray(ahead[index])

@@ -1,0 +1,158 @@
+"""Finds the way: a wave that spreads from the goal over the free cells of the map."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from poise.errors import CallError
+from poise.runtime.component import Component
+from poise.runtime.ports import Published, Required, every
+from trot import home
+from trot.effort import Block, Effort
+from trot.interfaces import Maps, Poses
+from trot.messages import Path
+from trot.navigator import grid
+from trot.navigator.mapper import occupied
+
+COARSE = 2
+"""Cells of the map to a side of a cell that the planner uses: 10 cm."""
+
+CELL = COARSE * grid.CELL
+CLEARANCE = home.ROBOT_RADIUS + 0.05
+"""[m] Nearer to an obstacle than this there is no way."""
+
+COMFORT = 0.55
+"""[m] Nearer than this a way is dearer."""
+
+BLOCKED = np.float32(np.inf)
+
+Points = NDArray[np.float32]
+"""x, y [m], ``(n, 2)``."""
+
+
+class PathPlanner(Component):
+    """Plans anew twice a second, from where the robot is on the map as it is."""
+
+    poses: Required[Poses]
+    maps: Required[Maps]
+    path: Published[Path]
+
+    def configure(self) -> None:
+        self._effort = Effort.declared(self.parameters)
+        x, y = self.parameters.get("goal", home.GOAL)
+        self._goal = (float(x), float(y))
+
+    @every(0.5)
+    def plan(self) -> None:
+        try:
+            pose, seen = self.poses.latest_pose(), self.maps.latest_map()
+        except CallError as error:
+            self.log.info("no plan this time: %s", error)
+            return
+        since = self._effort.start()
+        points = way(seen.cells, (pose.x, pose.y), self._goal)
+        self._effort.spend(self._detours, since)
+        stamp = min(pose.stamp, seen.stamp)
+        self.path.publish(Path(stamp, points))
+
+    def _detours(self, block: Block) -> float:
+        """Return the shortest of 2048 ways through random points of the home."""
+        points = block[:8192].reshape(-1, 2, 2) * 8.0
+        legs = np.linalg.norm(points[:, 0] - points[:, 1], axis=1)
+        rest = np.linalg.norm(points[:, 1] - self._goal, axis=1)
+        return float((legs + rest).min())
+
+
+def way(
+    cells: grid.Cells, start: tuple[float, float], goal: tuple[float, float]
+) -> Points:
+    """Return the cheapest way from `start` to `goal` [m]; empty when there is none.
+
+    Parameters
+    ----------
+    cells
+        Occupancy, ``(grid.SIZE, grid.SIZE)``; unknown cells count as free.
+    """
+    cost = costs(cells)
+    here, there = _cell(start), _cell(goal)
+    _free_around(cost, here)
+    reached = _wave(cost, there, here)
+    if reached[here] == BLOCKED:
+        return np.zeros((0, 2), np.float32)
+    return _downhill(reached, here)
+
+
+def costs(cells: grid.Cells) -> grid.Distances:
+    """Return what a metre costs in each coarse cell: 1 in the open, to `BLOCKED`."""
+    size = grid.SIZE // COARSE
+    blocks = occupied(cells).reshape(size, COARSE, size, COARSE)
+    room = grid.distance(np.asarray(blocks.any(axis=(1, 3))), COMFORT, CELL)
+    tight = 1 + 4 * ((COMFORT - room) / (COMFORT - CLEARANCE)) ** 2
+    return np.where(room < CLEARANCE, BLOCKED, tight).astype(np.float32)
+
+
+def _free_around(cost: grid.Distances, here: tuple[int, int]) -> None:
+    """Let the robot out of where it stands, however near an obstacle that is."""
+    row, column = here
+    around = cost[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3]
+    np.minimum(around, 20, out=around)
+
+
+def _wave(
+    cost: grid.Distances, source: tuple[int, int], target: tuple[int, int]
+) -> grid.Distances:
+    """Return what the way from each cell to `source` costs."""
+    size = len(cost)
+    padded = np.full((size + 2, size + 2), BLOCKED, np.float32)
+    reached = padded[1:-1, 1:-1]
+    reached[source] = 0
+    steps = [
+        (down, right, cost * np.float32(CELL * math.hypot(down, right)))
+        for down, right in grid.NEIGHBOURS
+    ]
+    for _ in range(4 * size):
+        before = reached.copy()
+        for down, right, step in steps:
+            np.minimum(reached, grid.shifted(padded, down, right) + step, out=reached)
+        # Nothing that still changes can make the target's way cheaper.
+        changed = before != reached
+        if not changed.any() or reached[changed].min() >= reached[target]:
+            break
+    return reached
+
+
+def _downhill(reached: grid.Distances, here: tuple[int, int]) -> Points:
+    """Follow the falling cost from `here` to the goal."""
+    row, column = here
+    cells = [here]
+    while reached[row, column] > 0 and len(cells) < reached.size:
+        row, column = min(
+            ((row + down, column + right) for down, right in grid.NEIGHBOURS),
+            key=lambda cell: _at(reached, cell),
+        )
+        cells.append((row, column))
+    return np.array([_centre(cell) for cell in cells], np.float32)
+
+
+def _at(reached: grid.Distances, cell: tuple[int, int]) -> float:
+    row, column = cell
+    inside = 0 <= row < len(reached) and 0 <= column < len(reached)
+    return float(reached[cell]) if inside else math.inf
+
+
+def _cell(point: tuple[float, float]) -> tuple[int, int]:
+    """Return row and column of the coarse cell at x, y [m]."""
+    row = grid.row(np.array(point[1]))
+    column = grid.column(np.array(point[0]))
+    return int(row) // COARSE, int(column) // COARSE
+
+
+def _centre(cell: tuple[int, int]) -> tuple[float, float]:
+    row, column = cell
+    return (
+        grid.ORIGIN[0] + (column + 0.5) * CELL,
+        grid.ORIGIN[1] + (row + 0.5) * CELL,
+    )

@@ -1,0 +1,1 @@
+"""Recommends television programmes: guide, tastes, ratings, presentation."""

@@ -1,0 +1,157 @@
+"""The simulated world as a process: ``POISE_RUN=/tmp/run python -m trot.world``.
+
+It serves the devices' sockets in the folder POISE_RUN, says ``ready``, and runs until
+the goal is reached, SIGTERM comes, or its standard input ends when that is a pipe (so
+that it does not outlive who holds the other end). With ``--endless`` it runs on
+at the goal. The last line it prints is a JSON object that says how the drive went.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import stat
+import sys
+import time
+from pathlib import Path
+
+from trot import laser_model
+from trot.packets import (
+    SOUND_PERIOD,
+    pack_odometry,
+    pack_ranges,
+    pack_sound,
+    unpack_command,
+)
+from trot.world.outlet import Outlet
+from trot.world.simulation import STEP, Simulation
+from trot.world.sound import Sound
+
+AFTER_GOAL = 0.5
+"""[s] The world goes on for this long after the goal was reached."""
+
+MOST_BEHIND = 0.1
+"""[s] A world further behind the clock than this lets the rest of the time go."""
+
+
+class World:
+    """The simulation, and the sockets through which the robot meets it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.simulation = Simulation()
+        self.finished_at: float | None = None
+        self._began = 0.0
+        self._sound = Sound()
+        self._steps = 0
+        names = ("wheels", "laser", "microphones", "speakers")
+        self._outlets = {name: Outlet(folder / f"{name}.sock") for name in names}
+
+    def step(self, now: float) -> None:
+        """Simulate one step that ends at `now` [s], and serve the devices."""
+        for packet in self._outlets["wheels"].poll():
+            command = unpack_command(packet)
+            if command is not None:
+                self.simulation.command(*command)
+                self._began = self._began or self.simulation.now
+        self._outlets["speakers"].poll()
+        self.simulation.step()
+        self._steps += 1
+        self._sense(now)
+        if self.simulation.goal_reached and self.finished_at is None:
+            self.finished_at = self.simulation.now
+
+    def _sense(self, now: float) -> None:
+        _, x, y, heading = self.simulation.odometry
+        self._outlets["wheels"].push(pack_odometry((now, x, y, heading)))
+        if self._every(laser_model.PERIOD):
+            self._outlets["laser"].push(pack_ranges(now, self.simulation.scan()))
+        if self._every(SOUND_PERIOD):
+            self._outlets["microphones"].push(pack_sound(now, self._sound.block()))
+
+    def _every(self, period: float) -> bool:
+        """Whether a multiple of `period` [s] fell into the last step."""
+        now = self._steps * STEP + 1e-9
+        return int(now / period) > int((now - STEP) / period)
+
+    @property
+    def over(self) -> bool:
+        """Whether the goal was reached a little while ago."""
+        return (
+            self.finished_at is not None
+            and self.simulation.now > self.finished_at + AFTER_GOAL
+        )
+
+    def result(self) -> dict[str, float | bool]:
+        """Return how the drive went since the first command; lengths in [m]."""
+        simulation = self.simulation
+        seconds = (self.finished_at or simulation.now) - self._began
+        return {
+            "goal_reached": self.finished_at is not None,
+            "seconds": round(seconds, 2),
+            "distance_to_goal": round(simulation.distance_to_goal, 3),
+            "collisions": simulation.collisions,
+            "path_length": round(simulation.path_length, 3),
+        }
+
+    def close(self) -> None:
+        """Remove the sockets."""
+        for outlet in self._outlets.values():
+            outlet.close()
+
+
+def run(world: World, *, endless: bool = False) -> None:
+    """Step the world as the clock goes, until it is over or told to end."""
+    held = stat.S_ISFIFO(os.fstat(sys.stdin.fileno()).st_mode)
+    due = time.monotonic()
+    while endless or not world.over:
+        due += STEP
+        wait = due - time.monotonic()
+        if wait < -MOST_BEHIND:
+            due -= wait
+        if not held:
+            time.sleep(max(0.0, wait))
+        elif _told_to_end(max(0.0, wait)):
+            return
+        world.step(time.monotonic())
+
+
+def _told_to_end(wait: float) -> bool:
+    """Wait for `wait` [s]; whether standard input ended meanwhile."""
+    end = time.monotonic() + wait
+    while True:
+        left = max(0.0, end - time.monotonic())
+        ready, _, _ = select.select([sys.stdin], [], [], left)
+        if not ready:
+            return False
+        if not os.read(sys.stdin.fileno(), 4096):
+            return True
+
+
+def main() -> int:
+    """Run the world in the folder POISE_RUN; 2 when that is not given."""
+    folder = os.environ.get("POISE_RUN")
+    if not folder or not Path(folder).is_dir():
+        message = f"POISE_RUN names the folder for the sockets; it is {folder!r}"
+        print(message, file=sys.stderr)  # noqa: T201, this is a program
+        return 2
+    signal.signal(signal.SIGTERM, _end)
+    world = World(Path(folder))
+    try:
+        print("ready", flush=True)  # noqa: T201
+        run(world, endless="--endless" in sys.argv)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        world.close()
+        print(json.dumps(world.result()), flush=True)  # noqa: T201
+    return 0
+
+
+def _end(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+if __name__ == "__main__":
+    sys.exit(main())
