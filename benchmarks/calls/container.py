@@ -1,0 +1,216 @@
+"""Poise's side: components in two containers, joined by its own wiring.
+
+Both processes do what a container does with what its agent tells it.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.calls.ping import Ping
+from benchmarks.calls.timing import Trips, timed
+from poise.clock import SystemClock
+from poise.runtime.component import Component
+from poise.runtime.ports import (
+    Message,
+    Provided,
+    Published,
+    Required,
+    subscribed,
+)
+from poise.runtime.runner import Runner
+from poise.runtime.wiring import Place, Transports, Wiring
+from poise.wire.messages import ComponentSpec, ConnectorKind, ConnectorSpec
+from poise.wire.remote import open_session
+from poise.wire.socket_path import socket_path
+
+AGENT = "tcp/127.0.0.1:17448"
+BIG = 1 << 16
+
+
+class Echo:
+    """The interface of the calls."""
+
+    def echo(self, data: bytes) -> bytes:
+        """Return what came."""
+        raise NotImplementedError
+
+    def echo_array(self, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return what came."""
+        raise NotImplementedError
+
+
+class Small(Message):
+    """A message without an array."""
+
+    data: bytes
+
+
+class Big(Message):
+    """A message with an array."""
+
+    data: NDArray[np.uint8]
+
+
+class Callee(Component):
+    """Sends back what comes."""
+
+    calls: Provided[Echo]
+    small_pong: Published[Small]
+    big_pong: Published[Big]
+
+    def echo(self, data: bytes) -> bytes:
+        """Return what came."""
+        return data
+
+    def echo_array(self, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return what came."""
+        return data
+
+    @subscribed(keep=4)
+    def small_ping(self, message: Small) -> None:
+        """Send it back."""
+        self.small_pong.publish(message)
+
+    @subscribed(keep=4)
+    def big_ping(self, message: Big) -> None:
+        """Send it back."""
+        self.big_pong.publish(message)
+
+
+class Caller(Component):
+    """Asks and measures."""
+
+    calls: Required[Echo]
+    small_ping: Published[Small]
+    big_ping: Published[Big]
+
+    def configure(self) -> None:
+        """Have nobody to tell yet."""
+        self.on_pong: Callable[[], None] = lambda: None
+
+    @subscribed(keep=4)
+    def small_pong(self, message: Small) -> None:
+        """Take an answer."""
+        del message
+        self.on_pong()
+
+    @subscribed(keep=4)
+    def big_pong(self, message: Big) -> None:
+        """Take an answer."""
+        del message
+        self.on_pong()
+
+
+def connectors(kind: ConnectorKind) -> tuple[ConnectorSpec, ...]:
+    """Return the calls' connector and the topics', there and back."""
+    ports = (
+        ("caller", "calls", "callee", "calls"),
+        ("caller", "small_ping", "callee", "small_ping"),
+        ("caller", "big_ping", "callee", "big_ping"),
+        ("callee", "small_pong", "caller", "small_pong"),
+        ("callee", "big_pong", "caller", "big_pong"),
+    )
+    return tuple(
+        ConnectorSpec(
+            name=port,
+            kind=kind,
+            source=source,
+            source_port=port,
+            target=target,
+            target_port=target_port,
+            address=target,
+        )
+        for source, port, target, target_port in ports
+    )
+
+
+def start(name: str, implementation: type[Component]) -> Runner:
+    """Return a component at work, still without connectors."""
+    spec = ComponentSpec(goal="active", name=name, implementation="")
+    return Runner(spec, implementation, SystemClock(), lambda: None)
+
+
+def place(folder: Path, name: str) -> Place:
+    """Return where a container of this benchmark is."""
+    socket = str(socket_path(folder, name))
+    return Place(prefix="bench", address="127.0.0.1", agent=AGENT, socket=socket)
+
+
+def activate(runner: Runner) -> None:
+    """Start a component and wait until it works."""
+    runner.start()
+    runner.aim("active")
+    end = time.monotonic() + 10
+    while runner.state != "active":
+        assert time.monotonic() < end, runner.status().error
+        time.sleep(0.005)
+
+
+def serve(kind: ConnectorKind, folder: Path, ready: Callable[[], None]) -> None:
+    """Run the callee in a container of its own."""
+    agent = open_session(listen=[AGENT]) if kind == "remote" else None
+    runner = start("callee", Callee)
+    wiring = Wiring(Transports(place(folder, "callee")))
+    wiring.apply(connectors(kind), {("callee", 0): runner})
+    activate(runner)
+    ready()
+    threading.Event().wait()
+    del agent
+
+
+@contextmanager
+def connect(kind: ConnectorKind, folder: Path) -> Iterator[Runner]:
+    """Run the caller in a container of its own, or in one with the callee."""
+    runners = {("caller", 0): start("caller", Caller)}
+    if kind == "direct":
+        runners["callee", 0] = start("callee", Callee)
+    wiring = Wiring(Transports(place(folder, "caller")))
+    wiring.apply(connectors(kind), runners)
+    for runner in runners.values():
+        activate(runner)
+    end = time.monotonic() + 10
+    while not all(connector.ready for connector in wiring.status()):
+        assert time.monotonic() < end, "the callee was not found"
+        time.sleep(0.01)
+    yield runners["caller", 0]
+
+
+@contextmanager
+def calls(kind: ConnectorKind, folder: Path) -> Iterator[Trips]:
+    """Give the round trips of calls."""
+    with connect(kind, folder) as runner:
+        caller = runner.component
+        assert isinstance(caller, Caller)
+
+        def trips(size: int, count: int) -> list[float]:
+            if size < BIG:
+                return timed(caller.calls.echo, bytes(size), count)
+            return timed(caller.calls.echo_array, np.zeros(size, np.uint8), count)
+
+        yield trips
+
+
+@contextmanager
+def topics(kind: ConnectorKind, folder: Path) -> Iterator[Trips]:
+    """Give the round trips of messages."""
+    with connect(kind, folder) as runner:
+        caller = runner.component
+        assert isinstance(caller, Caller)
+        small, big = Ping(caller.small_ping.publish), Ping(caller.big_ping.publish)
+
+        def trips(size: int, count: int) -> list[float]:
+            ping = small if size < BIG else big
+            caller.on_pong = ping.on_pong
+            if size < BIG:
+                return ping.trips(Small(bytes(size)), count)
+            return ping.trips(Big(np.zeros(size, np.uint8)), count)
+
+        yield trips

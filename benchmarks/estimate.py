@@ -1,0 +1,244 @@
+"""How well Poise knows what components need: ``python -m benchmarks.estimate``.
+
+Four questions, each with the goal that `GOALS` gives:
+
+- Is the profile right? Components whose CPU is known run alone and 24 together, half
+  of them in calls from others; the largest error of any of them, in cores.
+- Is the prediction right? T-Rot is placed and run; what each computer used against
+  what the profile says that it would use.
+- Is drift found, and nothing else? Time until a component that begins to use half as
+  much again is told of; how often a drift was told that was none.
+- What does it cost? CPU of an agent with 100 components that sample at 5 Hz against
+  the same without, and of the estimates made of them, as a share of a core.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+import msgspec
+
+from benchmarks.synthetic import robots
+from poise.cli.launch import Watching, decide, prepared, running
+from poise.cli.profiles import read_profile
+from poise.estimate.predict import predicted_cpu
+from poise.manage.estimates import Estimates
+from poise.manage.journal import Journal
+from poise.manage.measure import measure
+from poise.manage.recording import Recording
+from poise.model.robot import Robot
+from poise.wire.samples import SAMPLE_EVERY, AgentSample
+
+TROT = Path(__file__).parents[1] / "examples" / "trot" / "robot.yaml"
+GOALS = {
+    "worst_cpu_error": "5 % of the truth or 0.01 cores, whichever is larger",
+    "prediction_error": 0.05,
+    "drift_found_s": 3.0,
+    "false_alarms": 0,
+    "overhead_share": 0.01,
+}
+WARM_UP = 1.0
+STEADY = 7.0
+"""A component that is to drift is steady for so long [s]; 5 s of them teach it."""
+
+
+class Lengths(msgspec.Struct, frozen=True):
+    """How long to run, and how many components alone."""
+
+    alone: tuple[float, ...]
+    seconds: float
+    trot: float
+    overhead: float
+    steady: float
+
+
+QUICK = Lengths((0.05, 0.9), 4.0, 7.0, 4.0, 0.0)
+FULL = Lengths((0.05, 0.1, 0.2, 0.4, 0.6, 0.9), 15.0, 40.0, 30.0, 600.0)
+
+
+class Ran(msgspec.Struct, frozen=True):
+    """What a run left: its samples, the agents' CPU per second, and what was told."""
+
+    samples: list[AgentSample]
+    cores: Mapping[str, float]
+    told: Mapping[str, float]
+    void: str
+
+
+def run(
+    robot: Robot,
+    placement: Mapping[str, str],
+    seconds: float,
+    *,
+    every: float = SAMPLE_EVERY,
+) -> Ran:
+    """Run components and return what they used, after a warm-up."""
+    recording, journal = Recording(), Journal(":memory:")
+    watching = Watching(recording.add, every)
+    try:
+        with running(robot, placement, journal, _silent, watching) as up:
+            up.run.watch(WARM_UP)
+            recording.take()
+            up.computers.begin()
+            begin = up.run.fleet.statuses()
+            end_at = time.monotonic() + seconds
+            while (left := end_at - time.monotonic()) > 0:
+                up.run.watch(min(left, 0.2))
+                up.computers.look()
+            end = up.run.fleet.statuses()
+            void = up.computers.end()
+    finally:
+        journal.close()
+    told = {
+        component.name: component.measures["dearer"].maximum
+        for status in end.values()
+        for container in status.containers
+        for component in container.components
+        if "dearer" in component.measures
+    }
+    cores = {
+        name: (last.cpu - begin[name].cpu) / (last.uptime - begin[name].uptime)
+        for name, last in end.items()
+    }
+    return Ran(recording.take(), cores, told, void)
+
+
+def on_bench(robot: Robot) -> dict[str, str]:
+    return {c.name: robot.computers[0].name for c in robot.components()}
+
+
+def cpu_errors(robot: Robot, ran: Ran) -> dict[str, float]:
+    """Return component -> measured mean less the truth [cores]."""
+    measured = measure(ran.samples).cpu
+    return {n: measured[n].mean - truth for n, truth in robots.truths(robot).items()}
+
+
+def within(errors: Mapping[str, float], truths: Mapping[str, float]) -> bool:
+    return all(abs(e) <= max(0.05 * truths[n], 0.01) for n, e in errors.items())
+
+
+def profiles(lengths: Lengths) -> dict[str, object]:
+    """Measure components whose CPU is known."""
+    errors: dict[str, float] = {}
+    right, void = True, []
+    for cpu in lengths.alone:
+        robot = robots.alone(cpu)
+        ran = run(robot, on_bench(robot), lengths.seconds, every=0.1)
+        found = cpu_errors(robot, ran)
+        right &= within(found, robots.truths(robot))
+        errors[f"alone_{cpu:g}"] = found["worker"]
+        void.append(ran.void)
+    robot = robots.together()
+    ran = run(robot, on_bench(robot), lengths.seconds, every=0.1)
+    found = cpu_errors(robot, ran)
+    right &= within(found, robots.truths(robot))
+    void.append(ran.void)
+    worst = max(found, key=lambda name: abs(found[name]))
+    errors[f"together_{worst}"] = found[worst]
+    return {
+        "worst_cpu_error": max(map(abs, errors.values())),
+        "cpu_within_goal": right,
+        "cpu_errors": errors,
+        "void": [sentence for sentence in void if sentence],
+    }
+
+
+def predictions(lengths: Lengths) -> dict[str, object]:
+    """Run T-Rot where Poise puts it, and compare with what its profile predicts."""
+    robot = prepared(TROT, _silent)
+    profile = read_profile(robot)
+    if profile is None:
+        sys.exit(f"{TROT} has no profile: `poise profile {TROT}` makes it")
+    robot = msgspec.structs.replace(robot, simulator=robot.workload)
+    placement = decide(robot, "serve", "auto").placement
+    ran = run(robot, placement, lengths.trot)
+    predicted = predicted_cpu(robot, placement, profile)
+    errors = {n: predicted[n] / ran.cores[n] - 1 for n in predicted}
+    estimates = Estimates(robot, profile, emulated=True)
+    alarms = [told for s in ran.samples for told in estimates.take(s)]
+    return {
+        "prediction_error": max(map(abs, errors.values())),
+        "prediction_errors": errors,
+        "measured_cores": ran.cores,
+        "trot_alarms": [name for name, _ in alarms],
+        "trot_void": ran.void,
+    }
+
+
+def drifts(lengths: Lengths) -> dict[str, object]:
+    """Let a component become dearer; a full run also watches 24 for ten minutes."""
+    robot = robots.alone(0.2, STEADY)
+    ran = run(robot, on_bench(robot), STEADY + 4.0)
+    estimates = Estimates(robot, None, emulated=True)
+    told = [drift.at for s in ran.samples for _, drift in estimates.take(s)]
+    changed = ran.told["worker"]
+    found = [at - changed for at in told if at >= changed]
+    false = len([at for at in told if at < changed])
+    watched = STEADY
+    if lengths.steady:
+        robot = robots.together()
+        steady = run(robot, on_bench(robot), lengths.steady)
+        estimates = Estimates(robot, None, emulated=True)
+        false += sum(len(estimates.take(s)) for s in steady.samples)
+        watched = lengths.steady
+    return {
+        "drift_found_s": min(found, default=None),
+        "false_alarms": false,
+        "steady_s": watched,
+    }
+
+
+def overhead(lengths: Lengths) -> dict[str, object]:
+    """Compare 100 components that do next to nothing, with sampling and without."""
+    robot = robots.light(100)
+    placement = on_bench(robot)
+    without = run(robot, placement, lengths.overhead, every=0)
+    ran = run(robot, placement, lengths.overhead)
+    estimates = Estimates(robot, None, emulated=True)
+    samples = ran.samples
+    seconds = samples[-1].at - samples[0].at
+    began = time.thread_time()
+    for sample in samples:
+        estimates.take(sample)
+    estimating = (time.thread_time() - began) / seconds
+    sampling = ran.cores["bench"] - without.cores["bench"]
+    return {
+        "overhead_share": sampling + estimating,
+        "sampling_share": sampling,
+        "estimating_share": estimating,
+        "all_of_the_agent_and_containers": ran.cores["bench"],
+    }
+
+
+def _silent(_: str) -> None:
+    """Say nothing."""
+
+
+def main() -> None:
+    """Measure all, and print it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--quick", action="store_true", help="under a minute")
+    options = parser.parse_args()
+    lengths = QUICK if options.quick else FULL
+    # the components' module is imported from the benchmarks' folder
+    sys.path.insert(0, robots.FOLDER)
+    found = profiles(lengths) | predictions(lengths)
+    found |= drifts(lengths) | overhead(lengths)
+    found["goals"] = GOALS
+    found["cpus"] = os.cpu_count()
+    if options.json:
+        print(json.dumps(found, indent=2))
+        return
+    for name, value in found.items():
+        print(f"{name:34} {value}")
+
+
+if __name__ == "__main__":
+    main()

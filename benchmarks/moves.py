@@ -1,0 +1,204 @@
+"""Moves components a thousand times while they talk, and counts what got lost.
+
+Then it moves a state of 50 MB, that changes slowly, over a link of 100 Mbit/s.
+
+Usage: python -m benchmarks.moves [--json] [--quick]
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import random
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from statistics import median
+from threading import Timer
+
+from poise.cli.computers import computers_of
+from poise.clock import SystemClock
+from poise.manage.fleet import Fleet
+from poise.manage.journal import Journal
+from poise.manage.move import MoveReport, move
+from poise.manage.run import Run, components_of
+from poise.model import load
+
+ROBOTS = Path(__file__).parent / "robots"
+COMPONENTS = ("producer", "relay", "consumer")
+_SIGNS = ("answered", "received")
+
+
+@contextlib.contextmanager
+def running(name: str, placement: dict[str, str]) -> Iterator[tuple[Run, Path]]:
+    """Start a robot of `robots/` and yield its run and its folder."""
+    robot = load(ROBOTS / name)
+    with contextlib.ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="poise-")))
+        journal = Journal(folder / "journal.sqlite")
+        stack.callback(journal.close)
+        computers = stack.enter_context(
+            computers_of(robot, folder / "computers", lambda _: None)
+        )
+        fleet = stack.enter_context(
+            Fleet(robot.name, computers.endpoints, SystemClock())
+        )
+        fleet.wait_alive(computers.endpoints, 20)
+        run = Run(robot, placement, fleet, journal, str(folder))
+        run.start()
+        yield run, folder
+        run.stop()
+
+
+def totals(run: Run, component: str) -> dict[str, float]:
+    """Return the largest value of each of a component's measures."""
+    found: dict[str, float] = {}
+    for status in components_of(run.fleet.statuses()):
+        if status.name == component:
+            for name, summary in status.measures.items():
+                found[name] = max(found.get(name, 0.0), summary.maximum)
+    return found
+
+
+def storm(
+    run: Run, moves: int, limit: float, chance: random.Random, killing: int = 0
+) -> list[MoveReport]:
+    """Move components at random, `moves` times or for `limit` [s].
+
+    Parameters
+    ----------
+    killing
+        Kill a container at a random moment of every so many moves; 0: of none.
+    """
+    reports: list[MoveReport] = []
+    until = time.monotonic() + limit
+    while len(reports) < moves and time.monotonic() < until:
+        component = chance.choice(COMPONENTS)
+        here = run.placement()[component]
+        if killing and len(reports) % killing == killing - 1:
+            kill_soon(run, chance)
+        reports.append(move(run, component, "b" if here == "a" else "a"))
+        if sys.stderr.isatty():
+            sys.stderr.write(f"\r{len(reports)} moves")
+    return reports
+
+
+def kill_soon(run: Run, chance: random.Random) -> None:
+    """Kill one of the moving components' containers within a move's usual time."""
+    pids = [
+        container.pid
+        for status in run.fleet.statuses().values()
+        for container in status.containers
+        if container.name == "storm"
+    ]
+    if pids:
+        Timer(chance.uniform(0, 0.05), kill, [chance.choice(pids)]).start()
+
+
+def kill(pid: int) -> None:
+    """Kill a process that may have ended."""
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGKILL)
+
+
+def is_at_work(run: Run) -> bool:
+    """Return whether numbers go through and calls are answered, within 10 s."""
+    for _ in range(20):
+        before = totals(run, "producer"), totals(run, "consumer")
+        run.fleet.wait_news(lambda: False, 0.5)
+        after = totals(run, "producer"), totals(run, "consumer")
+        if all(
+            new.get(name, 0) > old.get(name, 0)
+            for old, new, name in zip(
+                before, after, ("answered", "received"), strict=True
+            )
+        ):
+            return True
+    return False
+
+
+def count(run: Run, folder: Path) -> dict[str, int]:
+    """Halt the producer, wait until all has arrived, and return the counts."""
+    (folder / "halt").touch()
+    until = time.monotonic() + 10
+    while time.monotonic() < until:
+        run.watch(0.7)
+        producer, consumer = totals(run, "producer"), totals(run, "consumer")
+        # one that has just moved tells its numbers a little later
+        if producer.get("sent", 0) == consumer.get("received", -1):
+            break
+    return {
+        "sent": int(producer["sent"]),
+        "received": int(consumer["received"]),
+        "lost": int(max(consumer["lost"], producer["sent"] - consumer["received"])),
+        "doubled": int(consumer["doubled"]),
+        "reordered": int(consumer["reordered"]),
+        "asked": int(producer["asked"]),
+        "answered": int(producer["answered"]),
+        "refused": int(producer["refused"]),
+    }
+
+
+def big_state(moves: int) -> dict[str, float]:
+    """Move 50 MB there and back while they change and are read; return what it took."""
+    with running("archive.yaml", {"archive": "a", "reader": "a"}) as (run, _):
+        run.watch(1.0)
+        targets = ["b", "a"] * moves
+        reports = [move(run, "archive", target) for target in targets[:moves]]
+        run.watch(1.0)
+        reader = totals(run, "reader")
+    return {
+        "big_state_moves": len(reports),
+        "big_state_committed": sum(report.committed for report in reports),
+        "big_state_gate_shut_s": max(report.gate_shut for report in reports),
+        "big_state_prepared_s": max(report.prepared for report in reports),
+        "big_state_longest_call_s": reader["waited"],
+        "big_state_calls_refused": reader["refused"],
+        "big_state_answers_wrong": reader["wrong"],
+    }
+
+
+def main() -> None:
+    """Run the storm, and move a large state."""
+    quick = "--quick" in sys.argv
+    moves, limit = (150, 15.0) if quick else (1000, 600.0)
+    chance = random.Random(1)
+    everywhere = dict.fromkeys((*COMPONENTS, "conductor"), "a")
+    with running("storm.yaml", everywhere) as (run, folder):
+        reports = storm(run, moves, limit, chance)
+        counts = count(run, folder)
+    with running("storm.yaml", everywhere) as (run, _):
+        struck = storm(run, moves // 2, limit, chance, killing=10)
+        works = is_at_work(run)
+    big = big_state(2 if quick else 10)
+    failed = [report for report in reports if not report.committed]
+    shut = sorted(report.gate_shut for report in reports)
+    result = {
+        "moves": len(reports),
+        "committed": len(reports) - len(failed),
+        **counts,
+        "hung": counts["asked"] - counts["answered"] - counts["refused"],
+        "moves_with_kills": len(struck),
+        "committed_with_kills": sum(report.committed for report in struck),
+        "longest_gate_with_kills_s": max(report.gate_shut for report in struck),
+        "works_after_kills": works,
+        "gate_shut_median_s": median(shut),
+        "gate_shut_p99_s": shut[int(0.99 * len(shut))],
+        "gate_shut_max_s": shut[-1],
+        **big,
+    }
+    for report in failed[:5]:
+        sys.stderr.write(f"{report.component}: {report.reason}\n")
+    if "--json" in sys.argv:
+        sys.stdout.write(json.dumps(result, indent=2) + "\n")
+    else:
+        for name, value in result.items():
+            sys.stdout.write(f"{name:26} {value}\n")
+
+
+if __name__ == "__main__":
+    main()

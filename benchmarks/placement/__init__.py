@@ -1,0 +1,1 @@
+"""How fast and how good placement is: ``python -m benchmarks.placement --help``."""

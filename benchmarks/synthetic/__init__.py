@@ -1,0 +1,1 @@
+"""Components whose needs are known, to hold measurements against."""

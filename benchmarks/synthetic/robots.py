@@ -1,0 +1,100 @@
+"""Robots of synthetic components."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from poise.model.robot import Architecture, Component, Computer, Connector, End, Robot
+
+FOLDER = str(Path(__file__).parents[1])
+TOGETHER = 24
+_MIB = 2.0**20
+_MODULE = "synthetic.workers"
+
+
+def alone(cpu: float, dearer_at: float = float("inf")) -> Robot:
+    """Return a robot with one component that uses `cpu` [cores]."""
+    parameters = {"cpu": cpu, "memory": 32 * _MIB}
+    if dearer_at < float("inf"):
+        parameters["dearer_at"] = dearer_at
+    return _robot(
+        (
+            Architecture(
+                name="alone",
+                function="alone",
+                components=(_component("worker", "Worker", parameters),),
+            ),
+        )
+    )
+
+
+def together() -> Robot:
+    """Return a robot with 24 components that use 80 % of a core, in four containers.
+
+    In each six: two workers, and two callers of whose one calls a server and feeds a
+    sink.
+    """
+    return _robot(tuple(_group(number) for number in range(TOGETHER // 6)))
+
+
+def truths(robot: Robot) -> dict[str, float]:
+    """Return component -> what it uses [cores]."""
+    return {c.name: float(c.parameters["cpu"]) for c in robot.components()}
+
+
+def light(num: int) -> Robot:
+    """Return a robot with `num` nearly idle components, ten in each container."""
+    return _robot(
+        tuple(
+            Architecture(
+                name=f"group{k}",
+                function=f"group{k}",
+                components=tuple(
+                    _component(f"light{k}_{i}", "Light", {"cpu": 0.0})
+                    for i in range(10)
+                ),
+            )
+            for k in range(num // 10)
+        )
+    )
+
+
+def _group(k: int) -> Architecture:
+    parts = (
+        _component(f"small{k}", "Worker", {"cpu": 0.01, "memory": 4 * _MIB}),
+        _component(f"large{k}", "Worker", {"cpu": 0.06, "memory": 16 * _MIB}),
+        _component(f"caller{k}", "Caller", {"cpu": 0.02, "size": 8192}),
+        _component(f"server{k}", "Server", {"cpu": 0.05}),
+        _component(f"sink{k}", "Sink", {"cpu": 0.03}),
+        _component(f"tiny{k}", "Worker", {"cpu": 0.005, "memory": _MIB}),
+    )
+    return Architecture(
+        name=f"group{k}",
+        function=f"group{k}",
+        components=parts,
+        connectors=(
+            _connector(f"caller{k}.server", f"server{k}.work_port"),
+            _connector(f"caller{k}.blocks", f"sink{k}.blocks"),
+        ),
+    )
+
+
+def _component(name: str, class_: str, parameters: dict[str, float]) -> Component:
+    return Component(
+        name=name, implementation=f"{_MODULE}:{class_}", parameters=parameters
+    )
+
+
+def _connector(source: str, target: str) -> Connector:
+    ends = (End(*source.split(".")), End(*target.split(".")))
+    return Connector(between=ends)
+
+
+def _robot(architectures: tuple[Architecture, ...]) -> Robot:
+    computer = Computer(name="bench", capacity={"cpu": 1.0, "memory": 1024 * _MIB})
+    return Robot(
+        name="synthetic",
+        computers=(computer,),
+        architectures=architectures,
+        folder=FOLDER,
+    )
