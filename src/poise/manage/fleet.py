@@ -34,6 +34,8 @@ MARGIN = 0.1
 _LOOK = 0.1
 ANSWER_LIMIT = 2.0
 """An agent answers a deployment within this time [s]."""
+_NEWS = 0.5
+"""That an agent is lost is known so long [s] after its connection ends, at most."""
 
 
 class Fleet:
@@ -151,7 +153,9 @@ class Fleet:
             (computer, self._ask(computer, deployment, ANSWER_LIMIT))
             for computer, deployment in deployments.items()
         ]
-        refusals = {computer: _refusal(replies) for computer, replies in asked}
+        refusals = {
+            computer: self._refusal(computer, replies) for computer, replies in asked
+        }
         return {
             computer: f"the agent of '{computer}' {refusal}"
             for computer, refusal in refusals.items()
@@ -171,7 +175,8 @@ class Fleet:
             for computer, order in orders
         ]
         return [
-            _outcome(computer, order, replies) for computer, order, replies in asked
+            self._outcome(computer, order, replies)
+            for computer, order, replies in asked
         ]
 
     def _ask(
@@ -182,6 +187,39 @@ class Fleet:
             payload=msgspec.msgpack.encode(request),
             timeout=limit,
         )
+
+    def _refusal(self, computer: str, replies: Iterable[zenoh.Reply]) -> str:
+        """Return why an agent did not take a deployment; empty when it did."""
+        answer = _answer(replies)
+        if isinstance(answer, Accepted):
+            return ""
+        if answer is None:
+            return self._why_silent(computer, ANSWER_LIMIT)
+        why = answer.reason if isinstance(answer, Refused) else str(answer)
+        return f"refused: {why}"
+
+    def _outcome(
+        self, computer: str, order: Order, replies: Iterable[zenoh.Reply]
+    ) -> Outcome:
+        """Return what came of an order."""
+        answer = _answer(replies)
+        if isinstance(answer, Done | Failed):
+            return answer
+        if answer is None:
+            why = self._why_silent(computer, order.limit + MARGIN)
+        else:
+            why = f"answered {answer}"
+        return Failed(order.number, f"the agent of '{computer}' {why}")
+
+    def _why_silent(self, computer: str, limit: float) -> str:
+        """Return what is known of an agent that gave no answer within `limit` [s].
+
+        The answer fails to come as soon as its connection ends, which may be a little
+        before zenoh tells that the agent is lost.
+        """
+        if self._wait(lambda: computer in self._lost, _NEWS):
+            return "is gone"
+        return f"did not answer within {limit:g} s"
 
     def _wait(self, is_enough: Callable[[], bool], limit: float) -> bool:
         with self._changed:
@@ -223,25 +261,8 @@ def _decoded(sample: zenoh.Sample) -> Accepted | Refused | Done | Failed:
     return answer
 
 
-def _refusal(replies: Iterable[zenoh.Reply]) -> str:
-    """Return why an agent did not take a deployment; empty when it did."""
-    for reply in replies:
-        if reply.ok is None:
-            continue
-        answer = _decoded(reply.ok)
-        if isinstance(answer, Accepted):
-            return ""
-        why = answer.reason if isinstance(answer, Refused) else str(answer)
-        return f"refused: {why}"
-    return f"did not answer within {ANSWER_LIMIT:g} s"
-
-
-def _outcome(computer: str, order: Order, replies: Iterable[zenoh.Reply]) -> Outcome:
-    for reply in replies:
-        if reply.ok is None:
-            continue
-        answer = _decoded(reply.ok)
-        if isinstance(answer, Done | Failed):
-            return answer
-        return Failed(order.number, f"the agent of '{computer}' answered {answer}")
-    return Failed(order.number, f"the agent of '{computer}' did not answer")
+def _answer(
+    replies: Iterable[zenoh.Reply],
+) -> Accepted | Refused | Done | Failed | None:
+    """Return the first answer of an agent; `None` when it gave none."""
+    return next((_decoded(reply.ok) for reply in replies if reply.ok is not None), None)
