@@ -54,6 +54,7 @@ PUBLIC = {
         "add",
         "evaluate",
         "explain",
+        "keep_components",
         "load",
         "problem_of",
         "scale",

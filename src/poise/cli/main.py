@@ -25,6 +25,7 @@ COMMANDS = {
     "status": ("status:status_command", "Show how a running robot is."),
     "move": ("move:move_command", "Move a component of a running robot."),
     "replace": ("move:replace_command", "Swap a component's implementation."),
+    "balance": ("balance:balance_command", "Place a running robot anew."),
     "stop": ("stop:stop_command", "Stop a running robot."),
     "agent": ("agent:agent_command", "Run what the manager wants on this computer."),
 }

@@ -12,13 +12,16 @@ from rich.console import Console
 from poise.cli.launch import Kind, Watching, decide, prepared, running
 from poise.cli.profiles import read_profile
 from poise.errors import RobotError
+from poise.manage.balance import propose
 from poise.manage.desk import (
     Answered,
+    AskBalance,
     Asked,
     AskMove,
     AskReplace,
     AskStatus,
     AskStop,
+    Balanced,
     Desk,
     Moved,
     RobotStatus,
@@ -30,6 +33,7 @@ from poise.manage.metrics import MetricsServer
 from poise.manage.move import move, replace
 from poise.manage.recording import Recording, save
 from poise.manage.run import Run
+from poise.manage.transit import transit
 from poise.model.robot import Robot
 from poise.wire.samples import AgentSample
 
@@ -56,7 +60,7 @@ def up_command(
 ) -> None:
     """Start a robot and keep it running until Ctrl-C or `poise stop`.
 
-    Meanwhile `poise status`, `poise move` and `poise replace` work on it.
+    Meanwhile `poise status`, `move`, `replace` and `balance` work on it.
 
     Example: poise up robot.yaml --task fetch
     """
@@ -129,6 +133,8 @@ class _Manager:
                 return Answered(Moved(move(run, component, computer)))
             case AskReplace(component, implementation, adapt):
                 return Answered(Moved(replace(run, component, implementation, adapt)))
+            case AskBalance(cost, dry):
+                return Answered(self._balance(cost, dry=dry))
             case AskStop():
                 self.is_stopping = True
                 return Answered(Stopping())
@@ -143,6 +149,13 @@ class _Manager:
                         standings=tuple(self._estimates.standings()),
                     )
                 )
+
+    def _balance(self, move: float, *, dry: bool) -> Balanced:
+        run, standings = self._run, self._estimates.standings()
+        proposal = propose(run.robot, self._task, run.placement(), standings, move)
+        if dry or not proposal.steps:
+            return Balanced(proposal)
+        return Balanced(proposal, transit(run, proposal.steps))
 
 
 def _first_task(robot: Robot) -> str:

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping
 import msgspec
 
 from poise.estimate.profile import ComponentProfile, ConnectorProfile, Profile
+from poise.estimate.running import Estimate
 from poise.model.robot import Component, Connector, Robot
 
 CPU_HEADROOM = 0.05
@@ -27,6 +28,25 @@ def cpu_demand(profile: ComponentProfile) -> float:
 def memory_demand(profile: ComponentProfile) -> float:
     """Return the memory that the planner should count with [bytes]."""
     return (profile.memory + profile.base) * (1 + MEMORY_HEADROOM)
+
+
+def shifted_cpu_demand(
+    demand: float, expected: float | None, estimate: Estimate
+) -> float:
+    """Return the CPU to count with, now that a component needs other than it did.
+
+    Parameters
+    ----------
+    demand
+        What was counted with so far [cores].
+    expected
+        Mean CPU by the profile that `demand` is from [cores]; the demand then shifts
+        by the same ratio as the mean. None, or 0: there is none; the estimate and its
+        error are then counted with, plus the headroom.
+    """
+    if expected:
+        return demand * estimate.mean / expected
+    return (estimate.mean + (estimate.error or 0.0)) * (1 + CPU_HEADROOM)
 
 
 def with_profile(robot: Robot, profile: Profile) -> Robot:

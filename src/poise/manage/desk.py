@@ -1,4 +1,4 @@
-"""Where a running robot is asked for things: `poise status`, `move`, `replace`, `stop`.
+"""Where a running robot is asked for things: `poise status`, `move`, `balance` ...
 
 A socket in the user's runtime folder, one record there and one back. The manager's
 own thread answers, between two looks at the robot: nothing happens at the same time.
@@ -17,8 +17,10 @@ from pathlib import Path
 from msgspec import Struct
 
 from poise.errors import PoiseError, RunError, UsageError
+from poise.manage.balance import Proposal
 from poise.manage.estimates import Standing
 from poise.manage.move import MoveReport
+from poise.manage.transit import TransitionReport
 from poise.wire import control, stream
 from poise.wire.codec import WireError
 from poise.wire.messages import AgentStatus
@@ -46,14 +48,24 @@ class AskReplace(Struct, frozen=True, tag=True):
     adapt: str = ""
 
 
+class AskBalance(Struct, frozen=True, tag=True):
+    """Place the robot anew, unless `dry`; `move` is what moving a component costs."""
+
+    move: float
+    dry: bool = False
+
+
 class AskStop(Struct, frozen=True, tag=True):
     """Stop the robot."""
+
+
+Ask = AskStatus | AskMove | AskReplace | AskBalance | AskStop
 
 
 class Asked(Struct, frozen=True):
     """What is asked."""
 
-    what: AskStatus | AskMove | AskReplace | AskStop
+    what: Ask
 
 
 class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
@@ -80,16 +92,26 @@ class Moved(Struct, frozen=True, tag=True):
     report: MoveReport
 
 
+class Balanced(Struct, frozen=True, tag=True):
+    """What was proposed, and what came of it; no report when nothing was done."""
+
+    proposal: Proposal
+    report: TransitionReport | None = None
+
+
 class Refusal(Struct, frozen=True, tag=True):
     """It was not done, and why."""
 
     reason: str
 
 
+Answer = RobotStatus | Stopping | Moved | Balanced
+
+
 class Answered(Struct, frozen=True):
     """What is answered."""
 
-    what: RobotStatus | Stopping | Moved | Refusal
+    what: Answer | Refusal
 
 
 class Desk:
@@ -139,9 +161,7 @@ class Desk:
         self._path.unlink(missing_ok=True)
 
 
-def ask(
-    robot: str | None, what: AskStatus | AskMove | AskReplace | AskStop
-) -> RobotStatus | Stopping | Moved:
+def ask(robot: str | None, what: Ask) -> Answer:
     """Ask the manager of a running robot.
 
     Parameters
@@ -156,11 +176,15 @@ def ask(
     RunError
         The manager does not answer.
     """
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
-        stream.set_limit(connection, ANSWER_LIMIT)
-        connection.connect(os.fspath(_find(robot)))
-        control.send(connection, Asked(what))
-        answered = control.receive(connection, Answered).what
+    path = _find(robot)
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
+            stream.set_limit(connection, ANSWER_LIMIT)
+            connection.connect(os.fspath(path))
+            control.send(connection, Asked(what))
+            answered = control.receive(connection, Answered).what
+    except (OSError, RunError, WireError) as error:
+        raise RunError(f"robot '{path.stem}' gave no answer: {error}") from error
     if isinstance(answered, Refusal):
         raise UsageError(answered.reason)
     return answered

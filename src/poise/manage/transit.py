@@ -10,7 +10,7 @@ from poise.errors import RunError
 from poise.manage.deployment import Incarnation
 from poise.manage.move import MoveReport, move
 from poise.manage.run import ACTIVE_LIMIT, READY_LIMIT, STOP_LIMIT, Run
-from poise.manage.transition import Placement, Step, plan_transition
+from poise.manage.transition import Step
 
 
 class TransitionReport(Struct, frozen=True, kw_only=True):
@@ -34,15 +34,8 @@ class TransitionReport(Struct, frozen=True, kw_only=True):
     moves: tuple[MoveReport, ...] = ()
 
 
-def transit(run: Run, then: Placement) -> TransitionReport:
-    """Bring a running robot to placement `then`, or leave it as it is.
-
-    Raises
-    ------
-    RobotError
-        There is no way to `then`; nothing was touched.
-    """
-    steps = plan_transition(run.robot, run.placement(), then)
+def transit(run: Run, steps: tuple[Step, ...]) -> TransitionReport:
+    """Take the steps of a planned transition; when one fails, take all back."""
     run.journal.note("decided", f"transition of {len(steps)} steps", steps=steps)
     moves: list[MoveReport] = []
     for number, step in enumerate(steps):

@@ -1,6 +1,6 @@
 """Where each component runs: the objective, the greedy, search, proof, explanation."""
 
-from poise.plan.change import add, scale, without
+from poise.plan.change import add, keep_components, scale, without
 from poise.plan.describe import evaluate
 from poise.plan.explain import Explanation, Option, explain
 from poise.plan.load import load
@@ -36,6 +36,7 @@ __all__ = [
     "add",
     "evaluate",
     "explain",
+    "keep_components",
     "load",
     "problem_of",
     "scale",

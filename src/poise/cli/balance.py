@@ -1,0 +1,76 @@
+"""`poise balance`: place a running robot anew, from what it needs now."""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import Annotated
+
+import msgspec
+import typer
+from rich.console import Console
+
+from poise.cli.move import AsJson, Robot
+from poise.errors import UsageError
+from poise.manage.balance import Proposal
+from poise.manage.desk import AskBalance, Balanced, ask
+from poise.manage.transit import TransitionReport
+from poise.units import format_seconds
+
+
+def balance_command(
+    cost: Annotated[
+        float,
+        typer.Option(help="What F grows by for a move, and for each MB of its state."),
+    ] = 0.01,
+    dry: Annotated[
+        bool, typer.Option("--dry-run", help="Say what is best; move nothing.")
+    ] = False,
+    robot: Robot = None,
+    as_json: AsJson = False,
+) -> None:
+    """Place a running robot anew, from what its components need now, while it works.
+
+    Components move, one after the other, so that no computer is overfull midway. When
+    one cannot, all go back to where they were, and the exit code is 1.
+
+    Example: poise balance --dry-run
+    """
+    if not (math.isfinite(cost) and cost >= 0):
+        raise UsageError(f"--cost {cost:g}: it is a number that is not negative")
+    answer = ask(robot, AskBalance(cost, dry))
+    assert isinstance(answer, Balanced)  # noqa: S101, what the manager answers to it
+    if as_json:
+        sys.stdout.write(msgspec.json.encode(answer).decode() + "\n")
+    else:
+        console = Console(highlight=False)
+        _show_proposal(answer.proposal, console)
+        if answer.report is not None:
+            _show_report(answer.report, console)
+    if answer.report is not None and not answer.report.committed:
+        raise typer.Exit(1)
+
+
+def _show_proposal(proposal: Proposal, console: Console) -> None:
+    for name, demand in proposal.shifted.items():
+        console.print(f"{name} needs {demand:.1%} of a core now")
+    if proposal.trouble:
+        console.print(f"[red]as it is: {proposal.trouble}[/]")
+    known = " (proven the best)" if proposal.proven else ""
+    if not proposal.steps:
+        console.print(f"best as it is{known}: F = {proposal.now.total:.4g}")
+        return
+    console.print(
+        f"F = {proposal.now.total:.4g} becomes {proposal.then.total:.4g}{known}, by:"
+    )
+    for step in proposal.steps:
+        console.print(f"  {step}")
+
+
+def _show_report(report: TransitionReport, console: Console) -> None:
+    if not report.committed:
+        console.print(f"[red]called off:[/] {report.reason}")
+        return
+    longest = max((move.gate_shut for move in report.moves), default=0.0)
+    gates = f"; the longest gate was shut for {format_seconds(longest)}"
+    console.print(f"done{gates if report.moves else ''}")

@@ -1,0 +1,221 @@
+"""`poise up` and what is asked of a running robot, as a person does it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from poise.cli.launch import running
+from poise.errors import PoiseError
+from poise.manage.desk import AskStatus, RobotStatus, ask
+from poise.manage.journal import Journal
+from poise.manage.transit import transit
+from poise.manage.transition import plan_transition
+from poise.model import load
+from tests.runtime.conftest import wait_until
+
+pytestmark = pytest.mark.slow
+
+LIMIT = 60.0
+POISE = (sys.executable, "-m", "poise")
+NAME = f"asked{os.getpid()}"
+
+CODE = '''
+import os, time
+from poise import Component, Message, Published, every, subscribed
+
+class Number(Message):
+    value: int
+
+class Worker(Component):
+    """Needs 2 % of a core; 40 % once there is a file of its name."""
+
+    numbers: Published[Number]
+
+    def configure(self):
+        self.count = 0
+
+    @every(0.05)
+    def work(self):
+        much = os.path.exists(os.path.join(self.parameters["folder"], self.name))
+        until = time.thread_time() + (0.02 if much else 0.001)
+        while time.thread_time() < until:
+            pass
+        self.count += 1
+        self.numbers.publish(Number(self.count))
+
+    def snapshot(self) -> Number:
+        return Number(self.count)
+
+    def restore(self, state: Number) -> None:
+        self.count = state.value
+
+class Stubborn(Worker):
+    def restore(self, state: Number) -> None:
+        raise LookupError("not from elsewhere")
+
+class Reader(Component):
+    @subscribed(keep=10)
+    def numbers(self, message: Number):
+        self.last = message.value
+
+class Writer(Reader):
+    pass
+'''
+
+ROBOT = """
+robot: {name}
+computers:
+  left: {{cpu: 0.5, memory: 1 GiB}}
+  right: {{cpu: 0.5, memory: 1 GiB}}
+architectures:
+  working:
+    function: work
+    home: left
+    components:
+      first:
+        implementation: "asked:Worker"
+        isolated: true
+        cpu: 30%
+        memory: 50 MiB
+        parameters: {{folder: "{folder}"}}
+      second:
+        implementation: "asked:Stubborn"
+        isolated: true
+        cpu: 5%
+        memory: 50 MiB
+        parameters: {{folder: "{folder}"}}
+      reader: {{implementation: "asked:Reader", cpu: 15%, memory: 50 MiB}}
+    connectors:
+      - {{between: [first.numbers, reader.numbers], message: 20 B, rate: 20 Hz}}
+tasks:
+  work: {{actions: [{{name: work, functions: [work]}}]}}
+objective: {{communication: 1, balance: 0}}
+"""
+TOGETHER = {"first": "left", "second": "left", "reader": "left"}
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Path:
+    (tmp_path / "asked.py").write_text(textwrap.dedent(CODE))
+    path = tmp_path / "robot.yaml"
+    path.write_text(ROBOT.format(name=NAME, folder=tmp_path))
+    return path
+
+
+@pytest.fixture
+def up(robot: Path) -> Iterator[Path]:
+    """Start the robot; end it afterwards, whether or not the test did."""
+    argv = [*POISE, "up", str(robot), "--placement", "static"]
+    with subprocess.Popen(argv, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert any("is up" in line for line in process.stdout)
+        yield robot.parent
+        process.terminate()
+        process.communicate(timeout=LIMIT)
+
+
+def poise(*words: str) -> tuple[int, str]:
+    argv = [*POISE, *words, "--robot", NAME]
+    done = subprocess.run(
+        argv, capture_output=True, text=True, timeout=LIMIT, check=False
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+def status() -> RobotStatus:
+    answer = ask(NAME, AskStatus())
+    assert isinstance(answer, RobotStatus)
+    return answer
+
+
+def test_a_running_robot_does_what_it_is_asked(up: Path) -> None:
+    code, said = poise("move", "reader", "right", "--json")
+    assert code == 0
+    assert json.loads(said)["committed"]
+    assert status().placement == {**TOGETHER, "reader": "right"}
+
+    code, said = poise("replace", "reader", "asked:Writer")
+    assert code == 0
+    assert "reader runs on right now" in said
+
+    code, said = poise("move", "second", "right")
+    assert code == 1
+    assert "second stays on left" in said
+    assert "not from elsewhere" in said
+
+    code, said = poise("move", "nobody", "right")
+    assert code == 2
+    assert "nobody" in said
+
+    code, said = poise("status")
+    assert code == 0
+    for name in TOGETHER:
+        assert name in said
+
+    assert poise("stop")[0] == 0
+    wait_until(lambda: not is_up())
+    assert up.exists()
+
+
+def is_up() -> bool:
+    try:
+        status()
+    except PoiseError:
+        return False
+    return True
+
+
+def test_what_needs_more_than_it_did_gets_room(up: Path) -> None:
+    code, said = poise("balance", "--dry-run")
+    assert code == 0
+    assert "best as it is (proven the best)" in said
+
+    (up / "first").touch()  # with the reader's 15 % more than there is
+    wait_until(needs("first", more_than=0.3))
+    code, said = poise("balance", "--dry-run")
+    assert code == 0, said
+    assert "short" in said
+    assert "  move " in said
+    assert status().placement == TOGETHER
+
+    code, said = poise("balance")
+    assert code == 0, said
+    assert "done; the longest gate was shut for" in said
+    placed = status().placement
+    assert placed["first"] != placed["reader"]
+
+    code, said = poise("balance", "--cost", "-1")
+    assert code == 2
+    assert "--cost -1" in said
+
+
+def needs(name: str, more_than: float) -> Callable[[], bool]:
+    def holds() -> bool:
+        found = [each.estimate for each in status().standings if each.component == name]
+        return any(now.mean - (now.error or 1) > more_than for now in found)
+
+    return holds
+
+
+def test_steps_taken_are_taken_back_when_one_fails(robot: Path) -> None:
+    model = load(robot)
+    then = {"first": "right", "second": "right", "reader": "left"}
+    journal = Journal(":memory:")
+    with running(model, TOGETHER, journal, lambda _: None) as robot_up:
+        steps = plan_transition(model, TOGETHER, then)
+        by_name = sorted(steps, key=lambda step: step.component)  # what fails goes last
+        report = transit(robot_up.run, tuple(by_name))
+        assert [m.component for m in report.moves] == ["first", "second", "first"]
+        assert not report.committed
+        assert "not from elsewhere" in report.reason
+        assert robot_up.run.placement() == TOGETHER
+        robot_up.run.watch(0.1)
+    journal.close()
