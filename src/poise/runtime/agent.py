@@ -9,7 +9,6 @@ hand over what came.
 from __future__ import annotations
 
 import logging
-import os
 import random
 import signal
 import time
@@ -26,19 +25,17 @@ from poise.errors import RunError, Unavailable, UsageError
 from poise.runtime import zygote
 from poise.runtime.children import STOP_LIMIT, BackOff, Child, End
 from poise.runtime.collector import Collector
+from poise.runtime.orders import Orders
+from poise.runtime.requests import Requests, answer
 from poise.runtime.waker import Waker, wait_readable
 from poise.runtime.wiring import Place
 from poise.wire.messages import (
-    PROTOCOL,
     Accepted,
     AgentStatus,
-    Answer,
     ContainerSpec,
     Deployment,
-    Failed,
     Fault,
     Order,
-    Outcome,
     Refused,
     Request,
 )
@@ -51,7 +48,6 @@ log = logging.getLogger(__name__)
 REPORT_EVERY = 0.5
 """A status goes out at least this often [s]."""
 _MOST_FAULTS = 100
-_MOST_REQUESTS = 100
 
 
 class AgentSetup(Struct, frozen=True, kw_only=True):
@@ -105,8 +101,7 @@ class Agent:
         self._cpu_of_ended = 0.0
         self._stopping = False
         self._trouble = ""
-        self._inbox: deque[tuple[Request, zenoh.Query]] = deque()
-        self._orders: dict[int, tuple[Order, zenoh.Query, float]] = {}
+        self._orders = Orders(self._children)
         try:
             socket_path(Path(setup.folder), "")
         except ValueError as error:
@@ -116,6 +111,7 @@ class Agent:
         held = () if setup.lifeline is None else (setup.lifeline,)
         self._zygote, self._zygote_pid = zygote.start(closing=held)
         self._waker = Waker()
+        self._requests = Requests(setup.computer, self._waker.wake)
 
     def run(self) -> None:
         """Work until asked to end by a signal or by the end of the lifeline.
@@ -130,7 +126,7 @@ class Agent:
         try:
             self._run_in(self._setup)
         finally:
-            self._end_zygote()
+            zygote.end(self._zygote, self._zygote_pid)
         if self._trouble:
             raise RunError(f"agent '{self._setup.computer}': {self._trouble}")
 
@@ -141,7 +137,7 @@ class Agent:
         ) as session:
             publisher = session.declare_publisher(f"{prefix}/status/{setup.computer}")
             key = f"{prefix}/agent/{setup.computer}"
-            answers = session.declare_queryable(key, self._on_request)
+            answers = session.declare_queryable(key, self._requests.hear)
             token = session.liveliness().declare_token(
                 f"{prefix}/alive/{setup.computer}"
             )
@@ -176,80 +172,27 @@ class Agent:
         self._stopping = True
         self._waker.wake()
 
-    def _on_request(self, query: zenoh.Query) -> None:
-        """Hand a request, on zenoh's thread, to the agent's own."""
-        data = query.payload.to_bytes() if query.payload is not None else b""
-        try:
-            # first, for what another protocol asks may look different
-            spoken = msgspec.msgpack.decode(data, type=_Spoken).protocol
-            if spoken != PROTOCOL:
-                _answer(query, self._refusal_of(spoken))
-                return
-            request = msgspec.msgpack.decode(data, type=Request)
-        except msgspec.DecodeError as error:
-            _answer(query, Refused(f"not a request: {error}"))
-            return
-        if len(self._inbox) >= _MOST_REQUESTS:
-            _answer(query, Refused(f"over {_MOST_REQUESTS} requests wait"))
-            return
-        self._inbox.append((request, query))
-        self._waker.wake()
-
     def _attend(self, request: Request, query: zenoh.Query) -> None:
         if isinstance(request, Order):
-            self._pass_on(request, query)
+            self._orders.carry(request, query, self._clock.now())
         elif self._wanted and request.generation < self._wanted.generation:
             reason = (
                 f"generation {request.generation} is older than "
                 f"{self._wanted.generation}, which '{self._setup.computer}' has: "
                 "another manager is at work"
             )
-            _answer(query, Refused(reason))
+            answer(query, Refused(reason))
         else:
             self._take(request)
-            _answer(query, Accepted(request.generation))
-
-    def _refusal_of(self, protocol: int) -> Refused:
-        return Refused(
-            f"manager speaks protocol {protocol}, agent '{self._setup.computer}' "
-            f"speaks {PROTOCOL}: install the same Poise"
-        )
-
-    def _pass_on(self, order: Order, query: zenoh.Query) -> None:
-        child = self._children.get(order.container)
-        if child is None or child.is_deaf:
-            reason = f"container '{order.container}' does not run"
-            _answer(query, Failed(order.number, reason))
-            return
-        child.order(order)
-        limit = self._clock.now() + order.limit
-        self._orders[order.number] = (order, query, limit)
-
-    def _end_order(self, outcome: Outcome) -> None:
-        _, query, _ = self._orders.pop(outcome.number, (None, None, None))
-        if query is not None:
-            _answer(query, outcome)
-
-    def _end_orders(self) -> None:
-        """Answer the orders whose container went away or took too long."""
-        now = self._clock.now()
-        for order, _, limit in list(self._orders.values()):
-            child = self._children.get(order.container)
-            if child is None or child.is_deaf:
-                reason = f"container '{order.container}' ended"
-            elif now > limit:
-                reason = f"container '{order.container}' took over {order.limit:g} s"
-            else:
-                continue
-            self._end_order(Failed(order.number, reason))
+            answer(query, Accepted(request.generation))
 
     def _serve(self, publisher: zenoh.Publisher) -> None:
         report_at, reported = 0.0, _states(self._status())
         while not self._stopping:
             self._wait(report_at)
-            while self._inbox:
-                self._attend(*self._inbox.popleft())
-            self._end_orders()
+            for request, query in self._requests.take():
+                self._attend(request, query)
+            self._orders.give_up(self._clock.now())
             self._reconcile()
             status = self._status()
             seen = _states(status)
@@ -279,8 +222,8 @@ class Agent:
     def _moments(self) -> list[float]:
         """Return when something must be done though nobody says anything [s]."""
         starts = [b.again_at for n, b in self._backoffs.items() if self._is_due(n)]
-        orders = [limit for _, _, limit in self._orders.values()]
-        return starts + orders + [c.kill_at for c in self._children.values()]
+        kills = [child.kill_at for child in self._children.values()]
+        return [*starts, *self._orders.limits(), *kills]
 
     def _is_due(self, name: str) -> bool:
         wanted = self._wanted.containers if self._wanted else ()
@@ -289,7 +232,7 @@ class Agent:
     def _hear(self, child: Child) -> None:
         outcome = child.hear()
         if outcome is not None:
-            self._end_order(outcome)
+            self._orders.end(outcome)
         if child.is_deaf and self._trouble:
             # the zygote would tell when it ended, but there is none
             self._forget(child)
@@ -387,28 +330,6 @@ class Agent:
             self._reconcile()
         for child in self._children.values():
             child.kill()
-
-    def _end_zygote(self) -> None:
-        """Let the zygote end, which takes what containers are left with it."""
-        self._zygote.close()
-        pidfd = os.pidfd_open(self._zygote_pid)
-        try:
-            if not wait_readable([pidfd], zygote.PATIENCE + 1):
-                os.kill(self._zygote_pid, signal.SIGKILL)
-            os.waitpid(self._zygote_pid, 0)
-        finally:
-            os.close(pidfd)
-
-
-class _Spoken(Struct, frozen=True):
-    """The part that the requests of all protocols share."""
-
-    protocol: int = PROTOCOL
-
-
-def _answer(query: zenoh.Query, answer: Answer) -> None:
-    query.reply(query.key_expr, msgspec.msgpack.encode(answer))
-    query.drop()  # type: ignore[no-untyped-call]
 
 
 def _states(status: AgentStatus) -> tuple[object, ...]:

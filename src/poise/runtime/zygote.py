@@ -125,6 +125,18 @@ def hear(zygote: socket.socket) -> Event:
     return event
 
 
+def end(zygote: socket.socket, pid: int) -> None:
+    """Let the zygote end, which takes what containers are left with it."""
+    zygote.close()
+    pidfd = os.pidfd_open(pid)
+    try:
+        if not wait_readable([pidfd], PATIENCE + 1):
+            os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+    finally:
+        os.close(pidfd)
+
+
 def _leave(work: Callable[[], None]) -> None:
     """Run `work` in a forked process, which ends with it, whatever happens."""
     code = 1
