@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
@@ -18,13 +17,13 @@ from typing import Any
 
 from poise.clock import Clock
 from poise.errors import RunError, Timeout
+from poise.runtime.account import Account, jobs_asked
 from poise.runtime.component import Component, Context, create
 from poise.runtime.connectors.interface import methods
 from poise.runtime.ends import Ends
 from poise.runtime.histogram import Histogram
 from poise.runtime.mailbox import Inbox
 from poise.runtime.ports import ports_of, timers_of
-from poise.runtime.sampler import ThreadWait
 from poise.runtime.schedule import Schedule
 from poise.runtime.turn import Retired, Turn, new_chain
 from poise.wire.codec import codec
@@ -93,11 +92,7 @@ class Runner:
         self.asked_at = clock.now()
         self._start = 0.0
         self._snapshot = 0
-        self._cpu_clock: int | None = None
-        self._cpu_at_end = 0.0
-        self._wait = ThreadWait()
-        self._waited = self._sampled_cpu = 0.0
-        self._done = 0
+        self._account = Account()
 
     @property
     def state(self) -> State:
@@ -220,7 +215,7 @@ class Runner:
             state=self._state,
             error=self._error,
             errors=self._errors,
-            cpu=self._cpu() + called,
+            cpu=self._account.cpu() + called,
             start=self._start,
             snapshot=self._snapshot,
             timers=tuple(s.status(now) for s in list(self.schedules.values())),
@@ -237,53 +232,22 @@ class Runner:
         served
             How many calls it has answered: they are its jobs when it has no others.
         """
-        now = self._clock.now()
-        asked, done = 0, self._done
-        for schedule in list(self.schedules.values()):
-            asked += schedule.asked(now)
-        for inbox in self.ends.inboxes.values():
-            asked += inbox.arrived
-        if not asked:
-            asked = done = served
-        alive = self._thread.is_alive()
-        cpu = self._cpu() + called
-        # a system call, for those whose jobs do not tell whether they keep up
-        if alive and not asked and cpu != self._sampled_cpu:
-            self._waited = self._wait.read(self._thread.native_id or 0)
-        self._sampled_cpu = cpu
-        return ComponentSample(
-            self.spec.name,
-            self.spec.epoch,
-            cpu,
-            self._waited,
-            asked,
-            done,
-        )
-
-    def _cpu(self) -> float:
-        """Return the CPU time of its thread so far [s]."""
-        clock = self._cpu_clock
-        if clock is None:
-            return self._cpu_at_end
-        try:
-            return time.clock_gettime(clock)
-        except OSError:  # it ended between the two lines
-            return self._cpu_at_end
+        schedules = list(self.schedules.values())
+        asked = jobs_asked(schedules, self.ends.inboxes.values(), self._clock.now())
+        return self._account.sample(self.spec, asked, called, served)
 
     def _measure(self, name: str, value: float) -> None:
         self._measures.setdefault(name, Histogram()).add(value)
 
     def _main(self) -> None:
-        # asked for here: of a thread that has ended, it must not be asked for
-        self._cpu_clock = time.pthread_getcpuclockid(threading.get_ident())
+        self._account.begin()
         try:
             while self._state not in {"finalized", "failed"}:
                 self._go_to_goal()
         finally:
             # nobody waits for what has ended: calls go where the component is now
             self.turn.retire()
-            self._cpu_at_end = time.thread_time()
-            self._cpu_clock = None
+            self._account.end()
 
     def _go_to_goal(self) -> None:
         step = self._next_step()
@@ -418,7 +382,7 @@ class Runner:
             self._note_error(what)
         finally:
             self.turn.leave()
-            self._done += 1
+            self._account.note_done()
 
 
 def _weight(state: object) -> int:
