@@ -144,6 +144,7 @@ def _leave(work: Callable[[], None]) -> None:
         work()
         code = 0
     except BaseException:
+        # nobody is above it: what is not logged here is lost
         log.exception("process %d ends", os.getpid())
     finally:
         for stream_ in (sys.stdout, sys.stderr):
