@@ -100,8 +100,9 @@ def test_link_carries_what_the_robot_file_says(
         assert client.wait(timeout=30) == 0
         rate = float(server.stdout.readline())
         server.stdout.close()
-    # 100 Mbit/s is 12.5 MB/s; unshaped, it would be some 1000 MB/s.
-    assert 0.6 * 12.5e6 < rate < 1.1 * 12.5e6
+    # 100 Mbit/s is 12.5 MB/s; unshaped, it would be some 1000 MB/s. A busy machine may
+    # send less.
+    assert 0.2 * 12.5e6 < rate < 1.1 * 12.5e6
 
 
 @pytest.mark.usefixtures("needs_namespaces")
