@@ -7,6 +7,7 @@ import os
 import socket
 import struct
 import threading
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -21,7 +22,7 @@ from poise.wire.link import Link
 
 ANY = codec(Any)
 LONG = 20.0
-NEW = 0xFFFFFFFF
+NEW = 1 << 31
 
 
 @pytest.fixture
@@ -47,8 +48,9 @@ def ends() -> Iterator[tuple[Link, Link]]:
 
 
 def ask(link: Link, value: object) -> Any:
-    link.send(frame.segments(ANY, value, Kind.CALL, chain=1), LONG)
-    return link.receive(LONG).value(ANY)
+    deadline = time.monotonic() + LONG
+    link.send(frame.segments(ANY, value, Kind.CALL, chain=1), deadline)
+    return link.receive(deadline).value(ANY)
 
 
 def image(number: int, size: int = 1 << 20) -> Any:
@@ -148,7 +150,6 @@ def raw() -> Iterator[tuple[socket.socket, Link]]:
     ours, theirs = socket.socketpair()
     ours.settimeout(LONG)
     link = Link(theirs)
-    link.set_limit(LONG)
     yield ours, link
     ours.close()
     link.close()
@@ -159,10 +160,10 @@ def raw() -> Iterator[tuple[socket.socket, Link]]:
     [
         (head(3, 0) + b"abc", "cut short"),
         (head((1 << 30) + 1, 0), "is the largest"),
-        (head(24, 3, 10), "no shared block 3"),
-        (head(NEW, 0), "is the largest|was announced"),
-        (head(NEW, 99, 4096), "block 99 of 4096 B was announced"),
-        (head(NEW, 1, 1 << 40), "was announced"),
+        (head(24, 3, 10) + bytes(24), "no shared block 3"),
+        (head(0, NEW, 4096), "block 0 of 4096 B was announced"),
+        (head(0, NEW | 99, 4096), "block 99 of 4096 B was announced"),
+        (head(0, NEW | 1, 1 << 40), "was announced"),
     ],
 )
 def test_refuses_what_is_no_frame(
@@ -170,7 +171,7 @@ def test_refuses_what_is_no_frame(
 ) -> None:
     raw[0].sendall(sent)
     with pytest.raises(WireError, match=why):
-        raw[1].receive()
+        raw[1].receive(time.monotonic() + LONG)
 
 
 @pytest.mark.parametrize(
@@ -191,11 +192,11 @@ def test_refuses_a_block_that_could_crash_it(
         "no memory": os.open("/dev/null", os.O_RDWR),
         "too small": os.dup(small.file),
     }
-    raw[0].sendall(head(NEW, 1, 1 << 17))
+    raw[0].sendall(head(0, NEW | 1, 1 << 17))
     answered = threading.Thread(target=_hand_over, args=(raw[0], files.get(kind)))
     answered.start()
     with pytest.raises(WireError, match=why):
-        raw[1].receive()
+        raw[1].receive(time.monotonic() + LONG)
     answered.join(LONG)
     for file in files.values():
         os.close(file)
@@ -217,10 +218,10 @@ def test_refuses_more_of_a_block_than_it_has(raw: tuple[socket.socket, Link]) ->
         _hand_over(raw[0], block.file)
         raw[0].sendall(head(24, 1, block.capacity + 1) + bytes(24))
 
-    raw[0].sendall(head(NEW, 1, block.capacity))
+    raw[0].sendall(head(0, NEW | 1, block.capacity))
     sender = threading.Thread(target=send)
     sender.start()
     with pytest.raises(WireError, match="65537 B announced in a block of 65536 B"):
-        raw[1].receive()
+        raw[1].receive(time.monotonic() + LONG)
     sender.join(LONG)
     block.close()

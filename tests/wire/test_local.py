@@ -99,6 +99,53 @@ def _push_for_ever(pipe: LocalPipe) -> None:
         pipe.push(message("x" * 100_000), SHORT)
 
 
+def test_messages_after_a_time_limit_do_not_overtake_those_before(
+    server: LocalServer, pipe: LocalPipe
+) -> None:
+    came: list[str] = []
+    go_on, all_came = threading.Event(), threading.Event()
+
+    def handle(received: Frame) -> None:
+        came.append(received.value(TEXT)[:4])
+        if came[-1] == "last":
+            all_came.set()
+        go_on.wait(LIMIT)
+
+    server.open("echo", handle)
+    sent: list[str] = []
+
+    def push(number: str, limit: float, size: int = 0) -> None:
+        pipe.push(message(number + size * "x"), limit)
+        sent.append(number)
+
+    def fill() -> None:
+        while True:
+            push(f"{len(sent):04}", SHORT, 10_000)
+
+    with pytest.raises(Timeout):
+        fill()
+    for number in ("new1", "new2", "last"):
+        push(number, LIMIT)
+    go_on.set()
+    assert all_came.wait(LIMIT)
+    assert came == sent
+
+
+def test_what_nobody_uses_is_closed_in_time(
+    server: LocalServer, pipe: LocalPipe, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server.open("echo", Receiver())
+    pipe.request(call("a"), LIMIT)
+    pipe.push(message("b"), LIMIT)
+    before = [*pipe._calls, *pipe._messages]
+    monkeypatch.setattr("poise.wire.local._IDLE", 0.0)
+    assert pipe.is_ready()  # they were used since it was last asked
+    assert [*pipe._calls, *pipe._messages] == before
+    assert pipe.is_ready()  # by a new one
+    assert not {*pipe._calls, *pipe._messages} & {*before}
+    assert pipe.request(call("ab"), LIMIT).value(TEXT) == "ba"
+
+
 def test_a_call_that_takes_too_long_is_given_up(
     server: LocalServer, pipe: LocalPipe
 ) -> None:
@@ -206,8 +253,7 @@ def test_nothing_is_lost_to_a_peer_that_ended_and_came_back(
 
 
 def _wait_until_gone(pipe: LocalPipe) -> None:
-    (link,) = pipe._spare
-    link.set_limit(LIMIT)
+    (link,) = pipe._calls
     link._connection.recv(1, socket.MSG_PEEK)
 
 
@@ -230,7 +276,7 @@ def test_a_closed_pipe_keeps_no_connection(
 
     server.open("echo", answer)
     pipe.request(call("a"), LIMIT)
-    assert pipe._spare == []
+    assert list(pipe._calls) == []
 
 
 def test_a_socket_file_left_by_a_killed_container_is_replaced(

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from functools import cache, partial
+from functools import cache
 from math import prod
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_args
 
@@ -28,6 +28,7 @@ T = TypeVar("T")
 Bytes = bytes | bytearray | memoryview
 
 ALIGNMENT = 16
+_NOTHING = memoryview(b"")
 _ARRAY = 1
 _DTYPE = re.compile(r"[<>|][biufcSUmM]\d{1,9}(\[\d*\w{1,2}\])?")
 """What arrays may hold, in NumPy's letters: no objects, and no records."""
@@ -53,6 +54,7 @@ class Codec(Generic[T]):
         self._plain_encode = msgspec.msgpack.Encoder(enc_hook=_plain).encode
         self._has_arrays = _has_arrays(type_)
         self._plain_decode = msgspec.msgpack.Decoder(type_).decode
+        self._spare: list[_Arrays] = []
 
     def encode(self, value: T) -> tuple[bytes, list[memoryview]]:
         """Return the body and the buffers of `value`.
@@ -65,9 +67,11 @@ class Codec(Generic[T]):
         try:
             if not self._has_arrays:
                 return self._plain_encode(value), []
-            buffers: list[memoryview] = []
-            hook = partial(_encode_array, buffers)
-            return msgspec.msgpack.Encoder(enc_hook=hook).encode(value), buffers
+            arrays = self._take_spare()
+            try:
+                return arrays.encode(value)
+            finally:
+                self._spare.append(arrays)
         except _UNFIT as error:
             raise WireError(f"{self._name} cannot cross a connector: {error}") from None
 
@@ -82,16 +86,58 @@ class Codec(Generic[T]):
         try:
             if not self._has_arrays:
                 return self._plain_decode(body)  # type: ignore[no-any-return]
-            decoder = msgspec.msgpack.Decoder(
-                self.type, ext_hook=partial(_decode_array, buffers), dec_hook=_check
-            )
-            return decoder.decode(body)  # type: ignore[no-any-return]
+            arrays = self._take_spare()
+            try:
+                return arrays.decode(body, buffers)  # type: ignore[no-any-return]
+            finally:
+                self._spare.append(arrays)
         except (msgspec.DecodeError, *_UNFIT) as error:
             raise WireError(f"not a {self._name}: {error}") from error
 
     @property
     def _name(self) -> str:
         return getattr(self.type, "__qualname__", str(self.type))
+
+    def _take_spare(self) -> _Arrays:
+        try:
+            return self._spare.pop()
+        except IndexError:  # as often as threads were here at the same time
+            return _Arrays(self.type)
+
+
+class _Arrays:
+    """An encoder and a decoder that have the arrays' memory at hand.
+
+    One thread at a time uses it, and it is used again: making one takes longer.
+    """
+
+    def __init__(self, type_: Any) -> None:  # noqa: ANN401, any type
+        self._sent: list[memoryview] = []
+        self._received = _NOTHING
+        self._encode = msgspec.msgpack.Encoder(enc_hook=self._on_unknown).encode
+        self._decode = msgspec.msgpack.Decoder(
+            type_, ext_hook=self._on_extension, dec_hook=_check
+        ).decode
+
+    def encode(self, value: object) -> tuple[bytes, list[memoryview]]:
+        buffers = self._sent = []
+        try:
+            return self._encode(value), buffers
+        finally:
+            self._sent = []
+
+    def decode(self, body: Bytes, buffers: memoryview) -> Any:  # noqa: ANN401, its type's
+        self._received = buffers
+        try:
+            return self._decode(body)
+        finally:
+            self._received = _NOTHING
+
+    def _on_unknown(self, value: Any) -> Any:  # noqa: ANN401, msgspec's hook
+        return _encode_array(self._sent, value)
+
+    def _on_extension(self, code: int, data: memoryview) -> np.ndarray:
+        return _decode_array(self._received, code, data)
 
 
 @cache

@@ -1,9 +1,11 @@
 """Pipes between containers of one computer, over AF_UNIX and shared memory.
 
-Every link carries one connector: its first frame names it. A call uses a link alone
-until its answer is there, so that answers need no sorting and the thread that calls is
-the thread that reads; callers at the same time use several. Messages use one link,
-which keeps their order.
+Every link carries one connector: its first frame names it, and says whether calls or
+messages follow. A call uses a link alone until its answer is there, so that answers
+need no sorting and the thread that calls is the thread that reads; callers at the same
+time use several. The thread that reads a call at the other end runs it and answers: no
+thread wakes another. Messages use one link, which keeps their order. When it breaks and
+another takes its place, the receiver first takes all that came over the first.
 """
 
 from __future__ import annotations
@@ -14,26 +16,75 @@ import os
 import socket
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
+from msgspec import Struct
+
 from poise.errors import CallError, Timeout, Unavailable
-from poise.wire import frame
+from poise.wire import frame, stream
 from poise.wire.codec import WireError, codec
 from poise.wire.frame import Frame, Kind
 from poise.wire.link import Link
 from poise.wire.pipe import LAST_LIMIT, Closed, Handler, Pieces, Refused, ignore
-from poise.wire.underway import UnderWay
 
 log = logging.getLogger(__name__)
 
 _NAME = codec(str)
+_MESSAGES = 1
+"""The number in the first frame of a link for messages; 0 for calls."""
 _ACCEPT_LIMIT = 1.0
+_ANSWER_LIMIT = 10.0
+"""A caller that does not take its answer for so long is given up [s]."""
 _PAUSE = 0.01
+_PATIENCE = 1.0
+"""While older messages are taken, this is told so often [s]."""
 _SPARE = 8
 """Links kept open per connector when no call uses them."""
+_IDLE = 30.0
+"""Links that nobody used for so long are closed, with their shared memory [s]."""
 _MOST_LINKS = 256
 """Links that a container serves at a time; more are closed at once."""
-_SHORTEST = 1e-6
+
+
+class _Spare:
+    """Open links that nobody uses; what is long unused is closed."""
+
+    def __init__(self) -> None:
+        self._recent: list[Link] = []
+        self._older: list[Link] = []
+
+    def __iter__(self) -> Iterator[Link]:
+        return iter([*self._recent, *self._older])
+
+    def __len__(self) -> int:
+        return len(self._recent)
+
+    def take(self) -> Link | None:
+        """Return the one that was used last."""
+        with contextlib.suppress(IndexError):
+            return self._recent.pop() if self._recent else self._older.pop()
+        return None
+
+    def give_back(self, link: Link) -> None:
+        """Keep one more."""
+        self._recent.append(link)
+
+    def close_older(self) -> None:
+        """Close those that nobody used since the last time."""
+        _close_all(self._older)
+        self._older, self._recent = self._recent, []
+
+    def close(self) -> None:
+        """Close all."""
+        _close_all(self._recent)
+        _close_all(self._older)
+
+
+def _close_all(links: list[Link]) -> None:
+    with contextlib.suppress(IndexError):  # others may take some meanwhile
+        while True:
+            links.pop().close()
 
 
 class LocalPipe:
@@ -42,18 +93,26 @@ class LocalPipe:
     def __init__(self, connector: str, address: str) -> None:
         self._connector = connector
         self._address = address
-        self._spare: list[Link] = []
-        self._push_link: list[Link] = []
-        self._most = _SPARE
+        self._calls = _Spare()
+        self._messages = _Spare()
         self._is_closed = False
         self._push_lock = threading.Lock()
+        self._looked_at = time.monotonic()
 
     def is_ready(self) -> bool:
-        """Return whether the receiving end is there, by connecting to it."""
-        if any(link.is_idle() for link in [*self._spare, *self._push_link]):
+        """Return whether the receiving end is there, by connecting to it.
+
+        Who asks now and then lets go of what has become idle.
+        """
+        now = time.monotonic()
+        if now - self._looked_at > _IDLE:
+            self._looked_at = now
+            self._calls.close_older()
+            self._messages.close_older()
+        if any(link.is_idle() for link in [*self._calls, *self._messages]):
             return True
         try:
-            self._give_back(self._connect(_ACCEPT_LIMIT))
+            self._give_back(self._connect(0, now + _ACCEPT_LIMIT))
         except CallError:
             return False
         return True
@@ -63,10 +122,12 @@ class LocalPipe:
         if self._is_closed:
             raise Closed(f"{self._connector} is closed")
         deadline = time.monotonic() + limit
-        link = self._send(self._spare, pieces, limit)
+        link = self._send(self._calls, 0, pieces, deadline)
         try:
-            answer = link.receive(deadline - time.monotonic())
+            answer = link.receive(deadline)
         except BaseException:
+            # also when a signal's handler raises: the answer may still come, and
+            # the next call must not take it for its own
             link.close()
             raise
         self._give_back(link)
@@ -78,61 +139,57 @@ class LocalPipe:
         if not self._push_lock.acquire(timeout=limit):
             raise Timeout(f"{self._connector}: others send since {limit:g} s")
         try:
-            left = deadline - time.monotonic()
-            link = self._send(self._push_link, pieces, left)
-            if self._most:
-                self._push_link.append(link)
-            else:
+            link = self._send(self._messages, _MESSAGES, pieces, deadline)
+            if self._is_closed:
                 link.close()
+            else:
+                self._messages.give_back(link)
         finally:
             self._push_lock.release()
 
     def close(self) -> None:
         """Send no more; links in use are closed when their call is over."""
         self._is_closed = True
-        self._most = 0
         with self._push_lock:
-            while self._push_link:
-                self._push_link.pop().close()
-        while self._spare:
-            self._spare.pop().close()
+            self._messages.close()
+        self._calls.close()
 
-    def _send(self, spare: list[Link], pieces: Pieces, limit: float) -> Link:
+    def _send(self, spare: _Spare, use: int, pieces: Pieces, deadline: float) -> Link:
         """Send over a spare link or else a new one, and return it."""
-        limit = max(limit, _SHORTEST)
         while True:
+            found = spare.take()
+            link = found or self._connect(use, deadline)
             try:
-                link, is_spare = spare.pop(), True
-            except IndexError:
-                link, is_spare = self._connect(limit), False
-            try:
-                link.set_limit(limit)
-                link.send(pieces, limit)
+                link.send(pieces, deadline)
             except Unavailable:
                 link.close()
-                if not is_spare:
+                if found is None:
                     raise
                 # the receiver closed it while it was idle, and has got nothing
             except BaseException:
+                # also when a signal's handler raises: part of it may have been sent
                 link.close()
                 raise
             else:
                 return link
 
     def _give_back(self, link: Link) -> None:
-        if len(self._spare) < self._most:
-            self._spare.append(link)
-        else:
+        if len(self._calls) >= _SPARE:
             link.close()
+            return
+        self._calls.give_back(link)
+        if self._is_closed:  # perhaps just now
+            self._calls.close()
 
-    def _connect(self, limit: float) -> Link:
+    def _connect(self, use: int, deadline: float) -> Link:
         connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         link = Link(connection)
+        hello = frame.segments(_NAME, self._connector, Kind.WELCOME, number=use)
         try:
-            link.set_limit(limit)
+            stream.set_limit(connection, max(deadline - time.monotonic(), 0.0))
             connection.connect(self._address)
-            link.send(frame.segments(_NAME, self._connector, Kind.WELCOME), limit)
-            self._raise_if_refused(link.receive(limit))
+            link.send(hello, deadline)
+            self._raise_if_refused(link.receive(deadline))
         except OSError as error:
             link.close()
             raise Unavailable(
@@ -142,6 +199,7 @@ class LocalPipe:
             link.close()
             raise Unavailable(f"{self._connector}: {error}") from error
         except BaseException:
+            # also when a signal's handler raises: nobody else knows of it yet
             link.close()
             raise
         return link
@@ -151,14 +209,21 @@ class LocalPipe:
             raise Unavailable(f"{self._connector}: {answer.value(_NAME)}")
 
 
+class _Served(Struct, eq=False):
+    """A link of a server, and the thread that takes what comes over it."""
+
+    link: Link
+    thread: threading.Thread
+
+
 class LocalServer:
     """The receiving ends of a container: one socket, a thread per link."""
 
     def __init__(self, path: Path) -> None:
         self._handlers: dict[str, Handler] = {}
         self._refused: dict[str, Refused] = {}
-        self._links: set[Link] = set()
-        self._under_way = UnderWay()
+        self._links: set[_Served] = set()
+        self._messages: dict[str, _Served] = {}
         self._lock = threading.Lock()
         self._path = path
         self._closed = threading.Event()
@@ -182,14 +247,19 @@ class LocalServer:
     def close(self) -> None:
         """Close the socket and every connection."""
         self._handlers.clear()
-        self._under_way.wait_none(LAST_LIMIT)
         self._closed.set()
         with contextlib.suppress(OSError):
             self._listener.shutdown(socket.SHUT_RDWR)
         self._listener.close()
         with self._lock:
-            for link in self._links:
-                link.end()
+            links = list(self._links)
+        for served in links:
+            served.link.end(socket.SHUT_RD)  # calls that came are answered still
+        deadline = time.monotonic() + LAST_LIMIT
+        for served in links:
+            if served.thread is not threading.current_thread():
+                served.thread.join(max(0.0, deadline - time.monotonic()))
+            served.link.end()
         self._path.unlink(missing_ok=True)
 
     def _accept(self) -> None:
@@ -203,23 +273,25 @@ class LocalServer:
             self._start(Link(connection))
 
     def _start(self, link: Link) -> None:
+        served = _Served(link, threading.current_thread())
+        served.thread = threading.Thread(
+            target=self._serve, args=(served,), name="local", daemon=True
+        )
         with self._lock:
             is_full = len(self._links) >= _MOST_LINKS
-            if not is_full:
-                self._links.add(link)
+            if not is_full and not self._closed.is_set():
+                self._links.add(served)
+                served.thread.start()
+                return
         if is_full:
             log.warning("%s: more than %d links", self._path.name, _MOST_LINKS)
-            link.close()
-            return
-        threading.Thread(
-            target=self._serve, args=(link,), name="local", daemon=True
-        ).start()
+        link.close()
 
-    def _serve(self, link: Link) -> None:
+    def _serve(self, served: _Served) -> None:
         connector = "unknown"
         try:
-            connector = self._greet(link)
-            while self._serve_one(connector, link):
+            connector = self._greet(served)
+            while self._serve_one(connector, served.link):
                 pass
         except WireError as error:
             log.warning("connector %s: refused: %s", connector, error)
@@ -227,19 +299,27 @@ class LocalServer:
             pass
         finally:
             with self._lock:
-                self._links.discard(link)
-            link.close()
+                self._links.discard(served)
+                if self._messages.get(connector) is served:
+                    del self._messages[connector]
+            served.link.close()
 
-    def _greet(self, link: Link) -> str:
-        link.set_limit(_ACCEPT_LIMIT)
+    def _greet(self, served: _Served) -> str:
+        link, deadline = served.link, time.monotonic() + _ACCEPT_LIMIT
         try:
-            name: str = link.receive(_ACCEPT_LIMIT).value(_NAME)
+            hello = link.receive(deadline)
+            name: str = hello.value(_NAME)
             self._raise_if_unknown(name)
         except (WireError, Unavailable) as error:
-            link.send(frame.segments(_NAME, str(error), Kind.ERROR))
+            link.send(frame.segments(_NAME, str(error), Kind.ERROR), deadline)
             raise
-        link.send(frame.segments(_NAME, name, Kind.WELCOME))
-        link.receive_without_limit()
+        before = None
+        if hello.number == _MESSAGES:
+            before = self._messages.get(name)
+            self._messages[name] = served
+        link.send(frame.segments(_NAME, name, Kind.WELCOME), deadline)
+        if before is not None:
+            _wait_until_taken(name, before)
         return name
 
     def _raise_if_unknown(self, connector: str) -> None:
@@ -251,16 +331,41 @@ class LocalServer:
         try:
             received = link.receive()
         except WireError as error:
-            # nothing behind it can be read, but whoever waits learns why
+            # nothing behind it can be read, but whoever waits learns why; the sender
+            # must not take the link for its next frame when it has
             self._refused.get(connector, ignore)(error)
-            link.send(frame.failure("WireError", str(error)))
+            link.end(socket.SHUT_RD)
+            link.send(_refusal(error), time.monotonic() + _ANSWER_LIMIT)
             raise
-        with self._under_way:
-            handler = self._handlers.get(connector)
-            if handler is None:
-                return False
-            answer = handler(received)
-            del received  # its shared memory may be used again
-            if answer is not None:
-                link.send(answer)
-            return True
+        handler = self._handlers.get(connector)
+        if handler is None:
+            return False
+        answer = handler(received)
+        del received  # its shared memory may be used again
+        if answer is not None:
+            _answer(link, answer)
+        return True
+
+
+def _answer(link: Link, answer: Pieces) -> None:
+    deadline = time.monotonic() + _ANSWER_LIMIT
+    try:
+        link.send(answer, deadline)
+    except WireError as error:  # it is too large
+        link.send(_refusal(error), deadline)
+
+
+def _refusal(error: WireError) -> Pieces:
+    return frame.failure("WireError", str(error))
+
+
+def _wait_until_taken(connector: str, before: _Served) -> None:
+    """Wait until all came that was sent over the link before, which its sender left.
+
+    Else a message could overtake those that were sent earlier. It ends, because each of
+    them waits for room in a queue for a limited time, and then is dropped.
+    """
+    before.link.end(socket.SHUT_RD)
+    while before.thread.is_alive():
+        before.thread.join(_PATIENCE)
+        log.info("connector %s: older messages are still being taken", connector)

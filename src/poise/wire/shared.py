@@ -18,6 +18,7 @@ import os
 import weakref
 from typing import Any
 
+from poise.wire import _channel
 from poise.wire.codec import Bytes, WireError
 
 THRESHOLD = 1 << 16
@@ -47,7 +48,7 @@ class Block:
             self._map = mmap.mmap(
                 self.file, 0, mmap.MAP_SHARED | mmap.MAP_POPULATE, mmap.PROT_WRITE
             )
-        except BaseException:
+        except OSError:
             os.close(self.file)
             raise
 
@@ -57,11 +58,7 @@ class Block:
 
     def fill(self, pieces: list[Bytes]) -> None:
         """Copy `pieces` into it, end to end, and lend it."""
-        start = _DATA
-        with memoryview(self._map) as view:
-            for piece in pieces:
-                view[start : start + len(piece)] = piece
-                start += len(piece)
+        _channel.fill(self._map, _DATA, pieces)
         self._map[0] = _LENT
 
     def take_back(self) -> None:
@@ -79,6 +76,9 @@ class Pool:
 
     def __init__(self) -> None:
         self._blocks: dict[int, Block] = {}
+
+    def __bool__(self) -> bool:
+        return bool(self._blocks)
 
     def take(self, size: int) -> tuple[Block | None, bool]:
         """Return a free block for `size` bytes, and whether it is new.

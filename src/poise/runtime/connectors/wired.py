@@ -17,7 +17,7 @@ from poise.runtime.ports import Port
 from poise.runtime.turn import Retired, current_chain, join_chain
 from poise.wire import frame
 from poise.wire.codec import Codec, WireError, codec
-from poise.wire.frame import Frame, Kind
+from poise.wire.frame import Frame, Kind, segments
 from poise.wire.pipe import Closed, Handler, Pieces, Pipe
 
 log = logging.getLogger(__name__)
@@ -49,29 +49,25 @@ class WiredPath:
             kind, tag, coder = Kind.MESSAGE, self._tag, self._codec
         else:
             kind, tag, coder = Kind.ONEWAY, method.tag, method.arguments
-        pieces = frame.segments(coder, value, kind, tag=tag)
+        pieces = segments(coder, value, kind, tag=tag)
         self._pipe.push(pieces, self._limit)
         return _size(pieces)
 
     def mark(self, number: int) -> None:
         """Send a mark."""
-        pieces = frame.segments(_NOTHING, None, Kind.MARK, number=number)
+        pieces = segments(_NOTHING, None, Kind.MARK, number=number)
         self._pipe.push(pieces, self._limit)
 
     def function(self, method: Method, outlet: Outlet) -> Callable[..., Any]:
         """Return a function that calls a method in another container."""
         pipe, limit, counts = self._pipe, self._limit, outlet.counts
+        bind, arguments, tag = method.bind, method.arguments, method.tag
 
         def call(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401, the method's own
             started = time.monotonic()
             chain = current_chain()
-            pieces = frame.segments(
-                method.arguments,
-                method.bind(*args, **kwargs),
-                Kind.CALL,
-                tag=method.tag,
-                chain=chain,
-            )
+            values = bind(*args, **kwargs)
+            pieces = segments(arguments, values, Kind.CALL, tag=tag, chain=chain)
             try:
                 with away(chain):
                     answer = _ask(pipe, pieces, limit)
@@ -168,10 +164,10 @@ def _run(
     try:
         target.turn.enter(chain, limit)
     except Retired:
-        return frame.segments(_NOTHING, None, Kind.MOVED)
+        return segments(_NOTHING, None, Kind.MOVED)
     try:
         result = getattr(target.component, method.name)(*arguments)
-        return frame.segments(method.result, result, Kind.RESULT, tag=method.tag)
+        return segments(method.result, result, Kind.RESULT, tag=method.tag)
     except Exception as error:  # noqa: BLE001, the callee may raise anything; it crosses
         return _failure(callee_error(error))
     finally:
@@ -205,8 +201,8 @@ def _failure(error: CalleeError | Timeout | WireError) -> Pieces:
 
 
 def _size(pieces: Pieces) -> int:
-    return sum(memoryview(piece).nbytes for piece in pieces)
+    return sum(map(len, pieces))
 
 
 def _received(received: Frame) -> int:
-    return received.body.nbytes + received.buffers.nbytes
+    return len(received.body) + len(received.buffers)

@@ -1,0 +1,173 @@
+"""What comes over a connector and is not what its port takes; the receiver lives on."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any, Protocol
+
+import pytest
+
+from poise import Component, Message, Provided, Published, Required, subscribed
+from poise.runtime.connectors.interface import message_tag, methods
+from poise.runtime.connectors.wired import WiredPath
+from poise.wire.codec import WireError, codec
+from poise.wire.frame import FAILURE, Kind, segments
+from poise.wire.pipe import Pieces, Pipe
+from poise.wire.stream import LARGEST
+
+from .conftest import LIMIT, Pair, wait_until
+
+wired = pytest.mark.parametrize("pair", ["local", "remote"], indirect=True)
+
+
+class Pose(Message):
+    x: float
+
+
+class Doubling(Protocol):
+    def double(self, number: int) -> int: ...
+
+    def zeros(self, size: int) -> bytes: ...
+
+
+class Target(Component):
+    doubling: Provided[Doubling]
+
+    def configure(self) -> None:
+        self.heard: list[float] = []
+
+    def double(self, number: int) -> int:
+        return 2 * number
+
+    def zeros(self, size: int) -> bytes:
+        return bytes(size)
+
+    @subscribed(block=4)
+    def pose(self, message: Pose) -> None:
+        self.heard.append(message.x)
+
+
+class Source(Component):
+    doubling: Required[Doubling]
+    pose: Published[Pose]
+
+
+CALL, MESSAGE = "source.doubling-target.doubling", "source.pose-target.pose"
+DOUBLE, _ = methods(Doubling)
+
+
+@pytest.fixture
+def ends(pair: Pair) -> tuple[Source, Target]:
+    target, source = pair.run("target", Target), pair.run("source", Source)
+    pair.join("doubling")
+    pair.join("pose")
+    pair.activate()
+    return source, target
+
+
+def pipe_of(pair: Pair, connector: str) -> Pipe:
+    (path,) = pair.sides["source"].outlet(connector).paths().values()
+    assert isinstance(path, WiredPath)
+    return path._pipe
+
+
+def refusals(pair: Pair, connector: str) -> int:
+    (end,) = (e for e in pair.sides["target"].status() if e.name == connector)
+    return end.errors
+
+
+def frame(kind: Kind, tag: int, value: Any) -> Pieces:
+    return segments(codec(Any), value, kind, tag=tag, chain=1)
+
+
+def changed(pieces: Pieces, at: int, form: str, value: int) -> Pieces:
+    """Write another number into a frame's head."""
+    head = bytearray(pieces[0])
+    struct.pack_into(form, head, at, value)
+    return [bytes(head), *pieces[1:]]
+
+
+GOOD = frame(Kind.CALL, DOUBLE, (1,))
+BAD_CALLS = [
+    pytest.param(frame(Kind.CALL, DOUBLE, ("one",)), "Expected `int`", id="type"),
+    pytest.param(frame(Kind.CALL, DOUBLE ^ 1, (1,)), "different versions", id="tag"),
+    pytest.param(frame(Kind.CALL, DOUBLE, (1, 2)), "length", id="one too many"),
+    pytest.param(changed(GOOD, 0, "<B", 7), "protocol version 7", id="newer version"),
+    pytest.param(changed(GOOD, 1, "<B", 99), "unknown kind", id="kind"),
+    pytest.param(changed(GOOD, 4, "<I", 99), "cut short", id="truncated"),
+]
+
+
+@wired
+@pytest.mark.parametrize(("pieces", "why"), BAD_CALLS)
+def test_a_call_that_cannot_be_read_is_refused(
+    pair: Pair,
+    ends: tuple[Source, Target],
+    pieces: Pieces,
+    why: str,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    answer = pipe_of(pair, CALL).request(pieces, LIMIT)
+    assert answer.kind is Kind.ERROR
+    name, text, traceback = answer.value(FAILURE)
+    assert (name, traceback) == ("WireError", "")
+    assert why in text
+    assert refusals(pair, CALL) == 1
+    wait_until(lambda: f"connector {CALL}" in caplog.text)
+    assert why in caplog.text
+    assert ends[0].doubling.double(21) == 42
+
+
+POSE = message_tag(Pose)
+GOOD_MESSAGE = frame(Kind.MESSAGE, POSE, {"x": 1.0})
+BAD_MESSAGES = [
+    pytest.param(frame(Kind.MESSAGE, POSE, {"x": "here"}), "`float`", id="type"),
+    pytest.param(frame(Kind.MESSAGE, POSE ^ 1, {"x": 1.0}), "versions", id="tag"),
+    pytest.param(changed(GOOD_MESSAGE, 0, "<B", 7), "version 7", id="newer version"),
+    pytest.param(changed(GOOD_MESSAGE, 4, "<I", 99), "cut short", id="truncated"),
+]
+
+
+@wired
+@pytest.mark.parametrize(("pieces", "why"), BAD_MESSAGES)
+def test_a_message_that_cannot_be_read_is_refused(
+    pair: Pair,
+    ends: tuple[Source, Target],
+    pieces: Pieces,
+    why: str,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    source, target = ends
+    source.pose.publish(Pose(1.0))
+    pipe_of(pair, MESSAGE).push(pieces, LIMIT)
+    wait_until(lambda: refusals(pair, MESSAGE) == 1)
+    wait_until(lambda: f"connector {MESSAGE}" in caplog.text)
+    assert why in caplog.text
+    source.pose.publish(Pose(2.0))
+    wait_until(lambda: target.heard == [1.0, 2.0])
+
+
+@pytest.mark.parametrize("pair", ["local"], indirect=True)
+def test_a_frame_that_is_too_large_is_refused(
+    pair: Pair, ends: tuple[Source, Target], caplog: pytest.LogCaptureFixture
+) -> None:
+    assert ends[0].doubling.double(1) == 2
+    link = next(iter(pipe_of(pair, CALL)._calls))  # type: ignore[attr-defined]
+    link._connection.sendall(struct.pack("<II", LARGEST + 1, 0))
+    wait_until(lambda: refusals(pair, CALL) == 1)
+    wait_until(lambda: f"connector {CALL}" in caplog.text)
+    assert "1073741825 B; 1073741824 B is the largest" in caplog.text
+    wait_until(lambda: not link.is_idle())  # why it was refused has come
+    link.end()
+    assert ends[0].doubling.double(21) == 42
+
+
+@pytest.mark.parametrize("pair", ["local"], indirect=True)
+def test_an_answer_that_is_too_large_is_the_callers_error(
+    pair: Pair, ends: tuple[Source, Target], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert pair.kind == "local"
+    monkeypatch.setattr("poise.wire.link.LARGEST", 1000)
+    with pytest.raises(WireError, match="1000 B is the largest"):
+        ends[0].doubling.zeros(1000)
+    assert ends[0].doubling.double(21) == 42
