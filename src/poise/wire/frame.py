@@ -21,6 +21,8 @@ from poise.wire.codec import Bytes, Codec, WireError, padding
 VERSION = 1
 _HEAD = struct.Struct("<BBHIQQ")
 _ZEROS = bytes(16)
+_INLINE = 2
+"""Head and body; then come what aligns the buffers, and they."""
 
 
 class Kind(IntEnum):
@@ -51,6 +53,11 @@ class Frame(NamedTuple):
     body: memoryview
     buffers: memoryview
 
+    @property
+    def size(self) -> int:
+        """What `size_of` said of it where it was sent [bytes]."""
+        return _HEAD.size + self.body.nbytes + self.buffers.nbytes
+
     def value(self, codec: Codec[Any]) -> Any:  # noqa: ANN401, what the codec decodes
         """Return the decoded value; WireError when it is not of the codec's type."""
         return codec.decode(self.body, self.buffers)
@@ -79,6 +86,18 @@ def segments(
 def failure(type_name: str, message: str, traceback: str = "") -> list[Bytes]:
     """Return the answer to a call that failed; a callee's error has a traceback."""
     return segments(FAILURE, (type_name, message, traceback), Kind.ERROR)
+
+
+def size_of(pieces: list[Bytes]) -> int:
+    """Return the size of a frame [bytes], but for what aligns its buffers."""
+    if len(pieces) == _INLINE:
+        return _HEAD.size + len(pieces[1])
+    return sum(map(len, pieces)) - len(pieces[_INLINE])
+
+
+def is_failure(pieces: list[Bytes]) -> bool:
+    """Return whether a frame tells that a call failed."""
+    return bytes(pieces[0])[1] == Kind.ERROR
 
 
 def parse(data: Bytes, buffers: memoryview | None = None) -> Frame:
