@@ -27,7 +27,9 @@ def status(uptime: float, cpu: float, component_cpu: float) -> AgentStatus:
                 components=(
                     ComponentStatus(name="grabber", state="active", cpu=component_cpu),
                 ),
-                connectors=(ConnectorStatus(name="x", kind="local", ready=True),),
+                connectors=(
+                    ConnectorStatus(name="x", kind="local", end="source", ready=True),
+                ),
             ),
         ),
     )

@@ -11,6 +11,7 @@ from poise import Component, Message, Provided, every, oneway, subscribed
 from poise.clock import SystemClock
 from poise.errors import Timeout, UsageError
 from poise.runtime import handover
+from poise.runtime.connectors.counts import Counts
 from poise.runtime.handover import Ask, Giver
 from poise.runtime.runner import Runner
 from poise.wire import frame
@@ -172,7 +173,7 @@ def test_what_waits_goes_over_in_order(incarnations: Incarnations) -> None:
     new = incarnations.start(Book, active=False)
     pipe = rest(old)
     for number in range(5):  # more than there is room for while it works
-        old.ends.receive("notes", (0, Notes((str(number),))))
+        old.ends.receive("notes", (0, Notes((str(number),))), Counts())
     handover.take(new, handover.fetch(pipe, Ask.ALL, LIMIT))
     assert [v.texts for _, v in new.ends.inboxes["notes"].waiting()] == [
         (str(number),) for number in range(5)

@@ -13,6 +13,7 @@ import pytest
 from poise import Component, Message, every, subscribed
 from poise.clock import SystemClock
 from poise.errors import RunError, Timeout
+from poise.runtime.connectors.counts import Counts
 from poise.runtime.runner import Runner
 from poise.runtime.turn import Retired
 from poise.wire.messages import ComponentSpec, State
@@ -109,7 +110,7 @@ def rest(runner: Runner, limit: float) -> None:
 
 def receive(runner: Runner, *texts: str) -> None:
     for text in texts:
-        runner.ends.receive("note", (0, Note(text)))
+        runner.ends.receive("note", (0, Note(text)), Counts())
 
 
 def test_the_hooks_come_in_order(running: Fixture) -> None:

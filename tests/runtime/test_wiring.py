@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from poise import Component, Message, Provided, Published, Required, oneway, subscribed
 from poise.errors import CalleeError, Timeout, Unavailable
 from poise.wire.codec import WireError
+from poise.wire.messages import ConnectorStatus
 
 from .conftest import LIMIT, Pair, every_kind, wait_until
 
@@ -66,6 +67,10 @@ class Target(Component):
     def scan(self, message: Scan) -> None:
         self._hear(message)
 
+    @subscribed(keep=1)
+    def latest(self, message: Scan) -> None:
+        self._hear(message)
+
     def _hear(self, what: object) -> None:
         with self.came:
             self.heard.append(what)
@@ -80,6 +85,7 @@ class Target(Component):
 class Source(Component):
     sums: Required[Sums]
     scan: Published[Scan]
+    latest: Published[Scan]
 
 
 def start(pair: Pair, *ports: str, limit: float = LIMIT) -> tuple[Source, Target]:
@@ -203,15 +209,62 @@ def test_a_source_that_was_started_anew_is_heard(pair: Pair) -> None:
     assert [m.number for m in target.wait_for(4)] == [0, 1, 2, 99]
 
 
+def status(pair: Pair, end: str) -> ConnectorStatus:
+    (found,) = pair.sides[end].status()
+    return found
+
+
 @every_kind
-def test_both_ends_count(pair: Pair) -> None:
+def test_both_ends_count_calls(pair: Pair) -> None:
     source, _ = start(pair, "sums")
     for _ in range(3):
         source.sums.add(1, 2)
-    (ends,) = pair.sides["source"].status()
-    assert (ends.kind, ends.calls, ends.errors) == (pair.kind, 3, 0)
-    assert ends.delay.count == 3
-    assert (ends.bytes > 0) is (pair.kind != "direct")
+    with pytest.raises(CalleeError):
+        source.sums.fail("once")
+    # the answer may be here before its sender has counted it
+    wait_until(lambda: status(pair, "target").calls == 4)
+    for end in ("source", "target"):
+        counted = status(pair, end)
+        assert counted.end == ("both" if pair.kind == "direct" else end)
+        assert (counted.kind, counted.calls, counted.errors) == (pair.kind, 4, 1)
+        assert counted.delay.count == 4
+
+
+@pytest.mark.parametrize("pair", ["local", "remote"], indirect=True)
+def test_what_goes_out_at_one_end_comes_in_at_the_other(pair: Pair) -> None:
+    source, _ = start(pair, "sums")
+    big = Scan(1, np.zeros(50_000, np.float32))
+    source.sums.mean(big)  # 200,000 B there, a number back
+    source.sums.echo(scan())
+    wait_until(lambda: status(pair, "target").calls == 2)
+    here, there = status(pair, "source"), status(pair, "target")
+    assert (here.bytes_out, here.bytes_in) == (there.bytes_in, there.bytes_out)
+    assert here.bytes_out > 200_000
+    assert 0 < here.bytes_in < 1_000
+    assert there.delay.maximum <= here.delay.maximum
+
+
+@every_kind
+def test_both_ends_count_messages(pair: Pair) -> None:
+    source, target = start(pair, "scan")
+    for number in range(3):
+        source.scan.publish(scan(number))
+    target.wait_for(3)
+    here, there = status(pair, "source"), status(pair, "target")
+    assert (here.messages, there.messages) == (3, 3)
+    assert here.bytes_out == there.bytes_in
+    assert (here.bytes_out > 0) is (pair.kind != "direct")
+    assert (here.wait.count, there.wait.count) == (3, 3)
+
+
+@every_kind
+def test_what_makes_room_for_newer_messages_is_counted(pair: Pair) -> None:
+    source, _ = start(pair, "latest")
+    pair.runners["target", 0].turn.shut(LIMIT)
+    for number in range(8):  # the last is kept
+        source.latest.publish(scan(number))
+    wait_until(lambda: status(pair, "target").drops == 7)
+    pair.runners["target", 0].turn.open()
 
 
 @pytest.mark.parametrize("pair", ["local", "remote"], indirect=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from rich.console import Console
 from rich.table import Table
 
+from poise.cli.connectors import connector_table
 from poise.cli.tables import table
 from poise.manage.report import ComponentReport, RunReport
 from poise.units import format_seconds
@@ -20,6 +21,8 @@ def show_run(report: RunReport, console: Console) -> None:
             _add_component(rows, component)
     console.print(rows)
     _show_measures(report, console)
+    if report.connectors:
+        console.print(connector_table(report.connectors))
     shares = ", ".join(
         f"{name} {share:.0%}" for name, share in report.cpu_share.items()
     )

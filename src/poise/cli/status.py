@@ -8,13 +8,13 @@ import msgspec
 from rich.console import Console
 from rich.table import Table
 
+from poise.cli.connectors import connector_table
 from poise.cli.move import AsJson, Robot
 from poise.cli.tables import table
 from poise.manage.desk import AskStatus, RobotStatus, ask
 from poise.manage.estimates import Standing
 from poise.manage.run import connectors_of
-from poise.units import format_bytes, format_seconds
-from poise.wire.messages import ConnectorStatus, TimerStatus
+from poise.wire.messages import TimerStatus
 
 
 def status_command(robot: Robot = None, as_json: AsJson = False) -> None:
@@ -32,7 +32,7 @@ def status_command(robot: Robot = None, as_json: AsJson = False) -> None:
     for name in answer.lost:
         console.print(f"[red]computer '{name}' is lost[/]")
     console.print(_components(answer))
-    console.print(_connectors(answer))
+    console.print(connector_table(connectors_of(answer.computers)))
     for name, computer in answer.computers.items():
         for fault in computer.faults:
             console.print(f"[red]{name}: container '{fault.container}' {fault.message}")
@@ -71,28 +71,3 @@ def _missed(timer: TimerStatus) -> str:
     if timer.deadline is None or not timer.releases:
         return ""
     return f"{timer.name} {timer.missed / timer.releases:.1%}"
-
-
-def _connectors(answer: RobotStatus) -> Table:
-    """Return one row a connector: each of its two ends counts a part."""
-    ends: dict[str, list[ConnectorStatus]] = {}
-    for connector in connectors_of(answer.computers):
-        ends.setdefault(connector.name, []).append(connector)
-    rows = table("connector", "kind", "calls", "messages", "bytes", "drops", "delay")
-    for name, both in sorted(ends.items()):
-        rows.add_row(name, *_cells(both))
-    return rows
-
-
-def _cells(ends: list[ConnectorStatus]) -> tuple[str, ...]:
-    size = max(end.bytes for end in ends)
-    delay = max((end.delay for end in ends), key=lambda summary: summary.count)
-    is_joined = all(end.ready for end in ends)
-    return (
-        ends[0].kind if is_joined else f"{ends[0].kind}, not joined",
-        str(max(end.calls for end in ends) or ""),
-        str(max(end.messages for end in ends) or ""),
-        format_bytes(size) if size else "",
-        str(sum(end.drops for end in ends) or ""),
-        format_seconds(delay.median) if delay.count else "",
-    )

@@ -75,9 +75,6 @@ def up_command(
         stack.callback(book.close)
         emulated = all(computer.address is None for computer in robot.computers)
         estimates = Estimates(robot, read_profile(robot), emulated=emulated)
-        if metrics is not None:
-            server = MetricsServer(estimates, ("127.0.0.1", metrics))
-            stack.callback(server.close)
         recording = Recording()
         if record is not None:
             stack.callback(lambda: save(recording.take(), record))
@@ -85,6 +82,10 @@ def up_command(
         watching = Watching(seen.take)
         up = running(robot, decision.placement, book, console.print, watching)
         run = stack.enter_context(up).run
+        if metrics is not None:
+            address = ("127.0.0.1", metrics)
+            server = MetricsServer(estimates, run.fleet.statuses, address)
+            stack.callback(server.close)
         console.print(
             f"robot '{robot.name}' is up with task '{chosen}'; Ctrl-C ends it"
         )

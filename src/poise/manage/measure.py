@@ -134,12 +134,17 @@ def traffic_between(
     return ConnectorProfile(
         calls=calls / seconds,
         messages=messages / seconds,
-        size=(after.bytes - before.bytes) / (calls + messages),
+        size=(_bytes(after) - _bytes(before)) / (calls + messages),
     )
 
 
+def _bytes(end: ConnectorSample) -> int:
+    """Return what crossed a wire both ways [bytes]."""
+    return end.bytes_out + end.bytes_in
+
+
 def _busier(one: ConnectorProfile | None, other: ConnectorProfile) -> ConnectorProfile:
-    """Return what both ends say together: of a call, the caller's counts both ways."""
+    """Return what both ends say together: each counts both ways."""
     if one is None:
         return other
     return ConnectorProfile(

@@ -1,12 +1,17 @@
-"""Estimates as metrics in the text format of Prometheus, and a place to fetch them."""
+"""Estimates and counts in the text format of Prometheus, and where to fetch them."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 from poise.manage.estimates import Estimates
+from poise.manage.report import Statuses
+from poise.wire.messages import ConnectorStatus
+
+Sample = tuple[str, str, float]
+"""A metric's name, its labels and its value."""
 
 _HELP = {
     "poise_component_cpu_cores": "Mean CPU that a component needs, of the reference "
@@ -18,22 +23,75 @@ _HELP = {
     "poise_connector_messages_per_second": "Messages over a connector",
     "poise_connector_bytes_per_second": "Traffic over a connector",
 }
+_COUNTED = {
+    "poise_connector_calls_total": "Calls over a connector, as its end counts",
+    "poise_connector_messages_total": "Messages over a connector, as its end counts",
+    "poise_connector_bytes_total": "What left an end of a connector, or came to it",
+    "poise_connector_errors_total": "Calls that failed, and what was refused",
+    "poise_connector_drops_total": "Messages that an end of a connector gave up",
+}
+_TIMED = {
+    "poise_connector_delay_seconds": "Calls: there and back, or until the answer",
+    "poise_connector_wait_seconds": "Messages: until they went out, or were taken",
+}
 _ESCAPED = str.maketrans({"\\": r"\\", '"': r"\"", "\n": r"\n"})
 
 
-def to_prometheus(estimates: Estimates) -> str:
-    """Return all estimates in Prometheus' text format, version 0.0.4."""
-    samples = list(_samples(estimates))
-    lines = []
-    for name, help_ in _HELP.items():
-        lines += [f"# HELP {name} {help_}", f"# TYPE {name} gauge"]
-        lines += [
-            f"{name}{labels} {value!r}" for n, labels, value in samples if n == name
-        ]
+def to_prometheus(estimates: Estimates, statuses: Statuses) -> str:
+    """Return estimates and counts in Prometheus' text format, version 0.0.4."""
+    lines = _family(_HELP, "gauge", _samples(estimates))
+    lines += _family(_COUNTED, "counter", _counted(statuses))
+    lines += _family(_TIMED, "summary", _timed(statuses))
     return "\n".join(lines) + "\n"
 
 
-def _samples(estimates: Estimates) -> Iterator[tuple[str, str, float]]:
+def _family(
+    helps: Mapping[str, str], kind: str, samples: Iterable[Sample]
+) -> list[str]:
+    # while a component moves, an end may be told of twice
+    values = {(name, labels): value for name, labels, value in samples}
+    lines = []
+    for name, help_ in helps.items():
+        lines += [f"# HELP {name} {help_}", f"# TYPE {name} {kind}"]
+        lines += [
+            f"{full}{labels} {value!r}"
+            for (full, labels), value in values.items()
+            if full.removesuffix("_sum").removesuffix("_count") == name
+        ]
+    return lines
+
+
+def _ends(statuses: Statuses) -> Iterator[tuple[dict[str, str], ConnectorStatus]]:
+    for computer, status in sorted(statuses.items()):
+        for container in status.containers:
+            for each in container.connectors:
+                names = {"connector": each.name, "end": each.end, "computer": computer}
+                yield names, each
+
+
+def _counted(statuses: Statuses) -> Iterator[Sample]:
+    for names, end in _ends(statuses):
+        labels = _labels(**names)
+        yield "poise_connector_calls_total", labels, end.calls
+        yield "poise_connector_messages_total", labels, end.messages
+        yield "poise_connector_errors_total", labels, end.errors
+        yield "poise_connector_drops_total", labels, end.drops
+        for direction, size in (("out", end.bytes_out), ("in", end.bytes_in)):
+            labelled = _labels(**names, direction=direction)
+            yield "poise_connector_bytes_total", labelled, size
+
+
+def _timed(statuses: Statuses) -> Iterator[Sample]:
+    for names, end in _ends(statuses):
+        for name, times in zip(_TIMED, (end.delay, end.wait), strict=True):
+            if times.count:
+                yield name, _labels(**names, quantile="0.5"), times.median
+                yield name, _labels(**names, quantile="0.99"), times.p99
+                yield f"{name}_sum", _labels(**names), times.mean * times.count
+                yield f"{name}_count", _labels(**names), times.count
+
+
+def _samples(estimates: Estimates) -> Iterator[Sample]:
     for each in estimates.standings():
         labels = _labels(component=each.component, computer=each.computer)
         now = each.estimate
@@ -59,11 +117,18 @@ class MetricsServer:
 
     Parameters
     ----------
+    statuses
+        Returns what every agent said last; any thread may call it.
     address
         IP address and TCP port; port 0: any that is free.
     """
 
-    def __init__(self, estimates: Estimates, address: tuple[str, int]) -> None:
+    def __init__(
+        self,
+        estimates: Estimates,
+        statuses: Callable[[], Statuses],
+        address: tuple[str, int],
+    ) -> None:
         class Handler(BaseHTTPRequestHandler):
             timeout = 5.0
 
@@ -72,7 +137,7 @@ class MetricsServer:
                 if self.path != "/metrics":
                     self.send_error(404, "only /metrics is here")
                     return
-                body = to_prometheus(estimates).encode()
+                body = to_prometheus(estimates, statuses()).encode()
                 self.send_response(200)
                 self.send_header("Content-Type", "text/plain; version=0.0.4")
                 self.send_header("Content-Length", str(len(body)))

@@ -111,21 +111,41 @@ class Counts:
 
     Parameters
     ----------
-    bytes
-        Of what crossed a wire, both ways, without the transport's own [bytes].
+    bytes_out, bytes_in
+        Of what left this end over a wire, and of what came to it, without the
+        transport's own [bytes].
     delay
-        Of calls, there and back [s].
+        Of calls [s]: where they begin, there and back; where they end, until the
+        answer.
+    wait
+        Of messages [s]: where they begin, until they went out; where they end, from
+        their arrival until the component took them.
     """
 
     calls: int
     messages: int
-    bytes: int
+    bytes_out: int
+    bytes_in: int
     errors: int
     drops: int
 
     def __init__(self) -> None: ...
     @property
     def delay(self) -> Histogram: ...
+    @property
+    def wait(self) -> Histogram: ...
+    def add_call(
+        self,
+        seconds: float,
+        bytes_out: int = 0,
+        bytes_in: int = 0,
+        failed: bool = False,
+    ) -> None:
+        """Count a call at once, whatever other threads count."""
+
+    def add_message(self, bytes_out: int = 0, bytes_in: int = 0) -> None:
+        """Count a message at once, whatever other threads count."""
+
     @property
     def cpu(self) -> float:
         """CPU time of calls into the callee, with all that it called here [s].

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 
 from poise.errors import Timeout
 from poise.runtime.component import Component
+from poise.runtime.connectors.counts import Counts
 from poise.runtime.connectors.outlet import Facade, Outlet, refusing
 from poise.runtime.mailbox import Entry, Inbox, Mailbox
 from poise.runtime.ports import Port, Published, Queue, methods_of
@@ -71,21 +72,21 @@ class Ends:
         outlet.close()
         self._rewire(outlet.port)
 
-    def receive(self, port: str, entry: Entry, /) -> None:
-        """Queue a message or one-way call.
+    def receive(self, port: str, entry: Entry, counts: Counts, /) -> None:
+        """Queue a message or one-way call that came over the connector of `counts`.
 
         Raises
         ------
         Timeout
             The port's queue blocks and stayed full.
         """
-        self.mailbox.add(self.inboxes[port], entry, _PATIENCE)
+        self.mailbox.add(self.inboxes[port], entry, _PATIENCE, counts)
 
     def preload(self, port: str, entry: Entry) -> None:
         """Queue what waited for the incarnation before; call it before `activate`."""
         inbox = self.inboxes[port]
         inbox.rest(resting=True)
-        self.mailbox.add(inbox, entry, 0.0)
+        self.mailbox.add(inbox, entry, 0.0, Counts())
 
     def note_mark(self, connector: str, number: int, /) -> None:
         """Take note that all that was sent before this mark has come."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from queue import Empty, SimpleQueue
 from typing import Any
 
 from poise.errors import Timeout
+from poise.runtime.connectors.counts import Counts
 from poise.runtime.ports import Queue
 
 Entry = tuple[int, Any]
@@ -20,15 +22,17 @@ class Inbox:
     def __init__(self, port: str, queue: Queue) -> None:
         self.port = port
         self.arrived = 0
-        self.drops = 0
         self._queue = queue
-        self._waiting: deque[Entry] = deque()
+        self._waiting: deque[tuple[Entry, Counts, float]] = deque()
         self._changed = threading.Condition()
         self._spare = 0
         self._is_resting = False
 
-    def add(self, entry: Entry, limit: float) -> bool:
+    def add(self, entry: Entry, limit: float, counts: Counts) -> bool:
         """Queue a message; return whether the number of waiting ones grew.
+
+        `counts` are its connector's: they learn when it is dropped, or how long it
+        waited.
 
         Raises
         ------
@@ -42,10 +46,10 @@ class Inbox:
                 if self._queue.policy == "block":
                     self._wait_for_room(limit)
                 else:
-                    self._waiting.popleft()
-                    self.drops += 1
+                    _, older, _ = self._waiting.popleft()
+                    older.drops += 1
                     grew = False
-            self._waiting.append(entry)
+            self._waiting.append((entry, counts, time.monotonic()))
             return grew
 
     def take(self) -> Entry | None:
@@ -55,7 +59,9 @@ class Inbox:
                 return None
             self._spare = max(0, self._spare - 1)
             self._changed.notify()
-            return self._waiting.popleft()
+            entry, counts, came = self._waiting.popleft()
+            counts.wait.add(time.monotonic() - came)
+            return entry
 
     def rest(self, *, resting: bool) -> None:
         """Drop nothing and let nobody wait while the component is at rest."""
@@ -67,7 +73,7 @@ class Inbox:
     def waiting(self) -> list[Entry]:
         """Return what waits, oldest first."""
         with self._changed:
-            return list(self._waiting)
+            return [entry for entry, _, _ in self._waiting]
 
     def _has_room(self) -> bool:
         # what came while at rest has room of its own until it is taken
@@ -90,9 +96,9 @@ class Mailbox:
     def __init__(self) -> None:
         self._filled: SimpleQueue[Inbox | None] = SimpleQueue()
 
-    def add(self, inbox: Inbox, entry: Entry, limit: float) -> None:
+    def add(self, inbox: Inbox, entry: Entry, limit: float, counts: Counts) -> None:
         """Queue a message for the component; `Inbox.add` says when it raises."""
-        if inbox.add(entry, limit):
+        if inbox.add(entry, limit, counts):
             self._filled.put(inbox)
 
     def wake(self) -> None:

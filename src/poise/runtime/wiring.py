@@ -20,7 +20,7 @@ from poise.runtime.connectors.wired import WiredPath, receiving
 from poise.runtime.ports import Port
 from poise.runtime.runner import Runner
 from poise.wire.local import LocalPipe, LocalServer
-from poise.wire.messages import ConnectorSpec, ConnectorStatus
+from poise.wire.messages import ConnectorSpec, ConnectorStatus, End
 from poise.wire.pipe import Pipe, Server
 from poise.wire.remote import RemotePipe, RemoteServer, open_session
 from poise.wire.samples import SAMPLE_EVERY, ConnectorSample
@@ -117,13 +117,22 @@ class OpenEnds:
     def status(self) -> ConnectorStatus:
         """Return what was counted, and whether the other end is there."""
         ready = self.path is None or self.path.is_ready()
-        return self.counts.status(self.spec.name, self.spec.kind, ready=ready)
+        end: End = "target" if self.outlet is None else "source"
+        if self.spec.kind == "direct":
+            end = "both"
+        return self.counts.status(self.spec.name, self.spec.kind, end, ready=ready)
 
     def sample(self) -> ConnectorSample:
         """Return its counters."""
         n = self.counts
         return ConnectorSample(
-            self.spec.name, n.calls, n.messages, n.bytes, n.errors, n.drops
+            self.spec.name,
+            n.calls,
+            n.messages,
+            n.bytes_out,
+            n.bytes_in,
+            n.errors,
+            n.drops,
         )
 
 
@@ -221,14 +230,15 @@ class Wiring:
     ) -> None:
         spec = ends.spec
         port = _port(source, spec.source_port)
+        outlet = source.ends.outlet(spec.name, port, spec.limit)
+        counts = outlet.counts
         if target is not None:
             far = _port(target, spec.target_port)
-            ends.path = DirectPath(spec.name, target.ends, far, spec.limit)
+            ends.path = DirectPath(spec.name, target.ends, far, spec.limit, counts)
         else:
             ends.path = WiredPath(self._pipe(spec), port, spec.limit)
-        outlet = source.ends.outlet(spec.name, port, spec.limit)
         ends.outlet = outlet
-        ends.counts = outlet.counts
+        ends.counts = counts
         outlet.add(spec.key, ends.path)
         ends.closing.callback(_remove_path, source, outlet, spec.key)
 

@@ -26,6 +26,8 @@ _ZEROS = bytes(16)
 _NO_BUFFERS = memoryview(b"")
 _SMALL = 1 << 12
 """A body of fewer bytes is copied more quickly than looked at [bytes]."""
+_INLINE = 2
+"""Head and body; then come what aligns the buffers, and they."""
 
 
 class Kind(IntEnum):
@@ -56,6 +58,11 @@ class Frame(Struct, frozen=True):
     body: Bytes
     buffers: memoryview
 
+    @property
+    def size(self) -> int:
+        """What `size_of` said of it where it was sent [bytes]."""
+        return _HEAD.size + len(self.body) + self.buffers.nbytes
+
     def value(self, codec: Codec[Any]) -> Any:  # noqa: ANN401, what the codec decodes
         """Return the decoded value; WireError when it is not of the codec's type."""
         return codec.decode(self.body, self.buffers)
@@ -84,6 +91,18 @@ def segments(
 def failure(type_name: str, message: str, traceback: str = "") -> list[Bytes]:
     """Return the answer to a call that failed; a callee's error has a traceback."""
     return segments(FAILURE, (type_name, message, traceback), Kind.ERROR)
+
+
+def size_of(pieces: list[Bytes]) -> int:
+    """Return the size of a frame [bytes], but for what aligns its buffers."""
+    if len(pieces) == _INLINE:
+        return _HEAD.size + len(pieces[1])
+    return sum(map(len, pieces)) - len(pieces[_INLINE])
+
+
+def is_failure(pieces: list[Bytes]) -> bool:
+    """Return whether a frame tells that a call failed."""
+    return bytes(pieces[0])[1] == Kind.ERROR
 
 
 def parse(data: Bytes, buffers: memoryview | None = None) -> Frame:

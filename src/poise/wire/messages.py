@@ -22,6 +22,7 @@ Aim = Literal["inactive", "ready", "active", "finalized"]
 """Where a component goes. `ready`: activated, and at rest until it is `active`."""
 State = Literal["unconfigured", "inactive", "active", "finalized", "failed"]
 ConnectorKind = Literal["direct", "local", "remote"]
+End = Literal["source", "target", "both"]
 
 
 class ComponentSpec(Struct, frozen=True, kw_only=True):
@@ -283,17 +284,41 @@ class TimerStatus(Struct, frozen=True, kw_only=True):
 
 
 class ConnectorStatus(Struct, frozen=True, kw_only=True):
-    """What one end of a connector counted. `delay`: calls there and back [s]."""
+    """What one end of a connector counted.
+
+    Parameters
+    ----------
+    end
+        Where calls and messages begin (``source``), where they end (``target``), or
+        ``both`` in one container: then all is counted once.
+    bytes_out, bytes_in
+        What left this end over a wire, and what came to it [bytes]: at the source
+        requests and messages go out and answers come in, at the target the other way
+        round. None within a container.
+    errors
+        Calls that failed, and what came and was refused.
+    drops
+        Messages that this end gave up: they could not go out, found no room, or made
+        room for newer ones.
+    delay
+        Of calls [s]: at the source there and back, at the target until the answer.
+    wait
+        Of messages [s]: at the source until they went out, elsewhere from their arrival
+        until the component took them.
+    """
 
     name: str
     kind: ConnectorKind
+    end: End
     ready: bool
     calls: int = 0
     messages: int = 0
-    bytes: int = 0
+    bytes_out: int = 0
+    bytes_in: int = 0
     errors: int = 0
     drops: int = 0
     delay: Summary = Summary()
+    wait: Summary = Summary()
 
 
 class ComponentStatus(Struct, frozen=True, kw_only=True):

@@ -35,12 +35,16 @@ class ComponentSample(Struct, frozen=True, array_like=True):
 
 
 class ConnectorSample(Struct, frozen=True, array_like=True):
-    """The counters of one end of a connector."""
+    """The counters of one end of a connector.
+
+    `bytes_out` left this end over a wire, `bytes_in` came to it.
+    """
 
     name: str
     calls: int
     messages: int
-    bytes: int
+    bytes_out: int
+    bytes_in: int
     errors: int
     drops: int
 

@@ -13,6 +13,12 @@ from poise.manage.metrics import MetricsServer, to_prometheus
 from poise.manage.recording import Recording, load, replay, save
 from poise.manage.table import COLUMNS, write_csv
 from poise.model.robot import Robot
+from poise.wire.messages import (
+    AgentStatus,
+    ConnectorStatus,
+    ContainerStatus,
+    Summary,
+)
 from tests.manage.sampled.conftest import Sampler
 
 
@@ -92,7 +98,7 @@ def test_speaks_to_prometheus(robot: Robot, steady: Sampler) -> None:
     estimates = Estimates(robot, None, emulated=True)
     for k in range(20):
         estimates.take(steady(0.25 * k))
-    text = to_prometheus(estimates)
+    text = to_prometheus(estimates, {})
     lines = [x for x in text.splitlines() if x.startswith("poise_component_cpu_cores{")]
     labels, values = zip(*(line.split(" ") for line in lines), strict=True)
     assert labels == tuple(
@@ -102,15 +108,41 @@ def test_speaks_to_prometheus(robot: Robot, steady: Sampler) -> None:
     assert [float(value) for value in values] == pytest.approx([0.1, 0.2])
 
 
+def test_tells_prometheus_what_each_end_counts(robot: Robot) -> None:
+    end = ConnectorStatus(
+        name="eye.x-mind.x",
+        kind="remote",
+        end="target",
+        ready=True,
+        messages=7,
+        bytes_in=350,
+        drops=2,
+        wait=Summary(count=4, mean=0.5, median=0.25, p99=2.0, maximum=2.0),
+    )
+    container = ContainerStatus(name="see", pid=7, connectors=(end, end))
+    status = AgentStatus(
+        computer="a", generation=1, uptime=1.0, cpu=0.0, containers=(container,)
+    )
+    text = to_prometheus(Estimates(robot, None, emulated=True), {"a": status})
+    labels = 'connector="eye.x-mind.x",end="target",computer="a"'
+    assert text.count(f"poise_connector_messages_total{{{labels}}} 7\n") == 1
+    assert f"poise_connector_drops_total{{{labels}}} 2\n" in text
+    assert f'poise_connector_bytes_total{{{labels},direction="in"}} 350\n' in text
+    assert f'poise_connector_wait_seconds{{{labels},quantile="0.99"}} 2.0\n' in text
+    assert f"poise_connector_wait_seconds_sum{{{labels}}} 2.0\n" in text
+    assert f"poise_connector_wait_seconds_count{{{labels}}} 4\n" in text
+    assert "poise_connector_delay_seconds{" not in text  # there were no calls
+
+
 def test_serves_metrics_and_nothing_else(robot: Robot, steady: Sampler) -> None:
     estimates = Estimates(robot, None, emulated=True)
     for k in range(3):
         estimates.take(steady(0.25 * k))
-    server = MetricsServer(estimates, ("127.0.0.1", 0))
+    server = MetricsServer(estimates, dict, ("127.0.0.1", 0))
     at = f"http://127.0.0.1:{server.port}"
     try:
         with urllib.request.urlopen(f"{at}/metrics", timeout=5) as answer:
-            assert answer.read().decode() == to_prometheus(estimates)
+            assert answer.read().decode() == to_prometheus(estimates, {})
         with pytest.raises(urllib.error.HTTPError) as refused:
             urllib.request.urlopen(f"{at}/other", timeout=5)
         refused.value.close()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from poise.runtime import _calls
 from poise.wire.codec import WireError
-from poise.wire.messages import ConnectorKind, ConnectorStatus
+from poise.wire.messages import ConnectorKind, ConnectorStatus, End
 
 
 class Counts(_calls.Counts):
@@ -14,16 +14,21 @@ class Counts(_calls.Counts):
         """Count something that came and is no frame."""
         self.errors += 1
 
-    def status(self, name: str, kind: ConnectorKind, *, ready: bool) -> ConnectorStatus:
+    def status(
+        self, name: str, kind: ConnectorKind, end: End, *, ready: bool
+    ) -> ConnectorStatus:
         """Return the numbers as a record."""
         return ConnectorStatus(
             name=name,
             kind=kind,
+            end=end,
             ready=ready,
             calls=self.calls,
             messages=self.messages,
-            bytes=self.bytes,
+            bytes_out=self.bytes_out,
+            bytes_in=self.bytes_in,
             errors=self.errors,
             drops=self.drops,
             delay=self.delay.summary(),
+            wait=self.wait.summary(),
         )

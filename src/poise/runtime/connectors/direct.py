@@ -30,8 +30,11 @@ class Target(Protocol):
         """The component itself."""
         ...
 
-    def receive(self, port: str, entry: tuple[int, Any], /) -> None:
-        """Take a message or one-way call: a tag, and a value or arguments."""
+    def receive(self, port: str, entry: tuple[int, Any], counts: Counts, /) -> None:
+        """Take a message or one-way call: a tag, and a value or arguments.
+
+        `counts` learn what comes of it.
+        """
         ...
 
     def note_mark(self, connector: str, number: int, /) -> None:
@@ -43,12 +46,13 @@ class DirectPath:
     """A way to a component in this process."""
 
     def __init__(
-        self, connector: str, target: Target, port: Port, limit: float
+        self, connector: str, target: Target, port: Port, limit: float, counts: Counts
     ) -> None:
         self._connector = connector
         self._target = target
         self._port = port
         self._limit = limit
+        self._counts = counts
         self._tag = message_tag(port.type)
 
     def is_ready(self) -> bool:
@@ -69,7 +73,7 @@ class DirectPath:
     def push(self, method: Method | None, value: object) -> int:
         """Put a message or one-way call into the target's mailbox."""
         entry = (method.tag if method else self._tag, value)
-        self._target.receive(self._port.name, entry)
+        self._target.receive(self._port.name, entry, self._counts)
         return 0
 
     def mark(self, number: int) -> None:

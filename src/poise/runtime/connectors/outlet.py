@@ -100,7 +100,7 @@ class Outlet:
         self._turn = turn
         self._paths: dict[str, Path] = {}
         self._current: Path | None = None
-        self._held: deque[tuple[Method | None, object]] | None = None
+        self._held: deque[tuple[Method | None, object, float]] | None = None
         self._changed = threading.Condition()
         self._disconnect()
 
@@ -131,14 +131,15 @@ class Outlet:
 
     def send(self, value: object, method: Method | None = None) -> None:
         """Send a message or one-way call, or hold it; what cannot go out is counted."""
+        began = time.monotonic()
         with self._changed:
             if not self._changed.wait_for(self._has_room, self._limit):
                 self.counts.drops += 1
                 log.warning("connector %s: %d messages wait", self.name, MOST_HELD)
             elif self._held is None:
-                self._push(method, value)
+                self._push(method, value, began)
             else:
-                self._held.append((method, value))
+                self._held.append((method, value, began))
 
     def hold(self) -> None:
         """Hold messages from now on; harmless when repeated.
@@ -208,12 +209,12 @@ class Outlet:
         return self._held is None or len(self._held) < MOST_HELD
 
     def _send_held(self) -> None:
-        for method, value in self._held or ():
-            self._push(method, value)
+        for method, value, began in self._held or ():
+            self._push(method, value, began)
         self._held = None
         self._changed.notify_all()
 
-    def _push(self, method: Method | None, value: object) -> None:
+    def _push(self, method: Method | None, value: object, began: float) -> None:
         if self._current is None:
             self.counts.drops += 1
             return
@@ -223,8 +224,9 @@ class Outlet:
             self.counts.drops += 1
             log.debug("connector %s: %s", self.name, error)
             return
-        self.counts.messages += 1
-        self.counts.bytes += size
+        self.counts.add_message(size)
+        if size:  # within a container they wait only where they end
+            self.counts.wait.add(time.monotonic() - began)
 
     def _use(self, path: Path | None) -> None:
         self._current = path

@@ -17,7 +17,7 @@ from poise.runtime.ports import Port
 from poise.runtime.turn import Retired, current_chain, join_chain
 from poise.wire import frame
 from poise.wire.codec import Codec, WireError, codec
-from poise.wire.frame import Frame, Kind, segments
+from poise.wire.frame import Frame, Kind, is_failure, segments, size_of
 from poise.wire.pipe import Closed, Handler, Pieces, Pipe
 
 log = logging.getLogger(__name__)
@@ -51,7 +51,7 @@ class WiredPath:
             kind, tag, coder = Kind.ONEWAY, method.tag, method.arguments
         pieces = segments(coder, value, kind, tag=tag)
         self._pipe.push(pieces, self._limit)
-        return _size(pieces)
+        return size_of(pieces)
 
     def mark(self, number: int) -> None:
         """Send a mark."""
@@ -68,20 +68,23 @@ class WiredPath:
             chain = current_chain()
             values = bind(*args, **kwargs)
             pieces = segments(arguments, values, Kind.CALL, tag=tag, chain=chain)
+            answer = None
             try:
                 with away(chain):
                     answer = _ask(pipe, pieces, limit)
-                if answer is None:
-                    deadline = started + limit
-                    return outlet.again(self, method.name, args, kwargs, deadline)
-                counts.bytes += _size(pieces) + _received(answer)
-                return _result(answer, method)
+                if answer is not None:
+                    result = _result(answer, method)
             except (CallError, WireError):
-                counts.errors += 1
+                came = answer.size if answer is not None else 0
+                took = time.monotonic() - started
+                counts.add_call(took, size_of(pieces), came, failed=True)
                 raise
-            finally:
-                counts.calls += 1
-                counts.delay.add(time.monotonic() - started)
+            if answer is None:
+                deadline = started + limit
+                return outlet.again(self, method.name, args, kwargs, deadline)
+            took = time.monotonic() - started
+            counts.add_call(took, size_of(pieces), answer.size)
+            return result
 
         return call
 
@@ -97,27 +100,33 @@ def receiving(
         if received.kind is Kind.MARK:
             target.note_mark(connector, received.number)
             return None
-        counts.bytes += _received(received)
+        method = known.get(received.tag)
+        if received.kind is Kind.CALL:
+            return serve(received, method)
         try:
-            method = known.get(received.tag)
-            if received.kind is Kind.CALL:
-                counts.calls += 1
-                began = time.thread_time()
-                answer = _answer(target, _known(method, port), limit, received)
-                counts.add_cpu(time.thread_time() - began)
-                return answer
-            counts.messages += 1
+            counts.add_message(0, received.size)
             wanted = coder if received.tag == tag and not known else None
             value = received.value(wanted or _known(method, port).arguments)
-            target.receive(port.name, (received.tag, value))
+            target.receive(port.name, (received.tag, value), counts)
         except WireError as error:
-            counts.errors += 1
+            counts.refuse(error)
             log.warning("connector %s: refused: %s", connector, error)
-            return _failure(error) if received.kind is Kind.CALL else None
         except Timeout as error:
             counts.drops += 1
             log.warning("connector %s: %s", connector, error)
         return None
+
+    def serve(received: Frame, method: Method | None) -> Pieces:
+        began, cpu = time.monotonic(), time.thread_time()
+        try:
+            answer = _answer(target, _known(method, port), limit, received)
+        except WireError as error:
+            log.warning("connector %s: refused: %s", connector, error)
+            answer = _failure(error)
+        counts.add_cpu(time.thread_time() - cpu)
+        took, failed = time.monotonic() - began, is_failure(answer)
+        counts.add_call(took, size_of(answer), received.size, failed)
+        return answer
 
     return handle
 
@@ -198,11 +207,3 @@ def _failure(error: CalleeError | Timeout | WireError) -> Pieces:
     if isinstance(error, CalleeError):
         return frame.failure(error.type_name, error.message, error.traceback)
     return frame.failure(type(error).__name__, str(error))
-
-
-def _size(pieces: Pieces) -> int:
-    return sum(map(len, pieces))
-
-
-def _received(received: Frame) -> int:
-    return len(received.body) + len(received.buffers)

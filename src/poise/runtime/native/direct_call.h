@@ -12,11 +12,26 @@ namespace poise {
 struct Counts {
   std::uint64_t calls = 0;
   std::uint64_t messages = 0;
-  std::uint64_t bytes = 0;
+  std::uint64_t bytes_out = 0;  // that left this end over a wire
+  std::uint64_t bytes_in = 0;   // that came to this end over a wire
   std::uint64_t errors = 0;
   std::uint64_t drops = 0;
-  Histogram delay;  // calls there and back [s]
+  Histogram delay;  // of calls [s]
+  Histogram wait;   // of messages [s]
   CpuShare cpu;     // of the callee's code, and of what it called
+
+  void add_call(double seconds, std::uint64_t out, std::uint64_t in, bool failed) {
+    ++calls;
+    errors += failed;
+    bytes_out += out;
+    bytes_in += in;
+    delay.add(seconds);
+  }
+  void add_message(std::uint64_t out, std::uint64_t in) {
+    ++messages;
+    bytes_out += out;
+    bytes_in += in;
+  }
 };
 
 // The type `DirectCall`: a callable with the vectorcall protocol.

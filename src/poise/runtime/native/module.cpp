@@ -66,10 +66,16 @@ NB_MODULE(_calls, module) {
       .def(nb::init<>())
       .def_rw("calls", &Counts::calls)
       .def_rw("messages", &Counts::messages)
-      .def_rw("bytes", &Counts::bytes)
+      .def_rw("bytes_out", &Counts::bytes_out)
+      .def_rw("bytes_in", &Counts::bytes_in)
       .def_rw("errors", &Counts::errors)
       .def_rw("drops", &Counts::drops)
       .def_ro("delay", &Counts::delay)
+      .def_ro("wait", &Counts::wait)
+      .def("add_call", &Counts::add_call, nb::arg("seconds"), nb::arg("bytes_out") = 0,
+           nb::arg("bytes_in") = 0, nb::arg("failed") = false)
+      .def("add_message", &Counts::add_message, nb::arg("bytes_out") = 0,
+           nb::arg("bytes_in") = 0)
       .def_prop_ro("cpu", [](const Counts& counts) { return counts.cpu.seconds(); })
       .def(
           "add_cpu",
