@@ -21,7 +21,7 @@ from poise.manage.deployment import name_of
 from poise.manage.fleet import Fleet
 from poise.manage.journal import Journal
 from poise.manage.move import GATE_LIMIT, OPEN_LIMIT, MoveReport, move, replace
-from poise.manage.run import Run, components_of
+from poise.manage.run import Run, components_of, connectors_of
 from poise.model.robot import (
     Architecture,
     Component,
@@ -134,6 +134,14 @@ class Gradual(Counter):
 
     def restore_delta(self, delta: Counted) -> None:
         self.state = delta
+
+class Slow(Counter):
+    """Cannot keep up: its publisher has to wait, wherever it is."""
+
+    @subscribed(block=3)
+    def numbers(self, message: Number):
+        threading.Event().wait(0.005)
+        super().numbers(message)
 
 class Unrestorable(Counter):
     def restore(self, state: Counted) -> None:
@@ -361,6 +369,22 @@ def test_a_large_state_goes_ahead_and_timers_keep_on(world: World) -> None:
     assert move(run, "counter", "right").committed
     world.works()
     assert world.told("sink")[1] == 0
+
+
+def test_a_publisher_waits_for_a_slow_subscriber_that_moves(world: World) -> None:
+    run = world.start("Slow")
+    for target in ("right", "left", "right"):
+        assert move(run, "counter", target).committed
+        world.works()
+
+    def waits() -> bool:
+        """Whether a publication took as long as the subscriber's work."""
+        ends = connectors_of(run.fleet.statuses())
+        return any(end.wait.maximum > 0.004 for end in ends if end.end == "source")
+
+    world.wait_for(waits)
+    assert world.wrong() == 0
+    assert sum(end.drops for end in connectors_of(run.fleet.statuses())) == 0
 
 
 @pytest.mark.parametrize(

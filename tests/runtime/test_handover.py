@@ -172,8 +172,9 @@ def test_what_waits_goes_over_in_order(incarnations: Incarnations) -> None:
     old = incarnations.start(Book, active=True)
     new = incarnations.start(Book, active=False)
     pipe = rest(old)
+    feed = old.ends.feed("notes", Counts())
     for number in range(5):  # more than there is room for while it works
-        old.ends.receive("notes", (0, Notes((str(number),))), Counts())
+        feed.put((0, Notes((str(number),))))
     handover.take(new, handover.fetch(pipe, Ask.ALL, LIMIT))
     assert [v.texts for _, v in new.ends.inboxes["notes"].waiting()] == [
         (str(number),) for number in range(5)

@@ -2,83 +2,114 @@
 
 from __future__ import annotations
 
-import threading
 import time
 
 import pytest
 
-from poise.errors import Timeout
+from poise.runtime import mailbox as module
 from poise.runtime.connectors.counts import Counts
-from poise.runtime.mailbox import Inbox, Mailbox
+from poise.runtime.mailbox import Feed, Inbox, Mailbox
 from poise.runtime.ports import Queue
 
 LIMIT = 20.0
 
 
-def entries(*numbers: int) -> list[tuple[int, int]]:
-    return [(0, number) for number in numbers]
+def feed(inbox: Inbox, mailbox: Mailbox | None = None) -> Feed:
+    return Feed(mailbox or Mailbox(), inbox, Counts())
 
 
-def test_keeps_the_last_and_counts_the_others() -> None:
+def put(feed: Feed, *numbers: int) -> None:
+    for number in numbers:
+        feed.put((0, number))
+
+
+def waiting(inbox: Inbox) -> list[int]:
+    return [value for _, value in inbox.waiting()]
+
+
+def test_keeps_the_last_and_tells_each_connector_what_it_lost() -> None:
     inbox = Inbox("scan", Queue("keep", 2))
-    one, other = Counts(), Counts()
-    by = (one, other, other, other)
-    pairs = zip(entries(1, 2, 3, 4), by, strict=True)
-    assert [inbox.add(e, 0.0, c) for e, c in pairs] == [True, True, False, False]
-    assert inbox.waiting() == entries(3, 4)
-    # each connector is told of what came over it: 1 made room for 3, and 2 for 4
-    assert (one.drops, other.drops) == (1, 1)
+    one, other = feed(inbox), feed(inbox)
+    put(one, 1)
+    put(other, 2, 3, 4)  # 3 takes the place of 1, and 4 that of 2
+    assert waiting(inbox) == [3, 4]
+    assert (one.counts.drops, other.counts.drops) == (1, 1)
+    assert one.room() is None
 
 
 def test_counts_how_long_what_is_taken_has_waited() -> None:
-    inbox, counts = Inbox("scan", Queue("keep", 2)), Counts()
+    inbox = Inbox("scan", Queue("keep", 2))
+    one = feed(inbox)
     began = time.monotonic()
-    for entry in entries(1, 2):
-        inbox.add(entry, 0.0, counts)
+    put(one, 1, 2)
     inbox.take()
-    waited = counts.wait.summary()
+    waited = one.counts.wait.summary()
     assert waited.count == 1
     assert 0 <= waited.maximum <= time.monotonic() - began
 
 
-def test_blocks_until_there_is_room() -> None:
-    inbox, counts = Inbox("scan", Queue("block", 1)), Counts()
-    inbox.add((0, 1), 0.0, Counts())
-    waiting = threading.Thread(target=inbox.add, args=((0, 2), LIMIT, counts))
-    waiting.start()
-    assert inbox.take() == (0, 1)
-    waiting.join(LIMIT)
-    assert inbox.waiting() == entries(2)
-    assert counts.drops == 0
-
-
-def test_blocks_no_longer_than_the_limit() -> None:
+def test_has_room_of_its_own_for_every_connector() -> None:
     inbox = Inbox("scan", Queue("block", 2))
-    for entry in entries(1, 2):
-        inbox.add(entry, 0.0, Counts())
-    with pytest.raises(Timeout, match=r"port 'scan' had 2 messages waiting for 0.01 s"):
-        inbox.add((0, 3), 0.01, Counts())
-    assert inbox.waiting() == entries(1, 2)
+    one, other = feed(inbox), feed(inbox)
+    put(one, 1, 2)
+    assert (one.room(), other.room()) == (0, 2)
+    assert not one.has_room()
+    put(other, 3)
+    assert other.room() == 1
+
+
+def test_tells_whoever_waits_that_there_is_room() -> None:
+    inbox = Inbox("scan", Queue("block", 1))
+    one = feed(inbox)
+    told: list[int | None] = []
+    one.on_room = lambda: told.append(one.room())
+    put(one, 1)
+    assert told == []
+    assert inbox.take() == (0, 1)
+    assert told == [1]
+
+
+def test_takes_what_was_held_and_drops_what_nobody_may_send(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A source sends at once what it held during a move, whatever room there is."""
+    monkeypatch.setattr(module, "MOST_AHEAD", 3)
+    inbox = Inbox("scan", Queue("block", 1))
+    one = feed(inbox)
+    put(one, 1, 2, 3, 4, 5)
+    assert waiting(inbox) == [1, 2, 3, 4]
+    assert (one.room(), one.counts.drops) == (0, 1)
 
 
 def test_takes_nothing_from_an_empty_queue() -> None:
     assert Inbox("scan", Queue()).take() is None
 
 
-def test_neither_drops_nor_blocks_at_rest() -> None:
+def test_neither_drops_nor_lets_wait_at_rest() -> None:
     for policy in ("keep", "block"):
         inbox = Inbox("scan", Queue(policy, 1))
+        one = feed(inbox)
         inbox.rest(resting=True)
-        for entry in entries(1, 2, 3):
-            inbox.add(entry, 0.0, Counts())
+        for number in (1, 2, 3):
+            assert one.has_room()
+            put(one, number)
         inbox.rest(resting=False)
-        assert [inbox.take() for _ in range(3)] == entries(1, 2, 3)
+        assert [inbox.take() for _ in range(3)] == [(0, 1), (0, 2), (0, 3)]
+
+
+def test_tells_whoever_waits_when_it_comes_to_rest() -> None:
+    inbox = Inbox("scan", Queue("block", 1))
+    one = feed(inbox)
+    put(one, 1)
+    told: list[int | None] = []
+    one.on_room = lambda: told.append(one.room())
+    inbox.rest(resting=True)
+    assert told == [1]
 
 
 def test_wakes_once_for_every_message_that_waits() -> None:
     mailbox, inbox = Mailbox(), Inbox("scan", Queue("keep", 2))
-    for entry in entries(1, 2, 3):
-        mailbox.add(inbox, entry, 0.0, Counts())
+    put(feed(inbox, mailbox), 1, 2, 3)
     assert [mailbox.next(0.0) for _ in range(3)] == [inbox, inbox, None]
 
 
@@ -86,7 +117,7 @@ def test_serves_ports_in_the_order_of_arrival() -> None:
     mailbox = Mailbox()
     one, two = (Inbox(name, Queue("keep", 5)) for name in ("one", "two"))
     for inbox in (two, one, two):
-        mailbox.add(inbox, (0, 0), 0.0, Counts())
+        put(feed(inbox, mailbox), 0)
     assert [mailbox.next(0.0) for _ in range(3)] == [two, one, two]
 
 

@@ -109,8 +109,9 @@ def rest(runner: Runner, limit: float) -> None:
 
 
 def receive(runner: Runner, *texts: str) -> None:
+    feed = runner.ends.feed("note", Counts())
     for text in texts:
-        runner.ends.receive("note", (0, Note(text)), Counts())
+        feed.put((0, Note(text)))
 
 
 def test_the_hooks_come_in_order(running: Fixture) -> None:

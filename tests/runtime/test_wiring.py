@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
 
 import numpy as np
@@ -67,6 +68,11 @@ class Target(Component):
     def scan(self, message: Scan) -> None:
         self._hear(message)
 
+    @subscribed(block=3)
+    def careful(self, message: Scan) -> None:
+        threading.Event().wait(0.002)
+        self._hear(message)
+
     @subscribed(keep=1)
     def latest(self, message: Scan) -> None:
         self._hear(message)
@@ -86,6 +92,7 @@ class Source(Component):
     sums: Required[Sums]
     scan: Published[Scan]
     latest: Published[Scan]
+    careful: Published[Scan]
 
 
 def start(pair: Pair, *ports: str, limit: float = LIMIT) -> tuple[Source, Target]:
@@ -186,16 +193,46 @@ def test_publishing_to_nobody_is_no_error(pair: Pair) -> None:
 
 
 @every_kind
-def test_a_message_that_finds_no_room_is_dropped_and_counted(
-    pair: Pair, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("poise.runtime.runner._PATIENCE", 0.01)
-    source, _ = start(pair, "scan")
+def test_a_message_that_finds_no_room_is_dropped_and_counted(pair: Pair) -> None:
+    source, target = start(pair, "scan", limit=0.5)
+    source.scan.publish(scan(0))
+    target.wait_for(1)
     pair.runners["target", 0].turn.shut(LIMIT)
-    for number in range(8):  # room is for four
+    for number in range(1, 7):  # room is for four
         source.scan.publish(scan(number))
-    wait_until(lambda: pair.drops() == 4)
+    assert status(pair, "source").drops == 2
     pair.runners["target", 0].turn.open()
+    assert [m.number for m in target.wait_for(5)] == [0, 1, 2, 3, 4]
+
+
+@every_kind
+def test_a_slow_subscriber_makes_its_publisher_wait(pair: Pair) -> None:
+    source, target = start(pair, "careful")
+    inbox = pair.runners["target", 0].ends.inboxes["careful"]
+    most = 0
+    for number in range(30):
+        source.careful.publish(scan(number))
+        most = max(most, len(inbox.waiting()))
+    assert [m.number for m in target.wait_for(30)] == list(range(30))
+    assert most <= 3
+    assert pair.drops() == 0
+
+
+@every_kind
+def test_a_slow_subscriber_does_not_hold_up_the_others(pair: Pair) -> None:
+    source, target = start(pair, "scan", "sums", "latest")
+    pair.runners["target", 0].turn.shut(LIMIT)
+    for number in range(4):
+        source.scan.publish(scan(number))
+    with ThreadPoolExecutor() as pool:
+        waiting = pool.submit(source.scan.publish, scan(4))
+        source.latest.publish(scan(9))  # the same container, another connector
+        inbox = pair.runners["target", 0].ends.inboxes["latest"]
+        wait_until(lambda: len(inbox.waiting()) == 1)
+        assert not waiting.done()
+        pair.runners["target", 0].turn.open()
+        waiting.result(LIMIT)
+    assert len(target.wait_for(6)) == 6
 
 
 @every_kind

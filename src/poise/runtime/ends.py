@@ -13,12 +13,10 @@ from poise.errors import Timeout
 from poise.runtime.component import Component
 from poise.runtime.connectors.counts import Counts
 from poise.runtime.connectors.outlet import Facade, Outlet, refusing
-from poise.runtime.mailbox import Entry, Inbox, Mailbox
+from poise.runtime.mailbox import Entry, Feed, Inbox, Mailbox
 from poise.runtime.ports import Port, Published, Queue, methods_of
 from poise.runtime.turn import Turn
 
-_PATIENCE = 1.0
-"""How long whoever sends waits for room in a queue that blocks [s]."""
 _ONEWAY = Queue("block", 64)
 """One-way calls that may wait for a component; then their callers wait."""
 
@@ -72,21 +70,15 @@ class Ends:
         outlet.close()
         self._rewire(outlet.port)
 
-    def receive(self, port: str, entry: Entry, counts: Counts, /) -> None:
-        """Queue a message or one-way call that came over the connector of `counts`.
-
-        Raises
-        ------
-        Timeout
-            The port's queue blocks and stayed full.
-        """
-        self.mailbox.add(self.inboxes[port], entry, _PATIENCE, counts)
+    def feed(self, port: str, counts: Counts, /) -> Feed:
+        """Return the way into a port's queue for the connector of `counts`."""
+        return Feed(self.mailbox, self.inboxes[port], counts)
 
     def preload(self, port: str, entry: Entry) -> None:
         """Queue what waited for the incarnation before; call it before `activate`."""
         inbox = self.inboxes[port]
         inbox.rest(resting=True)
-        self.mailbox.add(inbox, entry, 0.0, Counts())
+        self.feed(port, Counts()).put(entry)
 
     def note_mark(self, connector: str, number: int, /) -> None:
         """Take note that all that was sent before this mark has come."""

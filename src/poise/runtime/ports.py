@@ -88,8 +88,10 @@ class Published(Generic[M]):
     def publish(self, message: M) -> None:
         """Hand `message` to every subscriber, in order.
 
-        Blocks only when a subscriber asked for that (``subscribed(block=n)``) and its
-        queue is full. The message must not be changed afterwards.
+        Waits only while a subscriber that asked for it (``subscribed(block=n)``) has no
+        room, and up to the connector's time limit; then the message is dropped for that
+        subscriber, logged and counted as a drop of the connector. The message must not
+        be changed afterwards.
         """
         self._send(message)
 
@@ -134,8 +136,9 @@ def subscribed(*, keep: int = 0, block: int = 0) -> Callable[[F], F]:
         Queue at most the last `keep` messages; older ones are dropped and counted.
         1 unless `block` is given.
     block
-        Queue at most `block` messages and make the publisher wait when they are
-        there: nothing is dropped.
+        Queue at most `block` messages of each publisher, and make it wait when they
+        are there. From another container it may have to wait until half of them were
+        taken. A message that waited for the connector's time limit is dropped.
 
     The method is called on the component's thread, once per message, in the order of
     publication per publisher.

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import traceback
 from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path as FilePath
 
 import zenoh
@@ -14,17 +16,23 @@ from msgspec import Struct
 
 from poise.errors import RobotError, RunError, UsageError
 from poise.runtime.connectors.counts import Counts
+from poise.runtime.connectors.credits import GRANTS, Credit, Credits, Grants
 from poise.runtime.connectors.direct import DirectPath
 from poise.runtime.connectors.outlet import Outlet, Path
 from poise.runtime.connectors.wired import WiredPath, receiving
 from poise.runtime.ports import Port
 from poise.runtime.runner import Runner
+from poise.wire.codec import WireError
 from poise.wire.local import LocalPipe, LocalServer
-from poise.wire.messages import ConnectorSpec, ConnectorStatus, End
+from poise.wire.messages import ConnectorKind, ConnectorSpec, ConnectorStatus, End
 from poise.wire.pipe import Pipe, Server
 from poise.wire.remote import RemotePipe, RemoteServer, open_session
 from poise.wire.samples import SAMPLE_EVERY, ConnectorSample
 from poise.wire.socket_path import socket_path
+
+_ADDRESS = re.compile(r"[\w-]+(\.[\w-]+)*")
+"""How a container may say where it is: a socket's name, or a zenoh id."""
+_GRANT_LIMIT = 0.2
 
 Runners = Mapping[tuple[str, int], Runner]
 """The incarnations of components in a container, by name and epoch."""
@@ -62,6 +70,8 @@ class Transports:
         self._session: zenoh.Session | None = None
         self._local: LocalServer | None = None
         self._remote: RemoteServer | None = None
+        self._credits = Credits()
+        self._hears_grants: set[ConnectorKind] = set()
 
     def local_pipe(self, key: str, container: str) -> Pipe:
         """Return a pipe to another container of this computer."""
@@ -85,6 +95,33 @@ class Transports:
             self._remote = RemoteServer(self._zenoh(), prefix)
         return self._remote
 
+    def server(self, kind: ConnectorKind) -> Server:
+        """Return where pipes of a kind end."""
+        return self.local_server() if kind == "local" else self.remote_server()
+
+    def credit(self, kind: ConnectorKind) -> Credit:
+        """Return the credit of a new path; its grants are heard from now on."""
+        if kind not in self._hears_grants:
+            self._hears_grants.add(kind)
+            key = GRANTS if kind == "local" else f"{GRANTS}/{self._address(kind)}"
+            self.server(kind).open(key, self._credits.handle)
+        return self._credits.open(self._address(kind))
+
+    def grant_pipe(self, kind: ConnectorKind, address: str) -> Pipe:
+        """Return a pipe to where a container hears its grants.
+
+        Raises
+        ------
+        WireError
+            `address` is none.
+        """
+        if not _ADDRESS.fullmatch(address):
+            raise WireError(f"'{address}' is no address of a container")
+        if kind == "local":
+            path = FilePath(self._place.socket).with_name(address)
+            return LocalPipe(GRANTS, str(path))
+        return self.remote_pipe(f"{GRANTS}/{address}", _GRANT_LIMIT)
+
     def close(self) -> None:
         """Close all that was opened."""
         for server in (self._local, self._remote):
@@ -92,6 +129,11 @@ class Transports:
                 server.close()
         if self._session is not None:
             self._session.close()  # type: ignore[no-untyped-call]
+
+    def _address(self, kind: ConnectorKind) -> str:
+        if kind == "local":
+            return FilePath(self._place.socket).name
+        return str(self._zenoh().zid())
 
     def _zenoh(self) -> zenoh.Session:
         if self._session is None:
@@ -231,26 +273,27 @@ class Wiring:
         spec = ends.spec
         port = _port(source, spec.source_port)
         outlet = source.ends.outlet(spec.name, port, spec.limit)
-        counts = outlet.counts
         if target is not None:
             far = _port(target, spec.target_port)
-            ends.path = DirectPath(spec.name, target.ends, far, spec.limit, counts)
+            ends.path = DirectPath(spec.name, target.ends, far, spec.limit, outlet)
         else:
-            ends.path = WiredPath(self._pipe(spec), port, spec.limit)
+            credit = self._transports.credit(spec.kind)
+            credit.on_grant = outlet.room
+            ends.path = WiredPath(self._pipe(spec), port, spec.limit, credit)
         ends.outlet = outlet
-        ends.counts = counts
+        ends.counts = outlet.counts
         outlet.add(spec.key, ends.path)
         ends.closing.callback(_remove_path, source, outlet, spec.key)
 
     def _open_target(self, ends: OpenEnds, target: Runner) -> None:
         spec = ends.spec
         port = _port(target, spec.target_port)
-        server = (
-            self._transports.local_server()
-            if spec.kind == "local"
-            else self._transports.remote_server()
-        )
-        handler = receiving(spec.name, target.ends, port, spec.limit, ends.counts)
+        feed = target.ends.feed(port.name, ends.counts)
+        open_pipe = partial(self._transports.grant_pipe, spec.kind)
+        grants = Grants(feed, ends.counts, open_pipe)
+        ends.closing.callback(grants.close)
+        handler = receiving(spec.name, target.ends, port, spec.limit, feed, grants)
+        server = self._transports.server(spec.kind)
         server.open(spec.key, handler, ends.counts.refuse)
         ends.closing.callback(server.shut, spec.key)
 

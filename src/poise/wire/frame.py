@@ -6,8 +6,10 @@
     body, padding, buffers
 
 Little endian. `tag` says which method or message type this is, by a checksum of its
-name and types; `number` tells one mark from another; `chain` is the call chain that a
-call belongs to. The buffers may lie in shared memory instead.
+name and types. `number` tells one mark from another, and counts messages and one-way
+calls. `chain` is the call chain that a call belongs to, or the life of the path that a
+message came over (`poise.runtime.connectors.credits`). The buffers may lie in shared
+memory instead.
 """
 
 from __future__ import annotations
@@ -41,6 +43,8 @@ class Kind(IntEnum):
     WELCOME = 6
     MOVED = 7
     MARK = 8
+    ASK = 9
+    GRANT = 10
 
 
 FAILURE: Codec[tuple[str, str, str]] = Codec(tuple[str, str, str])
@@ -102,7 +106,7 @@ def size_of(pieces: list[Bytes]) -> int:
 
 def is_failure(pieces: list[Bytes]) -> bool:
     """Return whether a frame tells that a call failed."""
-    return bytes(pieces[0])[1] == Kind.ERROR
+    return pieces[0][1] == Kind.ERROR
 
 
 def parse(data: Bytes, buffers: memoryview | None = None) -> Frame:

@@ -34,6 +34,8 @@ class FakePath:
         self.ready = ready
         self.went: list[Any] = []
         self.is_closed = False
+        self.room = 1_000
+        self.asked = threading.Event()
 
     def is_ready(self) -> bool:
         return self.ready
@@ -51,7 +53,16 @@ class FakePath:
         if not self.ready:
             raise Unavailable("nobody there")
         self.went.append(value)
+        self.room -= 1
         return 1
+
+    def has_room(self) -> bool:
+        return self.room > 0
+
+    def ask(self) -> None:
+        self.asked.set()
+        if not self.ready:
+            raise Unavailable("nobody there")
 
     def mark(self, number: int) -> None:
         self.went.append(f"mark {number}")
@@ -153,6 +164,53 @@ def test_a_publisher_waits_while_too_much_is_held(
     assert outlet.counts.drops == 1
     outlet.release("new")
     assert new.went == [0, 1]
+
+
+def test_a_publisher_waits_for_room_and_asks_for_it(
+    outlet: Outlet, old: FakePath
+) -> None:
+    outlet = Outlet("a.notes-b.notes", Port("notes", "publishes", Note), None, LONG)
+    old.room = 0
+    outlet.add("old", old)
+    with ThreadPoolExecutor() as pool:
+        sent = pool.submit(outlet.send, 1)
+        assert old.asked.wait(LONG)
+        assert old.went == []
+        old.room = 1
+        outlet.room()
+        sent.result(LONG)
+    assert (old.went, outlet.counts.drops) == ([1], 0)
+
+
+def test_without_room_a_message_is_dropped_after_the_limit_and_counted(
+    outlet: Outlet, old: FakePath
+) -> None:
+    old.room = 0
+    outlet.send(1)
+    assert (old.went, outlet.counts.drops) == ([], 1)
+
+
+def test_nobody_waits_for_the_room_of_one_that_is_gone(old: FakePath) -> None:
+    outlet = Outlet("a.notes-b.notes", Port("notes", "publishes", Note), None, LONG)
+    outlet.add("old", old)
+    old.room, old.ready = 0, False
+    outlet.send(1)
+    assert outlet.counts.drops == 1
+
+
+def test_who_waits_for_room_does_not_hinder_a_move(old: FakePath) -> None:
+    outlet = Outlet("a.notes-b.notes", Port("notes", "publishes", Note), None, LONG)
+    new = FakePath()
+    outlet.add("old", old)
+    outlet.add("new", new)
+    old.room = 0
+    with ThreadPoolExecutor() as pool:
+        sent = pool.submit(outlet.send, 1)
+        assert old.asked.wait(LONG)
+        outlet.hold()  # its message is held, too
+        sent.result(LONG)
+    outlet.release("new")
+    assert (old.went, new.went) == ([], [1])
 
 
 def test_what_does_not_go_out_is_counted(outlet: Outlet) -> None:

@@ -16,6 +16,7 @@ from poise.runtime._calls import DirectCall
 from poise.runtime.connectors.counts import Counts
 from poise.runtime.connectors.interface import Method, message_tag
 from poise.runtime.connectors.outlet import Outlet
+from poise.runtime.mailbox import Feed
 from poise.runtime.ports import Port
 from poise.runtime.turn import Turn
 
@@ -30,11 +31,8 @@ class Target(Protocol):
         """The component itself."""
         ...
 
-    def receive(self, port: str, entry: tuple[int, Any], counts: Counts, /) -> None:
-        """Take a message or one-way call: a tag, and a value or arguments.
-
-        `counts` learn what comes of it.
-        """
+    def feed(self, port: str, counts: Counts, /) -> Feed:
+        """Return the way into a port's queue for the connector of `counts`."""
         ...
 
     def note_mark(self, connector: str, number: int, /) -> None:
@@ -46,13 +44,13 @@ class DirectPath:
     """A way to a component in this process."""
 
     def __init__(
-        self, connector: str, target: Target, port: Port, limit: float, counts: Counts
+        self, connector: str, target: Target, port: Port, limit: float, outlet: Outlet
     ) -> None:
         self._connector = connector
         self._target = target
-        self._port = port
         self._limit = limit
-        self._counts = counts
+        self._feed = target.feed(port.name, outlet.counts)
+        self._feed.on_room = outlet.room
         self._tag = message_tag(port.type)
 
     def is_ready(self) -> bool:
@@ -73,8 +71,15 @@ class DirectPath:
     def push(self, method: Method | None, value: object) -> int:
         """Put a message or one-way call into the target's mailbox."""
         entry = (method.tag if method else self._tag, value)
-        self._target.receive(self._port.name, entry, self._counts)
+        self._feed.put(entry)
         return 0
+
+    def has_room(self) -> bool:
+        """Return whether the target's queue has room."""
+        return self._feed.has_room()
+
+    def ask(self) -> None:
+        """Ask nobody: it is seen when there is room."""
 
     def mark(self, number: int) -> None:
         """Tell the target that all has come."""

@@ -29,6 +29,10 @@ MOST_HELD = 5_000
 """Messages that wait in an outlet while a component moves; then publishers wait."""
 
 
+_ASK_FIRST, _ASK_LAST = 0.005, 0.1
+"""Whoever waits for room asks for it after this time, and then ever less often [s]."""
+
+
 class Path(Protocol):
     """A way to one incarnation of the target."""
 
@@ -51,6 +55,14 @@ class Path(Protocol):
         CallError
             It did not go out.
         """
+        ...
+
+    def has_room(self) -> bool:
+        """Return at once whether the target has room for one more message."""
+        ...
+
+    def ask(self) -> None:
+        """Ask for room, in case that the news of it got lost; raises as `push`."""
         ...
 
     def mark(self, number: int) -> None:
@@ -130,12 +142,16 @@ class Outlet:
         return dict(self._paths)
 
     def send(self, value: object, method: Method | None = None) -> None:
-        """Send a message or one-way call, or hold it; what cannot go out is counted."""
+        """Send a message or one-way call, or hold it; what cannot go out is counted.
+
+        Waits while the target has no room, up to the limit.
+        """
         began = time.monotonic()
         with self._changed:
-            if not self._changed.wait_for(self._has_room, self._limit):
+            if not self._has_room() and not self._wait_for_room(began + self._limit):
                 self.counts.drops += 1
-                log.warning("connector %s: %d messages wait", self.name, MOST_HELD)
+                text = "connector %s: no room for %g s, a message is dropped"
+                log.warning(text, self.name, self._limit)
             elif self._held is None:
                 self._push(method, value, began)
             else:
@@ -156,6 +172,7 @@ class Outlet:
                 )
             if self._held is None:
                 self._held = deque()
+                self._changed.notify_all()
 
     def release(self, key: str) -> None:
         """Use a path, send what was held, and hold no more; harmless when repeated.
@@ -205,8 +222,30 @@ class Outlet:
         for key in list(self._paths):
             self.remove(key)
 
+    def room(self) -> None:
+        """Let those go on who wait for room: the target may have some."""
+        with self._changed:
+            self._changed.notify_all()
+
     def _has_room(self) -> bool:
-        return self._held is None or len(self._held) < MOST_HELD
+        if self._held is not None:
+            return len(self._held) < MOST_HELD
+        return self._current is None or self._current.has_room()
+
+    def _wait_for_room(self, deadline: float) -> bool:
+        pause = _ASK_FIRST
+        while True:
+            left = deadline - time.monotonic()
+            if self._changed.wait_for(self._has_room, min(pause, left)):
+                return True
+            if left <= pause:
+                return False
+            pause = min(2 * pause, _ASK_LAST)
+            try:
+                if self._held is None and self._current is not None:
+                    self._current.ask()
+            except CallError:
+                return True  # nobody is there: to send it will tell so
 
     def _send_held(self) -> None:
         for method, value, began in self._held or ():

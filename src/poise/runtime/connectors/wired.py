@@ -8,11 +8,12 @@ from collections.abc import Callable
 from typing import Any
 
 from poise.errors import CalleeError, CallError, Timeout
-from poise.runtime.connectors.counts import Counts
+from poise.runtime.connectors.credits import Credit, Grants
 from poise.runtime.connectors.direct import Target, callee_error
 from poise.runtime.connectors.interface import Method, message_tag, methods
 from poise.runtime.connectors.outlet import Outlet
 from poise.runtime.connectors.visits import away, visit
+from poise.runtime.mailbox import Feed
 from poise.runtime.ports import Port
 from poise.runtime.turn import Retired, current_chain, join_chain
 from poise.wire import frame
@@ -28,9 +29,10 @@ _NOTHING: Codec[None] = Codec(type(None))
 class WiredPath:
     """A way to a component in another container."""
 
-    def __init__(self, pipe: Pipe, port: Port, limit: float) -> None:
+    def __init__(self, pipe: Pipe, port: Port, limit: float, credit: Credit) -> None:
         self._pipe = pipe
         self._limit = limit
+        self._credit = credit
         self._is_topic = port.kind == "publishes"
         self._tag = message_tag(port.type)
         self._codec = codec(port.type) if self._is_topic else _NOTHING
@@ -49,9 +51,22 @@ class WiredPath:
             kind, tag, coder = Kind.MESSAGE, self._tag, self._codec
         else:
             kind, tag, coder = Kind.ONEWAY, method.tag, method.arguments
-        pieces = segments(coder, value, kind, tag=tag)
+        credit = self._credit
+        number = credit.sent + 1
+        pieces = segments(coder, value, kind, tag=tag, number=number, chain=credit.life)
+        if number == 1:
+            self.ask()
         self._pipe.push(pieces, self._limit)
+        credit.sent = number
         return size_of(pieces)
+
+    def has_room(self) -> bool:
+        """Return whether the target granted one more message."""
+        return self._credit.has_room()
+
+    def ask(self) -> None:
+        """Ask for a grant, behind all that went out."""
+        self._pipe.push(self._credit.question(), self._limit)
 
     def mark(self, number: int) -> None:
         """Send a mark."""
@@ -90,9 +105,10 @@ class WiredPath:
 
 
 def receiving(
-    connector: str, target: Target, port: Port, limit: float, counts: Counts
+    connector: str, target: Target, port: Port, limit: float, feed: Feed, grants: Grants
 ) -> Handler:
     """Return what a target does with the frames that come over pipes."""
+    counts = feed.counts
     known = methods(port.type) if port.kind == "provides" else {}
     tag, coder = message_tag(port.type), codec(port.type) if not known else _NOTHING
 
@@ -104,16 +120,17 @@ def receiving(
         if received.kind is Kind.CALL:
             return serve(received, method)
         try:
+            if received.kind is Kind.ASK:
+                grants.asked(received)
+                return None
             counts.add_message(0, received.size)
+            grants.came(received)
             wanted = coder if received.tag == tag and not known else None
             value = received.value(wanted or _known(method, port).arguments)
-            target.receive(port.name, (received.tag, value), counts)
+            feed.put((received.tag, value))
         except WireError as error:
             counts.refuse(error)
             log.warning("connector %s: refused: %s", connector, error)
-        except Timeout as error:
-            counts.drops += 1
-            log.warning("connector %s: %s", connector, error)
         return None
 
     def serve(received: Frame, method: Method | None) -> Pieces:
