@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from poise.estimate.shift import LEARN, Shift
+from tests.estimate import reference
 
 STEP = 0.2
 TEN_MINUTES = round(600 / STEP)
@@ -106,3 +107,17 @@ def test_compares_with_the_reference_that_is_given() -> None:
 def test_says_nothing_where_nothing_is_used() -> None:
     shift = Shift()
     assert {shift.update(0.0, 1.0) for _ in range(200)} == {0}
+
+
+@pytest.mark.parametrize("noise", [*NOISES, outliers])
+@pytest.mark.parametrize("given", [None, 0.1])
+def test_agrees_with_the_reference(noise: Noise, given: float | None) -> None:
+    """Through learning, a shift up, one down, and windows without exposure."""
+    native, readable = Shift(given), reference.Shift(given)
+    loads = noise(random.Random(7))
+    for index in range(600):
+        factor = 2.0 if 250 <= index < 400 else 1.0
+        value = 0.02 * factor * next(loads)
+        exposure = 0.0 if index % 50 == 49 else 0.2
+        assert native.update(value, exposure) == readable.update(value, exposure)
+        assert native.reference == pytest.approx(readable.reference)

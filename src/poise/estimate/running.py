@@ -96,6 +96,10 @@ class RunningEstimate:
         self._cost = Shift()
         self._asked = Shift()
 
+    def begin_anew(self) -> None:
+        """Let the next reading count from itself on; what is known stays."""
+        self._last = None
+
     def update(self, reading: Reading) -> Drift | None:
         """Take a reading; return the drift that it made certain, if it did."""
         before, self._last = self._last, reading

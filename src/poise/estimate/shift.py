@@ -6,163 +6,20 @@ independent steps with variance s2 and drift -k passes h once in about
 ``exp(2 k h / s2)`` steps, so that ``h = s2 * RARITY / (2 k)`` sets how rare false
 alarms are, whatever the noise. The price is honest: the noisier, the later a shift is
 found.
+
+Shifts by less than a quarter of the reference are no shifts. With RARITY = 20 a false
+alarm comes about once in exp(20) windows: years, at 5 Hz, by a theory that takes noise
+for normal; heavy tails and slow waves bring it down to hours. The threshold is never
+lower than two windows' worth of the reference, however calm it was: a shift by half is
+found after 8 windows at the earliest.
+
+The code is native, because every window of every component goes through three of these;
+``tests/estimate/reference.py`` is the same in Python.
 """
 
-from __future__ import annotations
+from poise.estimate import _shift
 
-import math
-import statistics
-from collections import deque
-from collections.abc import Sequence
-from typing import Literal
-
-SLACK = 0.25
-"""Shifts by less than this share of the reference are no shifts."""
-RARITY = 20.0
-"""A false alarm comes about once in exp(RARITY) windows: years, at 5 Hz, by a theory
-that takes noise for normal; heavy tails and slow waves bring it down to hours."""
-LEARN = 25
+LEARN = _shift.LEARN
 """Windows from which the noise is learned, and the reference when none is given."""
-QUICKEST = 2.0
-"""[windows' worth of the reference] The threshold is never lower, however calm it was:
-a shift by half is found after 8 windows at the earliest."""
-_OUTLIER = 1.5
-"""A window counts for at most this much more than the largest that was learned from."""
-_BLOCKS = (5, 10)
-_KEPT = 150
-_SURE = 30
-"""With so many windows the noise that was learned is still doubled; with more, less."""
 
-Direction = Literal[-1, 0, 1]
-
-
-class Shift:
-    """Watches ``value / exposure``, such as CPU time per second or per job.
-
-    Parameters
-    ----------
-    reference
-        What it should be; None: learned from the first 150 windows, and used from the
-        first `LEARN` on.
-    """
-
-    __slots__ = (
-        "_down",
-        "_is_given",
-        "_largest",
-        "_learn_at",
-        "_num",
-        "_step",
-        "_threshold",
-        "_up",
-        "_variance",
-        "_windows",
-        "reference",
-    )
-
-    def __init__(self, reference: float | None = None) -> None:
-        self.reference = reference
-        self._is_given = reference is not None
-        self._windows: deque[tuple[float, float]] = deque(maxlen=_KEPT)
-        self._num = 0
-        self._learn_at = LEARN
-        self._up = self._down = 0.0
-        self._threshold = math.inf
-        self._step = self._largest = self._variance = 0.0
-
-    def update(self, value: float, exposure: float) -> Direction:
-        """Take a window; return 1 or -1 when the rate has shifted up or down.
-
-        After a shift the sums start again, with the same reference.
-
-        Parameters
-        ----------
-        value
-            What was counted in the window.
-        exposure
-            What it is counted per [s, or jobs]; >= 0.
-        """
-        self._windows.append((value, exposure))
-        self._num += 1
-        if self._num >= self._learn_at and self._is_calm():
-            self._learn()
-            # Later it knows much: learning is the dear part of a window.
-            self._learn_at = self._num + (LEARN if self._num < _KEPT else _KEPT)
-        if self.reference is None or math.isinf(self._threshold):
-            return 0
-        excess = value - self.reference * exposure
-        return self._add(max(-self._largest, min(self._largest, excess)))
-
-    def _add(self, excess: float) -> Direction:
-        slack = SLACK * self._step
-        self._up = max(0.0, self._up + excess - slack)
-        self._down = max(0.0, self._down - excess - slack)
-        if max(self._up, self._down) <= self._threshold:
-            return 0
-        direction: Direction = 1 if self._up > self._down else -1
-        self._up = self._down = 0.0
-        return direction
-
-    def _is_calm(self) -> bool:
-        """Whether no shift is in the making, which would pass for noise."""
-        return max(self._up, self._down) < self._threshold / 4
-
-    def _learn(self) -> None:
-        """Fit step and threshold to the windows that are kept."""
-        rate = _typical_rate(self._windows)
-        if rate <= 0:
-            return
-        if not self._is_given and self._num <= _KEPT:
-            self.reference = rate
-        assert self.reference is not None  # noqa: S101, learned at the first time
-        noise = [v - rate * e for v, e in self._windows]
-        exposure = sum(e for _, e in self._windows)
-        self._step = self.reference * exposure / len(noise)
-        self._largest = _OUTLIER * max(self._step, *map(abs, noise))
-        fresh = _variance(noise) * (1 + _SURE / len(noise))
-        if self._num > _KEPT:
-            # One calm stretch does not make a noisy component a calm one.
-            fresh = max(fresh, (fresh + self._variance) / 2)
-        self._variance = fresh
-        self._threshold = max(
-            QUICKEST * self._step,
-            fresh * RARITY / (2 * SLACK * self._step),
-            2 * _swing(noise, SLACK * self._step),
-        )
-
-
-def _typical_rate(windows: Sequence[tuple[float, float]]) -> float:
-    """Return the median of the rates of five stretches: one outlier does not count."""
-    size = len(windows) // 5
-    kept = list(windows)
-    rates = []
-    for start in range(0, 5 * size, size):
-        part = kept[start : start + size]
-        exposure = sum(e for _, e in part)
-        rates.append(sum(v for v, _ in part) / exposure if exposure > 0 else 0.0)
-    return statistics.median(rates)
-
-
-def _variance(noise: Sequence[float]) -> float:
-    """Return the variance per window that sums over many windows show.
-
-    From blocks: where windows that follow each other are alike it is larger than that
-    of single windows, where a burst is followed by a pause it is smaller.
-    """
-    return max(_variance_of_blocks(noise, size) for size in _BLOCKS)
-
-
-def _variance_of_blocks(noise: Sequence[float], size: int) -> float:
-    starts = range(0, len(noise) - size + 1, size)
-    sums = [sum(noise[start : start + size]) for start in starts]
-    return sum(each * each for each in sums) / (len(sums) * size)
-
-
-def _swing(noise: Sequence[float], slack: float) -> float:
-    """Return the highest that the sums would have come in `noise` itself."""
-    up = down = highest = 0.0
-    for each in noise:
-        up = max(0.0, up + each - slack)
-        down = max(0.0, down - each - slack)
-        highest = max(highest, up, down)
-    return highest
+Shift = _shift.Shift

@@ -105,10 +105,12 @@ class Estimates:
         name = component.name
         if component.epoch < self._epochs.get(name, 0):
             return None  # the incarnation that a move leaves behind
-        self._epochs[name] = component.epoch
         running = self._running.get(name)
         if running is None:
             running = self._running[name] = RunningEstimate(self._expected(name))
+        elif component.epoch != self._epochs[name]:
+            running.begin_anew()  # the counters are another incarnation's
+        self._epochs[name] = component.epoch
         return running.update(
             Reading(
                 at,

@@ -4,7 +4,7 @@ All of it relies on the GIL as its only lock: every method is atomic, and those 
 wait give the GIL up meanwhile.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 from poise.wire.messages import Summary
@@ -106,8 +106,106 @@ class Histogram:
     def summary(self) -> Summary:
         """Return count, mean, median, 99th percentile and maximum."""
 
+class Ledger:
+    """The container's end of the memory in which it counts; `ledger.Ledger` uses it.
+
+    Parameters
+    ----------
+    descriptor
+        From `ledger.new_memory`; not needed any more when this returns.
+    """
+
+    def __init__(self, descriptor: int) -> None: ...
+
+LINE_SIZE: int
+"""What one line of a ledger takes [bytes]."""
+
+class Reader:
+    """The agent's end of a container's ledger.
+
+    Parameters
+    ----------
+    process
+        The container's.
+    proc
+        Where the kernel's files about processes are.
+    """
+
+    def __init__(self, descriptor: int, process: int, proc: str = "/proc") -> None: ...
+    def read(
+        self,
+    ) -> (
+        tuple[
+            float,
+            float,
+            list[tuple[str, int, float, float, int, int]],
+            list[tuple[str, int, int, int, int, int, int]],
+        ]
+        | None
+    ):
+        """Return what was used and done until now; None when nothing is there.
+
+        Returns
+        -------
+        Moment [s] and CPU time of the process and its commands [s], then the fields of
+        a `ComponentSample` for each component and of a `ConnectorSample` for each end
+        of a connector. A component's CPU time is that of its thread, plus what calls
+        into it used, less what calls out of it used on its thread. Of a thread that
+        runs at the moment, up to a tick of the kernel (1 to 10 ms) is not in yet.
+        Waits are those of components without jobs.
+        """
+
+    def commands(self) -> list[int]:
+        """Return the processes of the command-line components."""
+
+class Account:
+    """What a component used and did, in a ledger or not."""
+
+    def __init__(self) -> None: ...
+    def begin(self) -> None:
+        """Count the CPU time of this thread from now on."""
+
+    def watch(self, process: int) -> None:
+        """Count the CPU time of a process from now on; its children's is not in."""
+
+    def end(self) -> None:
+        """Count no more: this thread, or the process, ends.
+
+        A thread's time so far stays, a process's is forgotten.
+        """
+
+    def note_idle(self) -> None:
+        """Say that this thread begins to wait for work: nobody asks the kernel then."""
+
+    def note_busy(self) -> None:
+        """Say that this thread has work again."""
+
+    def note_asked(self) -> None:
+        """Count a message or one-way call that came."""
+
+    def note_done(self) -> None:
+        """Count a job that was ended."""
+
+    def plan(self, timers: Sequence[tuple[float, float]]) -> None:
+        """Let timers ask for jobs at start + k * period, k = 1, 2, ... [s], no others.
+
+        What the timers before asked for stays.
+        """
+
+    def cpu(self) -> float:
+        """Return the CPU time so far, without calls [s]."""
+
+    def enter(self, ledger: Ledger, name: str, epoch: int) -> bool:
+        """Go on counting in a ledger; False when it is full.
+
+        A name of over 255 bytes is cut.
+        """
+
+    def leave(self) -> None:
+        """Go on counting outside; harmless when it is in no ledger."""
+
 class Counts:
-    """What one end of a connector counts.
+    """What one end of a connector counts, in a ledger or not.
 
     Parameters
     ----------
@@ -157,6 +255,18 @@ class Counts:
 
     def add_cpu(self, seconds: float) -> None:
         """Count the CPU time of a call that was measured elsewhere."""
+
+    def enter(self, ledger: Ledger, name: str) -> bool:
+        """Go on counting in a ledger, as `Account.enter`."""
+
+    def attribute(self, source: Account | None, target: Account | None) -> None:
+        """Say whose accounts, in the same ledger, the CPU time of calls moves between.
+
+        None: that end is in another container.
+        """
+
+    def leave(self) -> None:
+        """Go on counting outside; harmless when it is in no ledger."""
 
 class DirectCall:
     """Calls `method` on the caller's thread, under `turn`, and counts that in `counts`.

@@ -9,6 +9,7 @@ hand over what came.
 from __future__ import annotations
 
 import logging
+import os
 import random
 import signal
 import time
@@ -23,8 +24,10 @@ from msgspec import Struct
 from poise.clock import Clock, SystemClock
 from poise.errors import RunError, Unavailable, UsageError
 from poise.runtime import zygote
+from poise.runtime._calls import Reader
 from poise.runtime.children import STOP_LIMIT, BackOff, Child, End
 from poise.runtime.collector import Collector
+from poise.runtime.ledger import new_memory
 from poise.runtime.orders import Orders
 from poise.runtime.requests import Requests, answer
 from poise.runtime.waker import Waker, wait_readable
@@ -68,7 +71,7 @@ class AgentSetup(Struct, frozen=True, kw_only=True):
     lifeline
         A file descriptor at whose end of file the agent ends; None: it runs on.
     sample_every
-        How often it and its containers count what they use [s]; 0: never.
+        How often it tells what its containers count [s]; 0: never.
     """
 
     robot: str
@@ -154,16 +157,12 @@ class Agent:
                 token.undeclare()  # type: ignore[no-untyped-call]
 
     def _collector(self, samples: zenoh.Publisher) -> Collector:
-        def containers() -> list[tuple[str, int]]:
-            return [(c.name, c.pid) for c in list(self._children.values()) if c.pid]
+        def containers() -> list[tuple[str, int, Reader]]:
+            children = list(self._children.values())
+            return [(c.name, c.pid, c.counted) for c in children if c.counted]
 
-        return Collector(
-            self._setup.computer,
-            Path(self._setup.folder),
-            self._setup.sample_every,
-            containers,
-            samples.put,
-        )
+        every = self._setup.sample_every
+        return Collector(self._setup.computer, every, containers, samples.put)
 
     def _endpoint(self) -> str:
         return f"tcp/{self._setup.address}:{self._setup.port}"
@@ -258,7 +257,7 @@ class Agent:
     def _forget(self, child: Child, how: str = "ended") -> None:
         """Take note of a container's end, so that it can be started again later."""
         del self._children[child.name]
-        child.connection.close()
+        child.close()
         self._cpu_of_ended += child.status.cpu if child.status else 0.0
         if child.is_stopping or self._stopping:
             return
@@ -292,11 +291,14 @@ class Agent:
                 self._start(spec)
 
     def _start(self, spec: ContainerSpec) -> None:
+        memory = new_memory()
         try:
-            connection = zygote.ask(self._zygote, spec.name, self._place(spec.name))
+            place = self._place(spec.name)
+            connection = zygote.ask(self._zygote, spec.name, memory, place)
         except Unavailable:
+            os.close(memory)
             return  # the zygote's end is heard next, and is the end of the agent
-        self._children[spec.name] = Child(spec, connection)
+        self._children[spec.name] = Child(spec, connection, memory)
 
     def _place(self, name: str) -> Place:
         return Place(
@@ -304,7 +306,6 @@ class Agent:
             address=self._setup.address,
             agent=self._endpoint(),
             socket=str(socket_path(Path(self._setup.folder), name)),
-            sample_every=self._setup.sample_every,
         )
 
     def _status(self) -> AgentStatus:

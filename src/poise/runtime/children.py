@@ -11,6 +11,7 @@ from msgspec import Struct
 
 from poise.clock import Clock
 from poise.errors import PoiseError, Timeout, Unavailable
+from poise.runtime._calls import Reader
 from poise.wire import control
 from poise.wire.codec import WireError
 from poise.wire.messages import (
@@ -64,15 +65,27 @@ class BackOff:
 class Child:
     """A running container, from the agent's side.
 
-    `pid` is 0 until the zygote has told it. `kill_at` is when it has had time enough
-    to end [s].
+    `pid` is 0 until the zygote has told it; from then on there is `counted`, which
+    tells what the container counts in its ledger. `kill_at` is when it has had time
+    enough to end [s].
+
+    Parameters
+    ----------
+    connection
+        Its control socket.
+    ledger
+        The descriptor of its ledger's memory; closed when it is of no more use.
     """
 
-    def __init__(self, spec: ContainerSpec, connection: socket.socket) -> None:
+    def __init__(
+        self, spec: ContainerSpec, connection: socket.socket, ledger: int
+    ) -> None:
         self.name = spec.name
         self.spec = spec
         self.connection = connection
         self.pid = 0
+        self.counted: Reader | None = None
+        self._ledger = ledger
         self.status: ContainerStatus | None = None
         self.kill_at = float("inf")
         self.is_stopping = False
@@ -83,8 +96,14 @@ class Child:
     def note_born(self, pid: int) -> None:
         """Take note of its process id."""
         self.pid = pid
+        self.counted = Reader(self._ledger, pid)
         if self.is_deaf:
             self.kill()
+
+    def close(self) -> None:
+        """Let go of what leads to it."""
+        self.connection.close()
+        os.close(self._ledger)
 
     def tell(self, spec: ContainerSpec) -> None:
         """Tell it what it should be now, if that changed."""

@@ -1,28 +1,22 @@
-"""Gathers the samples of a computer's containers and tells them, in one message."""
+"""Reads the ledgers of a computer's containers and tells them, in one message."""
 
 from __future__ import annotations
 
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import msgspec
-from msgspec import Struct
 
-from poise.runtime.sampler import Page, sample_path
+from poise.runtime._calls import Reader
 
 log = logging.getLogger(__name__)
 
-
-class _Encoded(Struct, frozen=True, array_like=True):
-    """An `AgentSample` whose containers are encoded already."""
-
-    computer: str
-    at: float
-    cpu: float
-    containers: tuple[msgspec.Raw, ...]
+MEMORY_EVERY = 50
+"""A container's memory is read with every so many-th sample: it costs more than all the
+rest of them."""
 
 
 class Collector:
@@ -32,13 +26,11 @@ class Collector:
     ----------
     computer
         Its name.
-    folder
-        Where containers leave their samples.
     every
         [s]; > 0.
     containers
-        Returns name and process number of the containers that run; called on the
-        thread.
+        Returns name, process number and ledger of the containers that run; called on
+        the thread.
     publish
         Takes an encoded `poise.wire.samples.AgentSample`; called on the thread.
     """
@@ -46,17 +38,16 @@ class Collector:
     def __init__(
         self,
         computer: str,
-        folder: Path,
         every: float,
-        containers: Callable[[], Iterable[tuple[str, int]]],
+        containers: Callable[[], Sequence[tuple[str, int, Reader]]],
         publish: Callable[[bytes], None],
     ) -> None:
         self._computer = computer
-        self._folder = folder
         self._every = every
         self._containers = containers
         self._publish = publish
-        self._pages: dict[Path, Page] = {}
+        self._memory: dict[int, int] = {}
+        self._count = 0
         self._ended = threading.Event()
         self._encoder = msgspec.msgpack.Encoder()
         self._thread = threading.Thread(
@@ -72,22 +63,46 @@ class Collector:
         self._ended.set()
         if self._thread.is_alive():
             self._thread.join(1.0)
-        for page in self._pages.values():
-            page.close()
+
+    def sample(self) -> bytes:
+        """Return what is counted now, encoded."""
+        containers = self._containers()
+        self._weigh(containers)
+        found = []
+        for name, pid, reader in containers:
+            read = reader.read()
+            if read is not None:
+                at, cpu, components, connectors = read
+                memory = self._memory[pid]
+                found.append((name, pid, at, cpu, memory, components, connectors))
+        now = time.monotonic()
+        # an `AgentSample`, whose records are arrays
+        return self._encoder.encode((self._computer, now, time.process_time(), found))
 
     def _main(self) -> None:
         while not self._ended.wait(self._every):
-            self._publish(self._encoder.encode(self._sample()))
+            self._publish(self.sample())
 
-    def _sample(self) -> _Encoded:
-        paths = {sample_path(self._folder, *each) for each in self._containers()}
-        for path in self._pages.keys() - paths:
-            self._pages.pop(path).close()
-            path.unlink(missing_ok=True)  # a killed container left it
-        for path in paths - self._pages.keys():
-            self._pages[path] = Page(path)
-        bodies = [page.read() for page in self._pages.values()]
-        found = [msgspec.Raw(body) for body in bodies if body is not None]
-        return _Encoded(
-            self._computer, time.monotonic(), time.process_time(), tuple(found)
-        )
+    def _weigh(self, containers: Iterable[tuple[str, int, Reader]]) -> None:
+        """Read the memory of some containers: of new ones, and of others in turns."""
+        self._count += 1
+        before, self._memory = self._memory, {}
+        for _, pid, reader in containers:
+            is_due = pid not in before or (pid + self._count) % MEMORY_EVERY == 0
+            self._memory[pid] = (
+                sum(map(proportional_memory, [pid, *reader.commands()]))
+                if is_due
+                else before[pid]
+            )
+
+
+def proportional_memory(process: int) -> int:
+    """Return a process's proportional set size [bytes]; 0 when nobody tells."""
+    try:
+        text = Path(f"/proc/{process}/smaps_rollup").read_bytes()
+    except OSError:
+        return 0
+    for line in text.splitlines():
+        if line.startswith(b"Pss:"):
+            return int(line.split()[1]) * 1024
+    return 0

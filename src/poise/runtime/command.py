@@ -19,16 +19,14 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
 
-from poise.runtime.sampler import ThreadWait, proportional_memory
+from poise.runtime._calls import Account
 from poise.runtime.waker import wait_readable
 from poise.wire.messages import Aim, ComponentSpec, ComponentStatus, State
-from poise.wire.samples import ComponentSample
 
 _KILL_LIMIT = 0.5
 _PR_SET_PDEATHSIG = 1
@@ -56,7 +54,7 @@ class Command:
         self._error = ""
         self._process: subprocess.Popen[bytes] | None = None
         self._pidfd = -1
-        self._wait = ThreadWait()
+        self.account = Account()
 
     def aim(self, goal: Aim) -> None:
         """Bring it to `goal` at once, but do not wait for its process to end."""
@@ -69,6 +67,7 @@ class Command:
             if goal == "active" and self._process is None:
                 self._process = self._start()
                 self._pidfd = os.pidfd_open(self._process.pid)
+                self.account.watch(self._process.pid)
                 self._state = "active"
         except OSError as error:
             self._error = f"'{self.spec.command[0]}' cannot be started: {error}"
@@ -102,44 +101,16 @@ class Command:
         self._state = "finalized"
         return True
 
-    def cpu(self) -> float:
-        """Return the CPU time of its process so far [s]; its children's is not in."""
-        process = self._process  # another thread may take it away
-        if process is None:
-            return 0.0
-        # the kernel's number for the CPU clock of a process (CPUCLOCK_SCHED)
-        clock = (~process.pid << 3) | 2
-        try:
-            return time.clock_gettime(clock)
-        except OSError:  # it has just ended
-            return 0.0
-
-    def status(self, called: float = 0.0) -> ComponentStatus:
-        """Return what is known of it now; nobody calls it, so `called` is 0."""
+    def status(self, cpu: float | None = None) -> ComponentStatus:
+        """Return what is known of it now; `cpu` as for components in Python [s]."""
         return ComponentStatus(
             name=self.spec.name,
             epoch=self.spec.epoch,
             state=self._state,
             error=self._error,
             errors=1 if self._error else 0,
-            cpu=self.cpu() + called,
+            cpu=self.account.cpu() if cpu is None else cpu,
         )
-
-    def sample(self) -> ComponentSample:
-        """Return its counters now, on any one thread; those of its first thread wait.
-
-        It has no jobs that could be counted.
-        """
-        process = self._process
-        waited = 0.0 if process is None else self._wait.read(process.pid)
-        return ComponentSample(
-            self.spec.name, self.spec.epoch, self.cpu(), waited, 0, 0
-        )
-
-    def memory(self) -> int:
-        """Return the proportional set size of its process [bytes]."""
-        process = self._process
-        return 0 if process is None else proportional_memory(process.pid)
 
     def _argv(self) -> list[str]:
         return [program(self.spec.command[0], self._folder), *self.spec.command[1:]]
@@ -166,6 +137,7 @@ class Command:
         self._signal(signal.SIGKILL)
         code = self._process.wait(_KILL_LIMIT)
         os.close(self._pidfd)
+        self.account.end()
         self._process = None
         return code
 

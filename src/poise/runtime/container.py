@@ -16,16 +16,14 @@ import threading
 import time
 import traceback
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from types import FrameType
 
 from poise.clock import Clock, SystemClock
 from poise.errors import RunError, Timeout, Unavailable
-from poise.runtime.attribution import called_cpu, calls_served
 from poise.runtime.command import Command
 from poise.runtime.implementation import find
+from poise.runtime.ledger import Incarnation, Ledger
 from poise.runtime.runner import Runner
-from poise.runtime.sampler import Sampler, proportional_memory, sample_path
 from poise.runtime.steps import Steps
 from poise.runtime.waker import Waker, is_writable, wait_readable
 from poise.runtime.wiring import Place, Transports, Wiring
@@ -42,7 +40,6 @@ from poise.wire.messages import (
     Order,
     ToContainer,
 )
-from poise.wire.samples import ContainerSample
 
 log = logging.getLogger(__name__)
 
@@ -55,13 +52,21 @@ _STEP_THREADS = 4
 _SWITCH_EVERY = 0.001
 """How long a thread may keep the others of its container waiting [s] (Python: 5 ms)."""
 
-Incarnation = tuple[str, int]
-
 
 class Container:
-    """The components of one process and their connectors."""
+    """The components of one process and their connectors.
 
-    def __init__(self, name: str, agent: socket.socket, place: Place) -> None:
+    Parameters
+    ----------
+    agent
+        The control socket.
+    ledger
+        The descriptor of the memory in which it counts.
+    """
+
+    def __init__(
+        self, name: str, agent: socket.socket, ledger: int, place: Place
+    ) -> None:
         self._name = name
         self._agent = agent
         self._clock: Clock = SystemClock()
@@ -77,7 +82,7 @@ class Container:
         self._telling = threading.Lock()
         self._stopping = False
         self._waker = Waker()
-        self._sampler = self._make_sampler(place) if place.sample_every else None
+        self._ledger = Ledger(ledger)
 
     def run(self) -> None:
         """Work until told to end, or until the agent is gone.
@@ -92,8 +97,6 @@ class Container:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:
-            if self._sampler is not None:
-                self._sampler.start()
             self._serve()
         except Unavailable:
             log.warning("container '%s': the agent is gone", self._name)
@@ -163,6 +166,7 @@ class Container:
                 self._remove(key)
         for key in set(self._broken) - set(wanted):
             del self._broken[key]
+        self._ledger.show(self._running(), self._wiring.ends())
 
     def _running(self) -> dict[Incarnation, Runner | Command]:
         return {**self._runners, **self._commands}
@@ -218,55 +222,22 @@ class Container:
             self._hanging += () if ended else (runner,)
 
     def _status(self) -> ContainerStatus:
-        called = called_cpu(dict(self._runners), self._wiring.ends())
+        used = self._ledger.cpu()
         self._hanging = [each for each in self._hanging if not each.wait_ended(0)]
         hanging = {(r.spec.name, r.spec.epoch): r.status() for r in self._hanging}
         components = hanging | {
-            key: each.status(called.get(key[0], 0.0))
-            for key, each in self._running().items()
+            key: each.status(used.get(key)) for key, each in self._running().items()
         }
         return ContainerStatus(
             name=self._name,
             pid=os.getpid(),
-            cpu=time.process_time() + sum(c.cpu() for c in self._commands.values()),
+            cpu=time.process_time()
+            + sum(each.account.cpu() for each in self._commands.values()),
             components=tuple((components | self._broken).values()),
             connectors=self._wiring.status(),
         )
 
-    def _make_sampler(self, place: Place) -> Sampler:
-        path = sample_path(Path(place.socket).parent, self._name, os.getpid())
-        return Sampler(path, place.sample_every, self._sample, self._weigh)
-
-    def _weigh(self) -> int:
-        """Return the memory of this process and its commands [bytes]."""
-        commands = list(self._commands.values())
-        return proportional_memory() + sum(each.memory() for each in commands)
-
-    def _sample(self, memory: int) -> ContainerSample:
-        """Return what is counted here; called on the sampler's thread."""
-        runners, ends = dict(self._runners), self._wiring.ends()
-        commands = list(self._commands.values())
-        called = called_cpu(runners, ends)
-        served = calls_served(runners, ends)
-        return ContainerSample(
-            self._name,
-            os.getpid(),
-            self._clock.now(),
-            time.process_time() + sum(each.cpu() for each in commands),
-            memory,
-            (
-                *(
-                    runner.sample(called.get(name, 0.0), served.get(name, 0))
-                    for (name, _), runner in runners.items()
-                ),
-                *(each.sample() for each in commands),
-            ),
-            tuple(each.sample() for each in ends),
-        )
-
     def _stop(self) -> None:
-        if self._sampler is not None:
-            self._sampler.stop()
         deadline = self._clock.now() + _STOP_LIMIT
         for running in self._running().values():
             running.aim("finalized")

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 from poise.errors import Timeout
+from poise.runtime._calls import Account
 from poise.runtime.component import Component
 from poise.runtime.connectors.counts import Counts
 from poise.runtime.connectors.outlet import Facade, Outlet, refusing
@@ -30,15 +31,22 @@ class Ends:
         The component's.
     turn
         What callers enter.
+    account
+        Where what comes is counted.
     """
 
     def __init__(
-        self, name: str, component: Component, ports: Mapping[str, Port], turn: Turn
+        self,
+        name: str,
+        component: Component,
+        ports: Mapping[str, Port],
+        turn: Turn,
+        account: Account,
     ) -> None:
         self.component = component
         self.ports = ports
         self.turn = turn
-        self.mailbox = Mailbox()
+        self.mailbox = Mailbox(account)
         self.inboxes = {
             port.name: Inbox(port.name, port.queue or _ONEWAY)
             for port in ports.values()

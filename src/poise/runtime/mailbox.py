@@ -14,6 +14,7 @@ from collections.abc import Callable
 from queue import Empty, SimpleQueue
 from typing import Any
 
+from poise.runtime._calls import Account
 from poise.runtime.connectors.counts import Counts
 from poise.runtime.ports import Queue
 
@@ -64,7 +65,6 @@ class Inbox:
     def __init__(self, port: str, queue: Queue) -> None:
         self.port = port
         self.queue = queue
-        self.arrived = 0
         self._waiting: deque[tuple[Entry, Feed, float]] = deque()
         self._changing = threading.Lock()
         self._spare = 0
@@ -73,7 +73,6 @@ class Inbox:
     def add(self, entry: Entry, feed: Feed) -> bool:
         """Queue a message; return whether the number of waiting ones grew."""
         with self._changing:
-            self.arrived += 1
             grew = True
             if self.queue.policy == "block":
                 if feed.waiting >= self.queue.size + MOST_AHEAD:
@@ -138,13 +137,20 @@ class Mailbox:
     """Wakes a component's thread, once for every message, in the order they came.
 
     It holds one entry per waiting message, and the queues are bounded.
+
+    Parameters
+    ----------
+    account
+        Where all that comes is counted, also what is dropped.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, account: Account) -> None:
+        self._account = account
         self._filled: SimpleQueue[Inbox | None] = SimpleQueue()
 
     def add(self, inbox: Inbox, entry: Entry, feed: Feed) -> None:
         """Queue a message for the component; what finds no room is counted."""
+        self._account.note_asked()
         if inbox.add(entry, feed):
             self._filled.put(inbox)
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from poise.clock import Clock
 from poise.errors import RunError, Timeout
-from poise.runtime.account import Account, jobs_asked
+from poise.runtime._calls import Account
 from poise.runtime.component import Component, Context, create
 from poise.runtime.connectors.interface import methods
 from poise.runtime.ends import Ends
@@ -28,7 +28,6 @@ from poise.runtime.schedule import Schedule
 from poise.runtime.turn import Retired, Turn, new_chain
 from poise.wire.codec import codec
 from poise.wire.messages import Aim, ComponentSpec, ComponentStatus, State
-from poise.wire.samples import ComponentSample
 
 log = logging.getLogger(__name__)
 
@@ -69,7 +68,8 @@ class Runner:
                 measure=self._measure,
             ),
         )
-        self.ends = Ends(spec.name, self.component, self.ports, self.turn)
+        self.account = Account()
+        self.ends = Ends(spec.name, self.component, self.ports, self.turn, self.account)
         self.schedules: dict[str, Schedule] = {}
         self._phases: Mapping[str, float] = {}
         # whoever runs its code while it is at rest holds this; it is born at rest
@@ -92,7 +92,6 @@ class Runner:
         self.asked_at = clock.now()
         self._start = 0.0
         self._snapshot = 0
-        self._account = Account()
 
     @property
     def state(self) -> State:
@@ -200,13 +199,13 @@ class Runner:
         """Let timers be due first at these moments [s], by name."""
         self._phases = due
 
-    def status(self, called: float = 0.0) -> ComponentStatus:
+    def status(self, cpu: float | None = None) -> ComponentStatus:
         """Return what is known of it now.
 
         Parameters
         ----------
-        called
-            What calls add to its thread's CPU time [s] (`attribution.called_cpu`).
+        cpu
+            Its CPU time, calls included [s]; None: that of its thread.
         """
         now = self._clock.now()
         return ComponentStatus(
@@ -215,39 +214,25 @@ class Runner:
             state=self._state,
             error=self._error,
             errors=self._errors,
-            cpu=self._account.cpu() + called,
+            cpu=self.account.cpu() if cpu is None else cpu,
             start=self._start,
             snapshot=self._snapshot,
             timers=tuple(s.status(now) for s in list(self.schedules.values())),
             measures={n: h.summary() for n, h in list(self._measures.items())},
         )
 
-    def sample(self, called: float, served: int) -> ComponentSample:
-        """Return its counters now; called on one thread only.
-
-        Parameters
-        ----------
-        called
-            As for `status` [s].
-        served
-            How many calls it has answered: they are its jobs when it has no others.
-        """
-        schedules = list(self.schedules.values())
-        asked = jobs_asked(schedules, self.ends.inboxes.values(), self._clock.now())
-        return self._account.sample(self.spec, asked, called, served)
-
     def _measure(self, name: str, value: float) -> None:
         self._measures.setdefault(name, Histogram()).add(value)
 
     def _main(self) -> None:
-        self._account.begin()
+        self.account.begin()
         try:
             while self._state not in {"finalized", "failed"}:
                 self._go_to_goal()
         finally:
             # nobody waits for what has ended: calls go where the component is now
             self.turn.retire()
-            self._account.end()
+            self.account.end()
 
     def _go_to_goal(self) -> None:
         step = self._next_step()
@@ -256,7 +241,9 @@ class Runner:
         elif self._goal == "active":
             self._work()
         else:
+            self.account.note_idle()
             self._goal_changed.wait()
+            self.account.note_busy()
             self._goal_changed.clear()
 
     def _next_step(self) -> tuple[str, State] | None:
@@ -274,6 +261,7 @@ class Runner:
 
     def _take(self, hook: str, state: State) -> None:
         if hook == "deactivate":
+            self.account.plan([])
             self._come_to_rest()
         try:
             with self.at_rest():
@@ -299,6 +287,7 @@ class Runner:
         for name, timer in self._timers.items():
             first = self._phases.get(name, now + timer.period)
             self.schedules[name] = Schedule(timer, first - timer.period)
+        self.account.plan([s.releases for s in self.schedules.values()])
 
     def _come_to_rest(self) -> None:
         try:
@@ -331,7 +320,9 @@ class Runner:
                 self._run_timer(schedule)
         due = min((s.due for s in schedules), default=None)
         limit = None if due is None else max(0.0, due - self._clock.now())
+        self.account.note_idle()
         inbox = self.ends.mailbox.next(limit)
+        self.account.note_busy()
         if inbox is not None and self._enter():
             self._deliver(inbox)
 
@@ -382,7 +373,7 @@ class Runner:
             self._note_error(what)
         finally:
             self.turn.leave()
-            self._account.note_done()
+            self.account.note_done()
 
 
 def _weight(state: object) -> int:

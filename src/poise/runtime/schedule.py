@@ -31,9 +31,10 @@ class Schedule:
         """The next release [s]."""
         return self._start + self._next * self.timer.period
 
-    def asked(self, now: float) -> int:
-        """Return how many releases there were until `now` [s]."""
-        return max(self._next - 1, int((now - self._start) / self.timer.period))
+    @property
+    def releases(self) -> tuple[float, float]:
+        """Where the releases lie: `start` and period [s]."""
+        return self._start, self.timer.period
 
     def begin(self, now: float) -> float:
         """Take the last release that is due at `now` [s] and return it [s].

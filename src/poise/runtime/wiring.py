@@ -27,7 +27,6 @@ from poise.wire.local import LocalPipe, LocalServer
 from poise.wire.messages import ConnectorKind, ConnectorSpec, ConnectorStatus, End
 from poise.wire.pipe import Pipe, Server
 from poise.wire.remote import RemotePipe, RemoteServer, open_session
-from poise.wire.samples import SAMPLE_EVERY, ConnectorSample
 from poise.wire.socket_path import socket_path
 
 _ADDRESS = re.compile(r"[\w-]+(\.[\w-]+)*")
@@ -51,15 +50,12 @@ class Place(Struct, frozen=True, kw_only=True):
         zenoh endpoint of its computer's agent.
     socket
         Path of the AF_UNIX socket for containers of the same computer.
-    sample_every
-        How often it counts what it uses [s]; 0: never.
     """
 
     prefix: str
     address: str
     agent: str
     socket: str
-    sample_every: float = SAMPLE_EVERY
 
 
 class Transports:
@@ -163,19 +159,6 @@ class OpenEnds:
         if self.spec.kind == "direct":
             end = "both"
         return self.counts.status(self.spec.name, self.spec.kind, end, ready=ready)
-
-    def sample(self) -> ConnectorSample:
-        """Return its counters."""
-        n = self.counts
-        return ConnectorSample(
-            self.spec.name,
-            n.calls,
-            n.messages,
-            n.bytes_out,
-            n.bytes_in,
-            n.errors,
-            n.drops,
-        )
 
 
 class Wiring:

@@ -17,7 +17,7 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from msgspec import Struct
@@ -39,7 +39,10 @@ _LOOK = 0.01
 
 
 class Fork(Struct, frozen=True, kw_only=True):
-    """The agent asks for a container; its control socket comes with the record."""
+    """The agent asks for a container.
+
+    Its control socket and its ledger come with the record.
+    """
 
     name: str
     place: Place
@@ -88,8 +91,10 @@ def start(closing: Sequence[int] = ()) -> tuple[socket.socket, int]:
     return ours, pid
 
 
-def ask(zygote: socket.socket, name: str, place: Place) -> socket.socket:
+def ask(zygote: socket.socket, name: str, ledger: int, place: Place) -> socket.socket:
     """Ask for a container and return the agent's end of its control socket.
+
+    `ledger` is the descriptor of the memory in which it is to count.
 
     Raises
     ------
@@ -100,7 +105,7 @@ def ask(zygote: socket.socket, name: str, place: Place) -> socket.socket:
     body, _ = codec(Fork).encode(Fork(name=name, place=place))
     with theirs:
         try:
-            socket.send_fds(zygote, [body], [theirs.fileno()])
+            socket.send_fds(zygote, [body], [theirs.fileno(), ledger])
         except OSError as error:
             ours.close()
             raise Unavailable(f"the zygote is gone: {error}") from error
@@ -153,6 +158,14 @@ def _leave(work: Callable[[], None]) -> None:
         os._exit(code)
 
 
+@contextlib.contextmanager
+def _closing(fd: int) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        os.close(fd)
+
+
 class _Zygote:
     """The process itself."""
 
@@ -203,22 +216,23 @@ class _Zygote:
         return ended
 
     def _fork_next(self) -> None:
-        body, fds, _, _ = socket.recv_fds(self._agent, _LARGEST, 1)
+        body, fds, _, _ = socket.recv_fds(self._agent, _LARGEST, 2)
         if not body:
             raise Unavailable("the agent is gone")
         wanted: Fork = codec(Fork).decode(body, memoryview(b""))
-        with socket.socket(fileno=fds[0]) as connection:
+        control_fd, ledger = fds
+        with socket.socket(fileno=control_fd) as connection, _closing(ledger):
             try:
                 pid = os.fork()
             except OSError as error:
                 self._tell(NotForked(wanted.name, f"cannot be forked: {error}"))
                 return
             if pid == 0:
-                _leave(lambda: self._become(wanted, connection))
+                _leave(lambda: self._become(wanted, connection, ledger))
         self._containers.add(pid)
         self._tell(Forked(wanted.name, pid))
 
-    def _become(self, wanted: Fork, connection: socket.socket) -> None:
+    def _become(self, wanted: Fork, connection: socket.socket, ledger: int) -> None:
         """Be a container from now on; keep nothing that is the zygote's."""
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
@@ -227,7 +241,7 @@ class _Zygote:
         # when memory is short, the kernel ends a container before the agent
         with contextlib.suppress(OSError):
             Path("/proc/self/oom_score_adj").write_text(_OOM_SCORE)
-        Container(wanted.name, connection, wanted.place).run()
+        Container(wanted.name, connection, ledger, wanted.place).run()
 
     def _end_containers(self) -> None:
         """Wait for the containers, which see that the agent is gone; kill the rest."""

@@ -20,8 +20,8 @@ class ComponentSample(Struct, frozen=True, array_like=True):
     cpu
         CPU time [s].
     wait
-        Time in which its thread could run and did not [s]; only kept for components
-        without jobs.
+        Time in which its thread could run and did not [s]; 0 for components with
+        jobs, which tell better whether it keeps up.
     asked, done
         Releases of timers and messages that came, and that were ended.
     """

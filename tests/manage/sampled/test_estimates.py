@@ -3,6 +3,7 @@ import urllib.error
 import urllib.request
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from poise.errors import UsageError
@@ -19,6 +20,7 @@ from poise.wire.messages import (
     ContainerStatus,
     Summary,
 )
+from poise.wire.samples import AgentSample
 from tests.manage.sampled.conftest import Sampler
 
 
@@ -149,3 +151,26 @@ def test_serves_metrics_and_nothing_else(robot: Robot, steady: Sampler) -> None:
         assert refused.value.code == 404
     finally:
         server.close()
+
+
+def moved(sample: AgentSample, cpu: float) -> AgentSample:
+    """Return a sample whose components are incarnations that begin with `cpu` [s]."""
+    (container,) = sample.containers
+    components = tuple(
+        msgspec.structs.replace(each, epoch=1, cpu=cpu + each.cpu)
+        for each in container.components
+    )
+    container = msgspec.structs.replace(container, components=components)
+    return msgspec.structs.replace(sample, containers=(container,))
+
+
+@pytest.mark.parametrize("cpu", [-5.0, 0.0, 100.0])
+def test_a_move_is_no_drift(robot: Robot, steady: Sampler, cpu: float) -> None:
+    """Whatever the new incarnation's counters begin with."""
+    estimates = Estimates(robot, None, emulated=True)
+    drifts = [d for k in range(100) for d in estimates.take(steady(0.2 * k))]
+    drifts += [
+        d for k in range(100, 200) for d in estimates.take(moved(steady(0.2 * k), cpu))
+    ]
+    assert drifts == []
+    assert estimates.standings()[0].estimate.mean == pytest.approx(0.1)

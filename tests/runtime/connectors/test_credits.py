@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from poise.errors import Unavailable
+from poise.runtime._calls import Account
 from poise.runtime.connectors.counts import Counts
 from poise.runtime.connectors.credits import Credits, Grants
 from poise.runtime.mailbox import Feed, Inbox, Mailbox
@@ -55,7 +56,7 @@ class Joined:
     def start_target(self, policy: Policy = "block", size: int = 4) -> None:
         self.inbox = Inbox("notes", Queue(policy, size))
         self.counts = Counts()
-        self.feed = Feed(Mailbox(), self.inbox, self.counts)
+        self.feed = Feed(Mailbox(Account()), self.inbox, self.counts)
         self.grants = Grants(self.feed, self.counts, lambda _: self.way)
 
     def ask(self) -> None:

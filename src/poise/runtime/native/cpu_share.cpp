@@ -16,15 +16,16 @@ std::int64_t cpu_now() { return read_clock(CLOCK_THREAD_CPUTIME_ID); }
 
 void CpuShare::add_measured(std::int64_t began, std::int64_t wall, std::int64_t cpu) {
   last_ = began;
-  wall_ += wall;
-  measured_wall_ += wall;
-  measured_cpu_ += cpu;
+  wall_.add(wall);
+  measured_wall_.add(wall);
+  measured_cpu_.add(cpu);
 }
 
 double CpuShare::seconds() const {
-  const double measured = 1e-9 * static_cast<double>(measured_cpu_);
-  if (measured_wall_ == 0) return measured;
-  return measured * static_cast<double>(wall_) / static_cast<double>(measured_wall_);
+  const double measured = 1e-9 * static_cast<double>(measured_cpu_.get());
+  const auto measured_wall = static_cast<double>(measured_wall_.get());
+  if (measured_wall == 0.0) return measured;
+  return measured * static_cast<double>(wall_.get()) / measured_wall;
 }
 
 }  // namespace poise

@@ -3,6 +3,8 @@
 
 #include <cstdint>
 
+#include "shared.h"
+
 namespace poise {
 
 std::int64_t wall_now();  // [ns]
@@ -18,16 +20,16 @@ class CpuShare {
 
   bool should_measure(std::int64_t now) const { return now - last_ >= spacing; }
 
-  void add(std::int64_t wall) { wall_ += wall; }
+  void add(std::int64_t wall) { wall_.add(wall); }
 
   void add_measured(std::int64_t began, std::int64_t wall, std::int64_t cpu);
 
   double seconds() const;
 
  private:
-  std::int64_t wall_ = 0;
-  std::int64_t measured_wall_ = 0;
-  std::int64_t measured_cpu_ = 0;
+  Shared<std::int64_t> wall_;
+  Shared<std::int64_t> measured_wall_;
+  Shared<std::int64_t> measured_cpu_;
   std::int64_t last_ = -spacing;
 };
 

@@ -51,8 +51,8 @@ PyObject* refuse(DirectCall* call, Entry entry, std::int64_t began, PyObject* co
     return PyObject_Vectorcall(call->resend, args, num, names);
   if (entry == Entry::timeout) {
     Counts& counts = *call->counts_of;
-    ++counts.calls;
-    ++counts.errors;
+    counts.tally().calls.add(1);
+    counts.tally().errors.add(1);
     counts.delay.add(1e-9 * static_cast<double>(wall_now() - began));
   }
   set_entry_error(call->turn_of->what(), static_cast<int>(entry), call->limit, "was busy for");
@@ -69,25 +69,26 @@ PyObject* invoke(PyObject* self, PyObject* const* args, std::size_t num, PyObjec
 
   // the facade may let go of this object while the callee runs
   Py_INCREF(self);
-  const bool measured = counts.cpu.should_measure(inside);
+  const bool measured = counts.tally().cpu.should_measure(inside);
   const std::int64_t cpu_began = measured ? cpu_now() : 0;
   PyObject* result = PyObject_Vectorcall(call->method, args, num, names);
   const std::int64_t cpu = measured ? cpu_now() - cpu_began : 0;
   call->turn_of->leave();
 
   const std::int64_t ended = wall_now();
+  Tally& tally = counts.tally();  // by now it may be elsewhere than before
   if (measured)
-    counts.cpu.add_measured(inside, ended - inside, cpu);
+    tally.cpu.add_measured(inside, ended - inside, cpu);
   else
-    counts.cpu.add(ended - inside);
+    tally.cpu.add(ended - inside);
   const double elapsed = 1e-9 * static_cast<double>(ended - began);
-  ++counts.calls;
+  tally.calls.add(1);
   counts.delay.add(elapsed);
   if (!result) {
-    ++counts.errors;
+    tally.errors.add(1);
     translate_error(call);
   } else if (elapsed > call->limit) {
-    ++counts.errors;
+    tally.errors.add(1);
     Py_CLEAR(result);
     set_too_late(call, elapsed);
   }

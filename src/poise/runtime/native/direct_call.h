@@ -3,34 +3,30 @@
 
 #include <nanobind/nanobind.h>
 
-#include "cpu_share.h"
 #include "histogram.h"
+#include "ledger.h"
 
 namespace poise {
 
-// What one end of a connector counts.
+// What one end of a connector counts; the delays of its calls are its own.
 struct Counts {
-  std::uint64_t calls = 0;
-  std::uint64_t messages = 0;
-  std::uint64_t bytes_out = 0;  // that left this end over a wire
-  std::uint64_t bytes_in = 0;   // that came to this end over a wire
-  std::uint64_t errors = 0;
-  std::uint64_t drops = 0;
+  Entered entered;
   Histogram delay;  // of calls [s]
   Histogram wait;   // of messages [s]
-  CpuShare cpu;     // of the callee's code, and of what it called
+
+  Tally& tally() { return entered->tally; }
 
   void add_call(double seconds, std::uint64_t out, std::uint64_t in, bool failed) {
-    ++calls;
-    errors += failed;
-    bytes_out += out;
-    bytes_in += in;
+    tally().calls.add(1);
+    tally().errors.add(failed);
+    tally().bytes_out.add(out);
+    tally().bytes_in.add(in);
     delay.add(seconds);
   }
   void add_message(std::uint64_t out, std::uint64_t in) {
-    ++messages;
-    bytes_out += out;
-    bytes_in += in;
+    tally().messages.add(1);
+    tally().bytes_out.add(out);
+    tally().bytes_in.add(in);
   }
 };
 

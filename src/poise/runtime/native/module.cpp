@@ -1,8 +1,13 @@
 // What Python sees; src/poise/runtime/_calls.pyi describes it.
 #include <nanobind/nanobind.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
 
+#include "account.h"
 #include "direct_call.h"
+#include "reader.h"
 #include "turn.h"
 
 namespace nb = nanobind;
@@ -16,6 +21,13 @@ static void check(const Turn& turn, Entry entry, double limit, const char* actio
 
 static void require(bool was_held) {
   if (!was_held) throw std::runtime_error("nobody has the turn");
+}
+
+template <auto Member>
+static void def_number(nb::class_<Counts>& counts, const char* name) {
+  counts.def_prop_rw(
+      name, [](Counts& counts) { return (counts.tally().*Member).get(); },
+      [](Counts& counts, std::uint64_t value) { (counts.tally().*Member).set(value); });
 }
 
 NB_MODULE(_calls, module) {
@@ -62,28 +74,64 @@ NB_MODULE(_calls, module) {
                              histogram.quantile(0.99), histogram.maximum());
       });
 
-  nb::class_<Counts>(module, "Counts")
+  nb::class_<Ledger>(module, "Ledger").def(nb::init<int>(), nb::arg("descriptor"));
+  module.attr("LINE_SIZE") = sizeof(Line);
+
+  nb::class_<Reader>(module, "Reader")
+      .def(nb::init<int, int, std::string>(), nb::arg("descriptor"), nb::arg("process"),
+           nb::arg("proc") = "/proc")
+      .def("read", &Reader::read)
+      .def("commands", &Reader::commands);
+
+  nb::class_<Account>(module, "Account")
       .def(nb::init<>())
-      .def_rw("calls", &Counts::calls)
-      .def_rw("messages", &Counts::messages)
-      .def_rw("bytes_out", &Counts::bytes_out)
-      .def_rw("bytes_in", &Counts::bytes_in)
-      .def_rw("errors", &Counts::errors)
-      .def_rw("drops", &Counts::drops)
-      .def_ro("delay", &Counts::delay)
+      .def("begin", &Account::begin)
+      .def("watch", &Account::watch, nb::arg("process"))
+      .def("end", &Account::end)
+      .def("note_idle", &Account::note_idle)
+      .def("note_busy", &Account::note_busy)
+      .def("note_asked", &Account::note_asked)
+      .def("note_done", &Account::note_done)
+      .def("plan", &Account::plan, nb::arg("timers"))
+      .def("cpu", &Account::cpu)
+      .def("enter", &Account::enter, nb::arg("ledger"), nb::arg("name"), nb::arg("epoch"))
+      .def("leave", &Account::leave);
+
+  auto counts = nb::class_<Counts>(module, "Counts").def(nb::init<>());
+  def_number<&Tally::calls>(counts, "calls");
+  def_number<&Tally::messages>(counts, "messages");
+  def_number<&Tally::bytes_out>(counts, "bytes_out");
+  def_number<&Tally::bytes_in>(counts, "bytes_in");
+  def_number<&Tally::errors>(counts, "errors");
+  def_number<&Tally::drops>(counts, "drops");
+  counts.def_ro("delay", &Counts::delay)
       .def_ro("wait", &Counts::wait)
       .def("add_call", &Counts::add_call, nb::arg("seconds"), nb::arg("bytes_out") = 0,
            nb::arg("bytes_in") = 0, nb::arg("failed") = false)
       .def("add_message", &Counts::add_message, nb::arg("bytes_out") = 0,
            nb::arg("bytes_in") = 0)
-      .def_prop_ro("cpu", [](const Counts& counts) { return counts.cpu.seconds(); })
+      .def_prop_ro("cpu", [](Counts& counts) { return counts.tally().cpu.seconds(); })
       .def(
           "add_cpu",
           [](Counts& counts, double seconds) {
             const auto time = static_cast<std::int64_t>(1e9 * seconds);
-            counts.cpu.add_measured(wall_now(), time, time);
+            counts.tally().cpu.add_measured(wall_now(), time, time);
           },
-          nb::arg("seconds"));
+          nb::arg("seconds"))
+      .def(
+          "enter",
+          [](Counts& counts, std::shared_ptr<Ledger> ledger, const std::string& name) {
+            return counts.entered.enter(std::move(ledger), Kind::connector, name, 0);
+          },
+          nb::arg("ledger"), nb::arg("name"))
+      .def(
+          "attribute",
+          [](Counts& counts, const Account* source, const Account* target) {
+            counts.entered->source.set(source ? source->id() : 0);
+            counts.entered->target.set(target ? target->id() : 0);
+          },
+          nb::arg("source").none(), nb::arg("target").none())
+      .def("leave", [](Counts& counts) { counts.entered.leave(); });
 
   module.attr("DirectCall") = make_direct_call_type();
 }

@@ -1,0 +1,63 @@
+"""An agent tells what its containers count."""
+
+from __future__ import annotations
+
+import os
+import threading
+
+import msgspec
+
+from poise.runtime import _calls
+from poise.runtime._calls import Account, Reader
+from poise.runtime.collector import Collector, proportional_memory
+from poise.runtime.ledger import new_memory
+from poise.wire.samples import AgentSample
+
+
+def decoded(body: bytes) -> AgentSample:
+    return msgspec.msgpack.decode(body, type=AgentSample)
+
+
+def test_tells_every_container_with_something_in_it() -> None:
+    memories = [new_memory(), new_memory()]
+    accounts = [Account(), Account()]
+    readers = [Reader(memory, os.getpid()) for memory in memories]
+    accounts[0].enter(_calls.Ledger(memories[0]), "eye", 2)
+    here = [("see", 7, readers[0]), ("empty", 8, readers[1])]
+    collector = Collector("a", 1.0, lambda: here, lambda _: None)
+    sample = decoded(collector.sample())
+    assert sample.computer == "a"
+    (container,) = sample.containers
+    assert (container.name, container.pid) == ("see", 7)
+    (eye,) = container.components
+    assert (eye.name, eye.epoch, eye.asked) == ("eye", 2, 0)
+    for memory in memories:
+        os.close(memory)
+
+
+def test_tells_again_and_again() -> None:
+    memory, account = new_memory(), Account()
+    account.enter(_calls.Ledger(memory), "eye", 0)
+    reader = Reader(memory, os.getpid())
+    told: list[AgentSample] = []
+    enough = threading.Event()
+
+    def publish(body: bytes) -> None:
+        told.append(decoded(body))
+        if len(told) >= 3:
+            enough.set()
+
+    pid = os.getpid()
+    collector = Collector("a", 0.001, lambda: [("see", pid, reader)], publish)
+    collector.start()
+    assert enough.wait(20)
+    collector.stop()
+    os.close(memory)
+    moments = [sample.containers[0].at for sample in told]
+    assert moments == sorted(set(moments))
+    assert told[-1].containers[0].memory > 1e6
+
+
+def test_reads_the_memory_of_processes() -> None:
+    assert proportional_memory(os.getpid()) > 1e6
+    assert proportional_memory(1 << 30) == 0
