@@ -53,6 +53,8 @@ class Place(Struct, frozen=True, kw_only=True):
         Path of the AF_UNIX socket for containers of the same computer.
     sample_every
         How often it counts what it uses [s]; 0: never.
+    computer
+        The name of its computer.
     """
 
     prefix: str
@@ -60,6 +62,7 @@ class Place(Struct, frozen=True, kw_only=True):
     agent: str
     socket: str
     sample_every: float = SAMPLE_EVERY
+    computer: str = ""
 
 
 class Transports:
