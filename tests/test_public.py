@@ -21,6 +21,7 @@ PUBLIC = {
         "Provided",
         "Published",
         "Required",
+        "Stamp",
         "every",
         "oneway",
         "subscribed",

@@ -1,5 +1,6 @@
 """Poise keeps a robot's software in balance over its on-board computers."""
 
+from poise.clock import Stamp
 from poise.runtime.component import Component
 from poise.runtime.ports import (
     Message,
@@ -17,6 +18,7 @@ __all__ = [
     "Provided",
     "Published",
     "Required",
+    "Stamp",
     "every",
     "oneway",
     "subscribed",

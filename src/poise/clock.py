@@ -1,9 +1,41 @@
-"""The one seam to time: everything that waits or stamps takes a `Clock`."""
+"""The one seam to time: everything that waits or stamps takes a `Clock`.
+
+Two computers' clocks have nothing to do with each other. What leaves a computer with a
+time in it therefore carries a `Stamp`, which says on whose clock that was read; how
+long ago it was comes with an error.
+"""
 
 from __future__ import annotations
 
 import time
 from typing import Protocol
+
+from msgspec import Struct
+
+DRIFT = 50e-6
+"""Two computers' clocks run apart by at most this [s/s]: crystals keep 25e-6 each."""
+
+
+class Stamp(Struct, frozen=True, array_like=True):
+    """A moment `at` [s] on the clock of a computer; for fields of messages and states.
+
+    `computer` is empty where there is only one.
+    """
+
+    at: float
+    computer: str = ""
+
+
+class Elapsed(Struct, frozen=True):
+    """How long something took: surely within `error` of `value` [s]."""
+
+    value: float
+    error: float = 0.0
+
+    @property
+    def most(self) -> float:
+        """How long it took at the longest [s]."""
+        return self.value + self.error
 
 
 class Clock(Protocol):
@@ -22,11 +54,38 @@ class Clock(Protocol):
         ...
 
 
+class ComponentClock(Clock, Protocol):
+    """What components stamp and measure by; any thread may use it."""
+
+    def stamp(self, at: float | None = None) -> Stamp:
+        """Return a moment to be sent in a message: the present one, or `at`.
+
+        `at` is a time [s] on this computer's clock, such as a device's.
+        """
+        ...
+
+    def since(self, stamp: Stamp) -> Elapsed | None:
+        """Return how long ago `stamp` was, whatever computer's clock it was read on.
+
+        None: no round trip to that computer was made yet, so nobody knows.
+        """
+        ...
+
+
 class SystemClock:
     """The computer's monotonic clock.
 
-    On Linux all processes of one computer, in any namespace, read the same clock.
+    On Linux all processes of one computer read the same clock, unless they are in
+    another time namespace.
+
+    Parameters
+    ----------
+    computer
+        The name that goes into stamps.
     """
+
+    def __init__(self, computer: str = "") -> None:
+        self._computer = computer
 
     def now(self) -> float:
         """Return CLOCK_MONOTONIC [s]."""
@@ -35,3 +94,13 @@ class SystemClock:
     def sleep(self, seconds: float) -> None:
         """Block the calling thread for `seconds` [s]."""
         time.sleep(seconds)
+
+    def stamp(self, at: float | None = None) -> Stamp:
+        """Return the present moment, or `at` [s], as one of this computer's."""
+        return Stamp(self.now() if at is None else at, self._computer)
+
+    def since(self, stamp: Stamp) -> Elapsed | None:
+        """Return how long ago a stamp of this computer was; None for another's."""
+        if stamp.computer != self._computer:
+            return None
+        return Elapsed(self.now() - stamp.at)

@@ -2,7 +2,8 @@ import random
 
 import pytest
 
-from poise.estimate.clock_offset import DRIFT, ClockOffset, RoundTrip
+from poise.clock import DRIFT
+from poise.estimate.clock_offset import ClockOffset, RoundTrip
 
 
 def test_a_symmetric_trip_by_hand() -> None:

@@ -7,24 +7,24 @@ from collections import defaultdict
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
-from poise.clock import Clock
+from poise import testing
+from poise.clock import ComponentClock
 from poise.runtime.component import Component, Context, create
 from poise.runtime.ports import Published, ports_of
 
 C = TypeVar("C", bound=Component)
 
 
-class VirtualClock:
+class VirtualClock(testing.VirtualClock):
     """A clock that moves when it is told to."""
 
-    def __init__(self) -> None:
-        self.time = 0.0
+    @property
+    def time(self) -> float:
+        return self.now()
 
-    def now(self) -> float:
-        return self.time
-
-    def sleep(self, seconds: float) -> None:
-        self.time += seconds
+    @time.setter
+    def time(self, moment: float) -> None:
+        self.sleep(moment - self.now())
 
 
 class Alone(types.SimpleNamespace):
@@ -39,7 +39,7 @@ def alone(
     implementation: type[C],
     parameters: Mapping[str, Any] | None = None,
     *,
-    clock: Clock | None = None,
+    clock: ComponentClock | None = None,
     devices: Mapping[str, str] | None = None,
     providers: Mapping[str, object] | None = None,
 ) -> Alone:

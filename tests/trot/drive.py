@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from poise.clock import Stamp
 from poise.runtime.ports import Published
 from tests.trot.alone import VirtualClock, alone
 from trot import home
@@ -29,7 +30,7 @@ class LatePoses:
 
     def latest_pose(self) -> Pose:
         told = self._clock.now() - self._delay
-        known = [pose for pose in self._poses if pose.stamp <= told]
+        known = [pose for pose in self._poses if pose.stamp.at <= told]
         return known[-1] if known else self._poses[0]
 
 
@@ -108,8 +109,8 @@ class Drive:
 
     def _scan(self) -> None:
         stamp, x, y, heading = self.simulation.odometry
-        odometry = Pose(stamp, x, y, heading)
-        self.localiser.scan(Scan(stamp, self.simulation.scan(), odometry))
+        odometry = Pose(Stamp(stamp), x, y, heading)
+        self.localiser.scan(Scan(Stamp(stamp), self.simulation.scan(), odometry))
         self._poses.add(self.localiser.latest_pose())
 
     @staticmethod

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from poise.clock import SystemClock
+from poise.clock import Stamp, SystemClock
 from poise.estimate import profile_file
 from poise.estimate.rule import with_profile
 from poise.model import load
@@ -47,7 +47,7 @@ CONNECTORS = [
     *(c for architecture in ROBOT.architectures for c in architecture.connectors),
 ]
 
-POSE = messages.Pose(0.0, *home.START)
+POSE = messages.Pose(Stamp(0.0), *home.START)
 RANGES = Simulation().scan()
 PATH = np.linspace(home.START[:2], home.GOAL, 70).astype(np.float32)
 PICTURE = np.zeros((120, 160, 3), np.uint8)
@@ -55,9 +55,9 @@ JOINTS = np.array([0, 0.6, 0, -0.6, 0, 0], np.float32)
 NUMBERS = list(range(20))
 
 MESSAGES: dict[type, Any] = {
-    messages.Scan: messages.Scan(0.0, RANGES, POSE),
+    messages.Scan: messages.Scan(Stamp(0.0), RANGES, POSE),
     messages.LocatedScan: messages.LocatedScan(POSE, RANGES),
-    messages.Path: messages.Path(0.0, PATH),
+    messages.Path: messages.Path(Stamp(0.0), PATH),
     messages.AudioBlock: messages.AudioBlock(0.0, Sound().block()),
     messages.Bearing: messages.Bearing(0.0, 0.5, 1.0),
     messages.Activity: messages.Activity(0.0, 1.0),

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from poise.clock import Stamp
 from tests.trot.alone import VirtualClock, alone
 from trot import home
 from trot.laser_model import BEAMS, MAX_RANGE
@@ -29,6 +30,11 @@ def at(cells: grid.Cells, x: float, y: float) -> int:
     return int(cells[grid.row(np.array(y)), grid.column(np.array(x))])
 
 
+def odometry_of(simulation: Simulation) -> Pose:
+    at, x, y, heading = simulation.odometry
+    return Pose(Stamp(at), x, y, heading)
+
+
 def test_distance_grows_from_an_obstacle() -> None:
     """One occupied cell: 1 cell aside 5 cm, a diagonal 7.07 cm, far off the limit."""
     cells = np.zeros((41, 41), bool)
@@ -49,18 +55,18 @@ def test_localiser_finds_itself_from_a_wrong_start() -> None:
     started = alone(Localiser, {"start": wrong, "particles": 600})
     for _ in range(40):
         simulation.step()
-        odometry = Pose(*simulation.odometry)
-        started.component.scan(Scan(simulation.now, simulation.scan(), odometry))
+        odometry = odometry_of(simulation)
+        started.component.scan(Scan(Stamp(simulation.now), simulation.scan(), odometry))
     pose = started.component.latest_pose()
     assert math.dist((pose.x, pose.y), (x, y)) < 0.08
     assert abs(pose.heading - heading) < 0.05
-    assert pose.stamp == simulation.now
+    assert pose.stamp == Stamp(simulation.now)
 
 
 def test_a_new_localiser_goes_on_where_the_old_one_was() -> None:
     old, new = alone(Localiser).component, alone(Localiser).component
     simulation = Simulation()
-    old.scan(Scan(0.0, simulation.scan(), Pose(*simulation.odometry)))
+    old.scan(Scan(Stamp(0.0), simulation.scan(), odometry_of(simulation)))
     new.restore(old.snapshot())
     assert new.latest_pose() == old.latest_pose()
     np.testing.assert_array_equal(new.snapshot().particles, old.snapshot().particles)
@@ -76,9 +82,9 @@ def test_mapper_adds_what_the_laser_sees() -> None:
     """All beams end 1 m from (1.5, 3): there is something, and nothing before it."""
     mapper = alone(Mapper).component
     ranges = np.full(BEAMS, 1.0, np.float32)
-    mapper.located(LocatedScan(Pose(7.0, 1.5, 3.0, 0.0), ranges))
+    mapper.located(LocatedScan(Pose(Stamp(7.0), 1.5, 3.0, 0.0), ranges))
     seen = mapper.latest_map()
-    assert seen.stamp == 7.0
+    assert seen.stamp == Stamp(7.0)
     assert max(at(seen.cells, x, 3.02) for x in (2.46, 2.52)) >= grid.OCCUPIED
     assert at(seen.cells, 2.0, 3.02) < 0
 
@@ -87,7 +93,7 @@ def test_mapper_takes_no_range_for_an_obstacle() -> None:
     mapper = alone(Mapper).component
     ranges = np.full(BEAMS, MAX_RANGE, np.float32)
     before = occupied(mapper.latest_map().cells).sum()
-    mapper.located(LocatedScan(Pose(0.0, 1.5, 3.0, 0.0), ranges))
+    mapper.located(LocatedScan(Pose(Stamp(0.0), 1.5, 3.0, 0.0), ranges))
     assert occupied(mapper.latest_map().cells).sum() <= before
 
 
@@ -143,13 +149,13 @@ def command(
     cells: grid.Cells, target: tuple[float, float], age: float
 ) -> tuple[float, float]:
     """Return what the controller does at (2, 2), heading along x."""
-    answers = Answers(Pose(0.0, 2.0, 2.0, 0.0), cells)
+    answers = Answers(Pose(Stamp(0.0), 2.0, 2.0, 0.0), cells)
     clock = VirtualClock()
     clock.time = age
     asked = {"poses": answers, "maps": answers}
     controller = alone(MotionController, clock=clock, providers=asked).component
     controller._wheels = answers
-    controller.path(Path(0.0, np.array([(2, 2), target], np.float32)))
+    controller.path(Path(Stamp(0.0), np.array([(2, 2), target], np.float32)))
     controller.cycle()
     return answers.sent[-1]
 
@@ -178,14 +184,14 @@ def test_makes_for_what_it_can_reach_straight() -> None:
     cells = NOTHING.copy()
     xs, ys = np.linspace(1.0, 2.1, 30), np.linspace(2.3, 2.4, 3)
     cells[grid.row(ys)[:, None], grid.column(xs)] = 100
-    pose = Pose(0.0, 2.0, 2.0, 0.0)
+    pose = Pose(Stamp(0.0), 2.0, 2.0, 0.0)
     path = np.array(
         [(2, 2), (2.2, 2), (2.4, 2), (2.4, 2.2), (2.4, 2.4), (2.2, 2.7)], np.float32
     )
-    target = make_for(path, pose, Surroundings(pose, Map(0.0, cells)))
+    target = make_for(path, pose, Surroundings(pose, Map(Stamp(0.0), cells)))
     assert target is not None
     assert target[0] == pytest.approx(2.4)
-    free = make_for(path, pose, Surroundings(pose, Map(0.0, NOTHING)))
+    free = make_for(path, pose, Surroundings(pose, Map(Stamp(0.0), NOTHING)))
     assert free is not None
     assert free.tolist() == pytest.approx([2.2, 2.7])
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from poise.clock import Stamp
 from poise.runtime.ports import Message
 
 
 class Pose(Message, frozen=True):
     """Where the robot was at `stamp`: x, y [m], heading [rad]."""
 
-    stamp: float
+    stamp: Stamp
     x: float
     y: float
     heading: float
@@ -20,7 +21,7 @@ class Pose(Message, frozen=True):
 class Scan(Message, frozen=True):
     """Ranges [m] of the laser's beams, and what the wheels had counted by then."""
 
-    stamp: float
+    stamp: Stamp
     ranges: NDArray[np.float32]
     odometry: Pose
 
@@ -38,14 +39,14 @@ class Map(Message, frozen=True):
     -100 is surely free, 0 unknown, 100 surely occupied.
     """
 
-    stamp: float
+    stamp: Stamp
     cells: NDArray[np.int8]
 
 
 class Path(Message, frozen=True):
     """Points x, y [m] from the robot to the goal, ``(n, 2)``; none: no way found."""
 
-    stamp: float
+    stamp: Stamp
     points: NDArray[np.float32]
 
 

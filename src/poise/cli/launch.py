@@ -26,6 +26,7 @@ from poise.manage.fleet import Fleet
 from poise.manage.journal import Journal
 from poise.manage.report import (
     RunReport,
+    clocks_of,
     component_reports,
     connector_reports,
     cpu_shares,
@@ -155,6 +156,7 @@ def run_task(
             components=component_reports(begin, end),
             connectors=connector_reports(end),
             faults=tuple(fault for status in end.values() for fault in status.faults),
+            clocks=clocks_of(end),
             void=up.computers.end(),
             without=up.computers.without,
             simulation=world.result() if world else {},

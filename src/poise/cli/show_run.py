@@ -5,6 +5,7 @@ from __future__ import annotations
 from rich.console import Console
 from rich.table import Table
 
+from poise.cli.clocks import clock_table
 from poise.cli.connectors import connector_table
 from poise.cli.tables import table
 from poise.manage.report import ComponentReport, RunReport
@@ -23,6 +24,9 @@ def show_run(report: RunReport, console: Console) -> None:
     _show_measures(report, console)
     if report.connectors:
         console.print(connector_table(report.connectors))
+    clocks = clock_table(report.clocks)
+    if clocks.row_count:
+        console.print(clocks)
     shares = ", ".join(
         f"{name} {share:.0%}" for name, share in report.cpu_share.items()
     )

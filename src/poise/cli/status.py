@@ -8,11 +8,13 @@ import msgspec
 from rich.console import Console
 from rich.table import Table
 
+from poise.cli.clocks import clock_table
 from poise.cli.connectors import connector_table
 from poise.cli.move import AsJson, Robot
 from poise.cli.tables import table
 from poise.manage.desk import AskStatus, RobotStatus, ask
 from poise.manage.estimates import Standing
+from poise.manage.report import clocks_of
 from poise.manage.run import connectors_of
 from poise.wire.messages import TimerStatus
 
@@ -33,6 +35,9 @@ def status_command(robot: Robot = None, as_json: AsJson = False) -> None:
         console.print(f"[red]computer '{name}' is lost[/]")
     console.print(_components(answer))
     console.print(connector_table(connectors_of(answer.computers)))
+    clocks = clock_table(clocks_of(answer.computers))
+    if clocks.row_count:
+        console.print(clocks)
     for name, computer in answer.computers.items():
         for fault in computer.faults:
             console.print(f"[red]{name}: container '{fault.container}' {fault.message}")

@@ -1,10 +1,10 @@
 """How far another computer's clock is ahead, from round trips, and how sure that is.
 
 A message leaves here at t0, arrives there at t1, its answer leaves there at t2 and
-arrives here at t3. Whatever the ways there and back took, the offset of the other clock
-lies between t2 - t3 and t1 - t0. Quick round trips bound it tightly; as two clocks run
-apart, an older bound is widened by its age. All bounds hold at once, so their
-intersection does (Marzullo).
+arrives here at t3: the four time stamps of NTP. Whatever the ways there and back took,
+the offset of the other clock lies between t2 - t3 and t1 - t0. Quick round trips bound
+it tightly; as two clocks run apart, an older bound is widened by its age. All bounds
+hold at once, so their intersection does (Marzullo).
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from collections import deque
 
 from msgspec import Struct
 
-DRIFT = 50e-6
-"""Two computers' clocks run apart by at most this [s/s]: crystals keep 25e-6 each."""
+from poise.clock import DRIFT, Elapsed
+
 _KEPT = 64
 
 
@@ -32,13 +32,6 @@ class RoundTrip(Struct, frozen=True):
 
 class Offset(Struct, frozen=True):
     """The other clock minus this one: surely within `error` of `value` [s]."""
-
-    value: float
-    error: float
-
-
-class Delay(Struct, frozen=True):
-    """How long something took from one computer to another: `value` +- `error` [s]."""
 
     value: float
     error: float
@@ -73,7 +66,7 @@ class ClockOffset:
             return None
         return Offset((low + high) / 2, (high - low) / 2)
 
-    def delay(self, there: float, here: float) -> Delay | None:
+    def delay(self, there: float, here: float) -> Elapsed | None:
         """Return how long something took that left there and came here [s].
 
         Parameters
@@ -86,7 +79,7 @@ class ClockOffset:
         offset = self.at(here)
         if offset is None:
             return None
-        return Delay(here - (there - offset.value), offset.error)
+        return Elapsed(here - (there - offset.value), offset.error)
 
     def _forget_until(self, returned: float) -> None:
         while self._bounds and self._bounds[0][0] <= returned:

@@ -8,6 +8,7 @@ from typing import Any
 from msgspec import Struct
 
 from poise.model.robot import Robot
+from poise.wire.clocks import ClockStatus
 from poise.wire.messages import (
     AgentStatus,
     ComponentStatus,
@@ -54,6 +55,8 @@ class RunReport(Struct, frozen=True, kw_only=True):
         Containers that ended though they should have run.
     void
         Why the run says nothing about the robot, or empty when it does.
+    clocks
+        Computer -> other computer -> how far the other's clock was ahead at the end.
     without
         What the emulation did without.
     simulation
@@ -70,6 +73,7 @@ class RunReport(Struct, frozen=True, kw_only=True):
     components: tuple[ComponentReport, ...]
     connectors: tuple[ConnectorStatus, ...]
     faults: tuple[Fault, ...] = ()
+    clocks: Mapping[str, Mapping[str, ClockStatus]] = {}
     void: str = ""
     without: tuple[str, ...] = ()
     simulation: Mapping[str, Any] = {}
@@ -121,6 +125,11 @@ def connector_reports(end: Statuses) -> tuple[ConnectorStatus, ...]:
         for container in status.containers
         for connector in container.connectors
     )
+
+
+def clocks_of(statuses: Statuses) -> dict[str, Mapping[str, ClockStatus]]:
+    """Return what each computer knows of the others' clocks, by name."""
+    return {name: status.clocks for name, status in sorted(statuses.items())}
 
 
 def _component(

@@ -14,6 +14,7 @@ import random
 import signal
 import time
 from collections import deque
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import FrameType
 
@@ -30,8 +31,10 @@ from poise.runtime.collector import Collector
 from poise.runtime.ledger import new_memory
 from poise.runtime.orders import Orders
 from poise.runtime.requests import Requests, answer
+from poise.runtime.round_trips import RoundTrips
 from poise.runtime.waker import Waker, wait_readable
 from poise.runtime.wiring import Place
+from poise.wire.clocks import ClockStatus
 from poise.wire.messages import (
     Accepted,
     AgentStatus,
@@ -104,6 +107,7 @@ class Agent:
         self._cpu_of_ended = 0.0
         self._stopping = False
         self._trouble = ""
+        self._clocks: Callable[[], Mapping[str, ClockStatus]] = dict
         self._orders = Orders(self._children)
         try:
             socket_path(Path(setup.folder), "")
@@ -146,11 +150,17 @@ class Agent:
             )
             samples = session.declare_publisher(f"{prefix}/samples/{setup.computer}")
             collector = self._collector(samples)
+            clocks = RoundTrips(
+                session, prefix, setup.computer, Path(setup.folder), self._clock
+            )
             try:
                 if setup.sample_every:
                     collector.start()
+                clocks.start()
+                self._clocks = clocks.known
                 self._serve(publisher)
             finally:
+                clocks.stop()
                 collector.stop()
                 answers.undeclare()  # type: ignore[no-untyped-call]
                 self._end_all()
@@ -306,6 +316,7 @@ class Agent:
             address=self._setup.address,
             agent=self._endpoint(),
             socket=str(socket_path(Path(self._setup.folder), name)),
+            computer=self._setup.computer,
         )
 
     def _status(self) -> AgentStatus:
@@ -318,6 +329,7 @@ class Agent:
             cpu=used,
             containers=tuple(statuses),
             faults=tuple(self._faults),
+            clocks=self._clocks(),
         )
 
     def _end_all(self) -> None:

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, TypeVar
 
 from msgspec import Struct
 
-from poise.clock import Clock
+from poise.clock import ComponentClock
 from poise.errors import UsageError
 
 
@@ -22,7 +22,7 @@ class Context(Struct, frozen=True, kw_only=True):
     name: str
     parameters: Mapping[str, Any]
     devices: Mapping[str, str]
-    clock: Clock
+    clock: ComponentClock
     measure: Callable[[str, float], None]
 
 
@@ -62,8 +62,12 @@ class Component:
         return self._context.parameters
 
     @property
-    def clock(self) -> Clock:
-        """The clock to stamp and measure by; times in [s]."""
+    def clock(self) -> ComponentClock:
+        """The clock to stamp and measure by; times in [s].
+
+        A time that goes to other components goes as a `poise.Stamp`, which `stamp`
+        gives: only `since` knows how old that is on another computer.
+        """
         return self._context.clock
 
     @property

@@ -16,10 +16,12 @@ import threading
 import time
 import traceback
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from types import FrameType
 
-from poise.clock import Clock, SystemClock
+from poise.clock import ComponentClock
 from poise.errors import RunError, Timeout, Unavailable
+from poise.runtime.clock_table import ComputerClock
 from poise.runtime.command import Command
 from poise.runtime.implementation import find
 from poise.runtime.ledger import Incarnation, Ledger
@@ -69,7 +71,9 @@ class Container:
     ) -> None:
         self._name = name
         self._agent = agent
-        self._clock: Clock = SystemClock()
+        self._clock: ComponentClock = ComputerClock(
+            place.computer, Path(place.socket).parent
+        )
         self._transports = Transports(place)
         self._wiring = Wiring(self._transports)
         self._runners: dict[Incarnation, Runner] = {}

@@ -15,7 +15,7 @@ from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
 from typing import Any
 
-from poise.clock import Clock
+from poise.clock import Clock, ComponentClock
 from poise.errors import RunError, Timeout
 from poise.runtime._calls import Account
 from poise.runtime.component import Component, Context, create
@@ -52,7 +52,7 @@ class Runner:
         self,
         spec: ComponentSpec,
         implementation: type[Component],
-        clock: Clock,
+        clock: ComponentClock,
         on_change: Callable[[], None],
     ) -> None:
         self.spec = spec

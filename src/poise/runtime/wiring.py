@@ -50,12 +50,15 @@ class Place(Struct, frozen=True, kw_only=True):
         zenoh endpoint of its computer's agent.
     socket
         Path of the AF_UNIX socket for containers of the same computer.
+    computer
+        The name of its computer.
     """
 
     prefix: str
     address: str
     agent: str
     socket: str
+    computer: str = ""
 
 
 class Transports:

@@ -12,6 +12,8 @@ from typing import Any, Literal
 
 from msgspec import Struct
 
+from poise.wire.clocks import ClockStatus
+
 PROTOCOL = 1
 """Manager, agents and containers of different protocol versions refuse each other."""
 
@@ -381,7 +383,8 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
     """A computer as its agent sees it.
 
     `cpu` is the CPU time of the agent and all its containers, ended ones too [s];
-    `uptime` the time since the agent started [s].
+    `uptime` the time since the agent started [s]; `clocks` what is known of other
+    computers' clocks, by name.
     """
 
     protocol: int = PROTOCOL
@@ -391,3 +394,4 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
     cpu: float
     containers: tuple[ContainerStatus, ...] = ()
     faults: tuple[Fault, ...] = ()
+    clocks: Mapping[str, ClockStatus] = {}

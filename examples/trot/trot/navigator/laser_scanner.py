@@ -37,8 +37,9 @@ class LaserScanner(Component):
         stamp, ranges = unpack_ranges(packets[-1])
         ranges = np.clip(ranges, 0.0, MAX_RANGE)
         self._effort.spend(self._speckles, since)
-        odometry = min(self._odometry, key=lambda o: abs(o[0] - stamp))
-        self.scan.publish(Scan(stamp, ranges, Pose(*odometry)))
+        at, *pose = min(self._odometry, key=lambda o: abs(o[0] - stamp))
+        odometry = Pose(self.clock.stamp(at), *pose)
+        self.scan.publish(Scan(self.clock.stamp(stamp), ranges, odometry))
 
     def cleanup(self) -> None:
         self._laser.close()

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from poise.clock import Stamp
 from poise.runtime.component import Component
 from poise.runtime.ports import Message, Provided, Published, subscribed
 from trot import home
@@ -53,7 +54,7 @@ class Localiser(Component):
         start = self.parameters.get("start", home.START)
         spread = self._random.normal(0, 1, (count, 3)) * (0.1, 0.1, 0.05)
         self._particles: Particles = np.asarray(start, float) + spread
-        self._pose = Pose(self.clock.now(), *map(float, start))
+        self._pose = Pose(self.clock.stamp(), *map(float, start))
         self._odometry: Pose | None = None
         field = grid.distance(grid.walls(), 1.0, grid.CELL).astype(float)
         self._likelihood = np.log(UNMAPPED + np.exp(-((field / SIGMA) ** 2) / 2))
@@ -130,7 +131,7 @@ class Localiser(Component):
         return float(np.std(self._score(poses)))
 
 
-def _mean(stamp: float, particles: Particles, weights: NDArray[np.float64]) -> Pose:
+def _mean(stamp: Stamp, particles: Particles, weights: NDArray[np.float64]) -> Pose:
     x, y, _ = weights @ particles
     sine = weights @ np.sin(particles[:, 2])
     cosine = weights @ np.cos(particles[:, 2])

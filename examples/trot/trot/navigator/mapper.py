@@ -28,7 +28,7 @@ class Mapper(Component):
     def configure(self) -> None:
         self._effort = Effort.declared(self.parameters)
         walls = np.where(grid.walls(), np.int8(WALL), np.int8(0))
-        self._map = Map(self.clock.now(), walls)
+        self._map = Map(self.clock.stamp(), walls)
         self._steps = np.arange(0, MAX_RANGE, grid.CELL)
 
     def latest_map(self) -> Map:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
+from poise.clock import Stamp
 from poise.errors import CallError
 from poise.runtime.component import Component
 from poise.runtime.ports import Required, every, subscribed
@@ -35,7 +38,7 @@ class MotionController(Component):
     def configure(self) -> None:
         self._effort = Effort.declared(self.parameters)
         self._wheels = Device(self.device("wheels"))
-        self._path = Path(0.0, np.zeros((0, 2), np.float32))
+        self._path = Path(self.clock.stamp(), np.zeros((0, 2), np.float32))
 
     @subscribed(keep=1)
     def path(self, message: Path) -> None:
@@ -50,12 +53,8 @@ class MotionController(Component):
             return
         since = self._effort.start()
         speed, turn = self._best(pose, seen, since)
-        now = self.clock.now()
-        # Before the first path nothing is driven by, and no age matters.
-        if len(self._path.points) > 0:
-            self.measure("pose_age", now - pose.stamp)
-            self.measure("map_age", now - seen.stamp)
-        if now - min(pose.stamp, seen.stamp) > BLIND:
+        ages = self._age("pose", pose.stamp), self._age("map", seen.stamp)
+        if max(ages) > BLIND:
             speed = turn = 0.0
         self._wheels.send(pack_command(speed, turn))
 
@@ -64,6 +63,16 @@ class MotionController(Component):
 
     def cleanup(self) -> None:
         self._wheels.close()
+
+    def _age(self, what: str, stamp: Stamp) -> float:
+        """Return how old something is at most [s], on whatever computer it was made."""
+        since = self.clock.since(stamp)
+        if since is None:
+            return math.inf  # nobody knows how far that computer's clock is ahead
+        # Before the first path nothing is driven by, and no age matters.
+        if len(self._path.points) > 0:
+            self.measure(f"{what}_age", since.value)
+        return since.most
 
     def _best(self, pose: Pose, seen: Map, since: float) -> tuple[float, float]:
         """Return the best command found in the time there is."""

@@ -55,8 +55,7 @@ class PathPlanner(Component):
         since = self._effort.start()
         points = way(seen.cells, (pose.x, pose.y), self._goal)
         self._effort.spend(self._detours, since)
-        stamp = min(pose.stamp, seen.stamp)
-        self.path.publish(Path(stamp, points))
+        self.path.publish(Path(pose.stamp, points))
 
     def _detours(self, block: Block) -> float:
         """Return the shortest of 2048 ways through random points of the home."""

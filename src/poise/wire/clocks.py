@@ -1,0 +1,35 @@
+"""What computers tell each other of their clocks: small records, once a second."""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+
+class ClockAnswer(Struct, frozen=True, array_like=True):
+    """When a question came to a computer and when its answer left [s, on its clock]."""
+
+    computer: str
+    received: float
+    answered: float
+
+
+class ClockStatus(Struct, frozen=True, kw_only=True):
+    """Another computer's clock, as seen from one.
+
+    Parameters
+    ----------
+    offset
+        The other's clock minus this one [s].
+    error
+        It is surely not further off than this [s]: half of what the quickest ways there
+        and back left open, and what the clocks may have run apart since.
+    at
+        When that was so [s, on this clock].
+    trip
+        The quickest of the last round trips [s].
+    """
+
+    offset: float
+    error: float
+    at: float
+    trip: float
