@@ -105,10 +105,21 @@ class WiredPath:
 
 
 def receiving(
-    connector: str, target: Target, port: Port, limit: float, feed: Feed, grants: Grants
+    connector: str,
+    target: Target,
+    port: Port,
+    limit: float,
+    feed: Feed,
+    grants: Grants,
+    *,
+    at_once: bool,
 ) -> Handler:
-    """Return what a target does with the frames that come over pipes."""
+    """Return what a target does with the frames that come over pipes.
+
+    `at_once`: a thread that brings messages may work on them, too.
+    """
     counts = feed.counts
+    take = feed.run_or_put if at_once else feed.put
     known = methods(port.type) if port.kind == "provides" else {}
     tag, coder = message_tag(port.type), codec(port.type) if not known else _NOTHING
 
@@ -127,7 +138,7 @@ def receiving(
             grants.came(received)
             wanted = coder if received.tag == tag and not known else None
             value = received.value(wanted or _known(method, port).arguments)
-            feed.put((received.tag, value))
+            take((received.tag, value))
         except WireError as error:
             counts.refuse(error)
             log.warning("connector %s: refused: %s", connector, error)
