@@ -76,6 +76,7 @@ class WiredPath:
     def function(self, method: Method, outlet: Outlet) -> Callable[..., Any]:
         """Return a function that calls a method in another container."""
         pipe, limit, counts = self._pipe, self._limit, outlet.counts
+        name = outlet.name
         bind, arguments, tag = method.bind, method.arguments, method.tag
 
         def call(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401, the method's own
@@ -85,7 +86,7 @@ class WiredPath:
             pieces = segments(arguments, values, Kind.CALL, tag=tag, chain=chain)
             answer = None
             try:
-                with away(chain):
+                with away(chain, limit, name):
                     answer = _ask(pipe, pieces, limit)
                 if answer is not None:
                     result = _result(answer, method)
