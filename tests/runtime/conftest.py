@@ -63,6 +63,7 @@ class Pair:
     def __init__(self, kind: ConnectorKind, folder: Path, agent: str) -> None:
         self.kind = kind
         self.news = News()
+        self.transports: dict[str, Transports] = {}
         self.runners: dict[tuple[str, int], Runner] = {}
         self._specs: tuple[ConnectorSpec, ...] = ()
         self._closing = ExitStack()
@@ -90,13 +91,19 @@ class Pair:
         assert isinstance(component, implementation)
         return component
 
-    def join(self, port: str, other: str = "", *, limit: float = LIMIT) -> None:
+    def join(
+        self, port: str, other: str = "", *, limit: float = LIMIT
+    ) -> ConnectorSpec:
         """Join a port of ``source`` to one of ``target``."""
         self._specs += (self._spec("source", port, "target", other or port, limit),)
+        return self._specs[-1]
 
-    def join_back(self, port: str, other: str) -> None:
+    def join_back(
+        self, port: str, other: str, *, limit: float = LIMIT
+    ) -> ConnectorSpec:
         """Join a port of ``target`` to one of ``source``."""
-        self._specs += (self._spec("target", port, "source", other, LIMIT),)
+        self._specs += (self._spec("target", port, "source", other, limit),)
+        return self._specs[-1]
 
     def activate(self) -> None:
         """Open all connectors, wait until they are joined, and make both active."""
@@ -147,7 +154,7 @@ class Pair:
             agent=self._agent,
             socket=str(socket_path(self._folder, name)),
         )
-        transports = Transports(place)
+        transports = self.transports[name] = Transports(place)
         wiring = Wiring(transports)
         self._closing.callback(transports.close)
         self._closing.callback(wiring.close)

@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 
 from poise import Component, Message, Provided, Published, Required, oneway, subscribed
 from poise.errors import CalleeError, Timeout, Unavailable
+from poise.runtime.connectors.interface import methods
+from poise.runtime.turn import new_chain
 from poise.wire.codec import WireError
+from poise.wire.frame import FAILURE, Frame, Kind, segments
 from poise.wire.messages import ConnectorStatus
 
 from .conftest import LIMIT, Pair, every_kind, wait_until
@@ -334,6 +337,63 @@ def _answers(source: Source) -> bool:
         return source.sums.add(1, 2) == 3
     except Timeout:
         return False
+
+
+class Slow(Protocol):
+    def call_back(self) -> None: ...
+
+
+class Back(Protocol):
+    def back(self) -> None: ...
+
+
+class Caller(Component):
+    slow: Required[Slow]
+    home: Provided[Back]
+
+    def configure(self) -> None:
+        self.num_back = 0
+
+    def back(self) -> None:
+        self.num_back += 1
+
+
+@pytest.mark.parametrize("pair", ["local", "remote"], indirect=True)
+def test_what_comes_back_late_does_not_enter_beside_its_caller(pair: Pair) -> None:
+    """The test is the other container: it answers late, and calls back before."""
+    caller = pair.run("source", Caller)
+    there, back = (
+        pair.join("slow", limit=0.1),
+        pair.join_back("home", "home", limit=0.1),
+    )
+    chains, go_on = list[int](), threading.Event()
+
+    def call_back(received: Frame) -> None:
+        chains.append(received.chain)
+        assert go_on.wait(LIMIT)
+
+    other = pair.transports["target"]
+    other.server(pair.kind).open(there.key, call_back)
+    pair.activate()
+    turn = pair.runners["source", 0].turn
+    turn.enter(new_chain(), LIMIT)
+    with pytest.raises(Timeout):
+        caller.slow.call_back()
+    (chain,) = chains
+    (method,) = methods(Back).values()
+    pieces = segments(method.arguments, (), Kind.CALL, tag=method.tag, chain=chain)
+    pipe = (
+        other.local_pipe(back.key, "source")
+        if pair.kind == "local"
+        else other.remote_pipe(back.key, LIMIT)
+    )
+    wait_until(pipe.is_ready)
+    answer = pipe.request(pieces, LIMIT)
+    assert answer.value(FAILURE)[0] == "Timeout"
+    assert caller.num_back == 0
+    go_on.set()
+    turn.leave()
+    pipe.close()
 
 
 class Ping(Protocol):

@@ -140,8 +140,8 @@ def subscribed(*, keep: int = 0, block: int = 0) -> Callable[[F], F]:
         are there. From another container it may have to wait until half of them were
         taken. A message that waited for the connector's time limit is dropped.
 
-    The method is called on the component's thread, once per message, in the order of
-    publication per publisher.
+    The method is called once per message, in the order of publication per publisher,
+    while nothing else of the component runs.
     """
     if keep and block:
         msg = f"subscribed(keep={keep}, block={block}): give one of them, not both"

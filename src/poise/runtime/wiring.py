@@ -278,9 +278,18 @@ class Wiring:
         open_pipe = partial(self._transports.grant_pipe, spec.kind)
         grants = Grants(feed, ends.counts, open_pipe)
         ends.closing.callback(grants.close)
-        handler = receiving(spec.name, target.ends, port, spec.limit, feed, grants)
+        handler = receiving(
+            spec.name,
+            target.ends,
+            port,
+            spec.limit,
+            feed,
+            grants,
+            # a socket that is not read would keep its publisher waiting
+            at_once=spec.kind == "remote",
+        )
         server = self._transports.server(spec.kind)
-        server.open(spec.key, handler, ends.counts.refuse)
+        server.open(spec.key, handler, ends.counts.refuse, feed.most)
         ends.closing.callback(server.shut, spec.key)
 
     def _pipe(self, spec: ConnectorSpec) -> Pipe:

@@ -26,7 +26,15 @@ from poise.wire import frame, stream
 from poise.wire.codec import WireError, codec
 from poise.wire.frame import Frame, Kind
 from poise.wire.link import Link
-from poise.wire.pipe import LAST_LIMIT, Closed, Handler, Pieces, Refused, ignore
+from poise.wire.pipe import (
+    LAST_LIMIT,
+    MOST_UNREAD,
+    Closed,
+    Handler,
+    Pieces,
+    Refused,
+    ignore,
+)
 
 log = logging.getLogger(__name__)
 
@@ -234,7 +242,13 @@ class LocalServer:
         self._listener.listen(64)
         threading.Thread(target=self._accept, name="accept", daemon=True).start()
 
-    def open(self, connector: str, handler: Handler, refused: Refused = ignore) -> None:
+    def open(
+        self,
+        connector: str,
+        handler: Handler,
+        refused: Refused = ignore,
+        most: int = MOST_UNREAD,  # noqa: ARG002, the socket keeps what is not read
+    ) -> None:
         """Receive the frames of `connector` from now on."""
         self._refused[connector] = refused
         self._handlers[connector] = handler

@@ -15,6 +15,10 @@ LAST_LIMIT = 0.5
 """An end that closes lets the calls under way be answered for so long [s]."""
 
 
+MOST_UNREAD = 64
+"""So many messages are kept for a handler that is busy, unless it asks for more."""
+
+
 class Closed(Unavailable):
     """The pipe was closed here before anything was sent."""
 
@@ -74,10 +78,18 @@ class Pipe(Protocol):
 class Server(Protocol):
     """Where the receiving ends of connectors are opened."""
 
-    def open(self, connector: str, handler: Handler, refused: Refused = ignore) -> None:
+    def open(
+        self,
+        connector: str,
+        handler: Handler,
+        refused: Refused = ignore,
+        most: int = MOST_UNREAD,
+    ) -> None:
         """Receive the frames of `connector` from now on.
 
         What is no frame is logged, answered with an error, and told to `refused`.
+        While the handler is busy with one message at least the last `most` are kept;
+        whether more are, and whether the sender waits, is the transport's matter.
         """
         ...
 

@@ -76,6 +76,7 @@ class WiredPath:
     def function(self, method: Method, outlet: Outlet) -> Callable[..., Any]:
         """Return a function that calls a method in another container."""
         pipe, limit, counts = self._pipe, self._limit, outlet.counts
+        name = outlet.name
         bind, arguments, tag = method.bind, method.arguments, method.tag
 
         def call(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401, the method's own
@@ -85,7 +86,7 @@ class WiredPath:
             pieces = segments(arguments, values, Kind.CALL, tag=tag, chain=chain)
             answer = None
             try:
-                with away(chain):
+                with away(chain, limit, name):
                     answer = _ask(pipe, pieces, limit)
                 if answer is not None:
                     result = _result(answer, method)
@@ -105,10 +106,21 @@ class WiredPath:
 
 
 def receiving(
-    connector: str, target: Target, port: Port, limit: float, feed: Feed, grants: Grants
+    connector: str,
+    target: Target,
+    port: Port,
+    limit: float,
+    feed: Feed,
+    grants: Grants,
+    *,
+    at_once: bool,
 ) -> Handler:
-    """Return what a target does with the frames that come over pipes."""
+    """Return what a target does with the frames that come over pipes.
+
+    `at_once`: a thread that brings messages may work on them, too.
+    """
     counts = feed.counts
+    take = feed.run_or_put if at_once else feed.put
     known = methods(port.type) if port.kind == "provides" else {}
     tag, coder = message_tag(port.type), codec(port.type) if not known else _NOTHING
 
@@ -127,7 +139,7 @@ def receiving(
             grants.came(received)
             wanted = coder if received.tag == tag and not known else None
             value = received.value(wanted or _known(method, port).arguments)
-            feed.put((received.tag, value))
+            take((received.tag, value))
         except WireError as error:
             counts.refuse(error)
             log.warning("connector %s: refused: %s", connector, error)
