@@ -63,6 +63,7 @@ def test_says_where_demands_are_from_and_what_is_missing(robot: Robot) -> None:
     found = profiled(robot)
     assert found.says == (
         "demands from profile.yaml, measured today on 'a'",
+        "overheads are MB/s: `poise calibrate` measures what connectors cost",
         "no demand is known of: ear",
     )
     eye, ear = found.robot.components()

@@ -4,6 +4,7 @@ from poise.estimate.profile import (
     ComponentProfile,
     ConnectorProfile,
     Costs,
+    KindCosts,
     Profile,
     TimerProfile,
 )
@@ -65,5 +66,14 @@ def profile() -> Profile:
             ),
         },
         connectors={str(JOINED): ConnectorProfile(messages=10.0, size=1000.0)},
-        costs={"remote": Costs(message=1e-4, byte=1e-8)},
+        costs={
+            "direct": KindCosts(source=Costs(message=2e-5)),
+            "local": KindCosts(
+                source=Costs(message=3e-5), target=Costs(message=2e-5, byte=1e-9)
+            ),
+            "remote": KindCosts(
+                source=Costs(call=3e-4, message=9e-5, byte=1e-8),
+                target=Costs(call=1e-4, message=3e-5, byte=1e-8),
+            ),
+        },
     )

@@ -27,3 +27,11 @@ def test_says_which_file_is_no_profile(text: str) -> None:
 def test_says_what_writes_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(RobotError, match="`poise profile` writes it"):
         profile_file.read(tmp_path / "none.yaml")
+
+
+def test_refuses_costs_of_an_older_kind(profile: Profile) -> None:
+    """They did not tell the ends apart; read as nothing, all overheads would be 0."""
+    text = profile_file.to_text(msgspec.structs.replace(profile, costs={}))
+    older = text.replace("costs: {}", "costs: {remote: {call: 1.0e-3}}")
+    with pytest.raises(RobotError, match="unknown field `call`"):
+        profile_file.from_text(older, "p.yaml")

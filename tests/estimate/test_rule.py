@@ -1,4 +1,5 @@
 import pytest
+from msgspec.structs import replace
 
 from poise.estimate.profile import Profile
 from poise.estimate.rule import missing, with_profile
@@ -24,7 +25,33 @@ def test_the_robot_file_wins(robot: Robot, profile: Profile) -> None:
 def test_fills_the_traffic_of_connectors(robot: Robot, profile: Profile) -> None:
     (connector,) = with_profile(robot, profile).all_connectors()
     assert (connector.rate, connector.message) == (10.0, 1000.0)
+    assert connector.cost == pytest.approx(0.12)  # see test_overhead
+
+
+def test_overheads_are_traffic_where_nobody_calibrated(
+    robot: Robot, profile: Profile
+) -> None:
+    (connector,) = with_profile(robot, replace(profile, costs={})).all_connectors()
+    assert connector.overhead is None
     assert connector.cost == pytest.approx(0.01)
+
+
+def declared(robot: Robot, **values: float) -> Robot:
+    """Return the robot with what its file says of its connector."""
+    (see,) = robot.architectures
+    joined = replace(see.connectors[0], **values)
+    return replace(robot, architectures=(replace(see, connectors=(joined,)),))
+
+
+def test_a_declared_overhead_wins(robot: Robot, profile: Profile) -> None:
+    (connector,) = with_profile(declared(robot, overhead=7.0), profile).all_connectors()
+    assert connector.cost == 7.0
+
+
+def test_a_declared_rate_counts_in_the_overhead(robot: Robot, profile: Profile) -> None:
+    """20 messages of 1000 B a second: twice as many as were measured."""
+    (connector,) = with_profile(declared(robot, rate=20.0), profile).all_connectors()
+    assert connector.cost == pytest.approx(0.24)
 
 
 def test_names_what_nobody_knows(robot: Robot, profile: Profile) -> None:

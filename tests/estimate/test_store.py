@@ -29,3 +29,14 @@ def test_a_version_is_of_all_components(profile: Profile) -> None:
         replace(profile, components=changed)
     )
     assert version_of_all(profile) == version_of_all(replace(profile, at="later"))
+
+
+def test_keeps_what_connectors_cost(tmp_path: Path, profile: Profile) -> None:
+    path = tmp_path / "profiles.sqlite"
+    with Store(path) as store:
+        assert store.latest_costs("r") == {}
+        store.add_costs("r", {})
+        store.add_costs("r", profile.costs)
+        store.add_costs("another", {})
+    with Store(path) as store:
+        assert store.latest_costs("r") == profile.costs

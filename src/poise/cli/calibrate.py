@@ -12,18 +12,18 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from poise.cli.calibration_robots import EMPTY, PAIRS, SIZES, Pair, pairs, yardsticks
+from poise.cli.calibration_costs import costs_of
+from poise.cli.calibration_robots import pairs, yardsticks
 from poise.cli.launch import Up, Watching, checked, running
 from poise.cli.options import parse_option
-from poise.cli.profiles import read_profile
+from poise.cli.profiles import read_profile, store_of
 from poise.errors import RunError, UsageError
 from poise.estimate import profile_file
-from poise.estimate.profile import Costs
+from poise.estimate.profile import KindCosts
 from poise.manage.journal import Journal
 from poise.manage.recording import Recording
-from poise.model.robot import Robot
+from poise.model.robot import Computer, Robot
 from poise.units import SECONDS
-from poise.wire.samples import AgentSample, ContainerSample
 
 _WARM_UP = 1.0
 
@@ -42,7 +42,7 @@ def calibrate_command(
 
     Speeds are relative to the reference computer's, for `speed` in the robot file. An
     emulated computer is as fast as this machine while it runs. What connectors cost
-    goes into the profile, where the overhead of being apart is derived from it.
+    goes into the profile: the planner's overhead of being apart is derived from it.
 
     Example: poise calibrate robot.yaml
     """
@@ -52,9 +52,11 @@ def calibrate_command(
     console.print(_speeds(robot, reference or robot.computers[0].name, seconds))
     costs = _costs(robot, seconds)
     console.print(_cost_table(costs))
+    with store_of(robot) as store:
+        store.add_costs(robot.name, costs)
     profile = read_profile(robot)
     if profile is None:
-        console.print("not kept: there is no profile yet; `poise profile` makes it")
+        console.print("kept in the store: `poise profile` takes it from there")
         return
     path = Path(robot.folder) / robot.profile
     path.write_text(
@@ -89,10 +91,10 @@ def _speeds(robot: Robot, reference: str, seconds: float) -> Table:
     return table
 
 
-def _costs(robot: Robot, seconds: float) -> dict[str, Costs]:
-    """Return what connectors cost beyond direct ones; remote with two computers."""
-    here, there = robot.computers[0].name, robot.computers[-1].name
-    bare, placement = pairs(robot, here, there)
+def _costs(robot: Robot, seconds: float) -> dict[str, KindCosts]:
+    """Return what connectors cost on the robot's first and last computer."""
+    here, there = robot.computers[0], robot.computers[-1]
+    bare, placement = pairs(robot, here.name, there.name)
     recording = Recording()
     with running(
         bare, placement, Journal(":memory:"), _silent, Watching(recording.add)
@@ -100,68 +102,28 @@ def _costs(robot: Robot, seconds: float) -> dict[str, Costs]:
         _watch(up, _WARM_UP)
         recording.take()
         _watch(up, seconds)
-        found = _per_use(recording.take())
-    direct = _fitted(found, "direct")
-    kinds = ["local"] + (["remote"] if here != there else [])
-    return {kind: _beyond(_fitted(found, kind), direct) for kind in kinds}
+        samples = recording.take()
+    return costs_of(samples, {c.name: _speed(c) for c in robot.computers})
 
 
-def _per_use(samples: list[AgentSample]) -> dict[Pair, float]:
-    """Return the CPU time of one call or message of each pair, both ends [s]."""
-    first: dict[str, ContainerSample] = {}
-    last: dict[str, ContainerSample] = {}
-    for sample in samples:
-        for container in sample.containers:
-            first.setdefault(container.name, container)
-            last[container.name] = container
-    used = {n: last[n].cpu - first[n].cpu for n in last}
-    idle = used.get(EMPTY, 0.0)
-    found = {}
-    for pair in PAIRS:
-        source = pair.containers[0]
-        if source not in last:
-            raise RunError(f"container '{source}' told nothing; try again")
-        uses = _uses(last[source]) - _uses(first[source])
-        spent = sum(used[name] - idle for name in pair.containers)
-        found[pair] = max(0.0, spent) / max(uses, 1)
-    return found
+def _speed(computer: Computer) -> float:
+    """Return what turns CPU time into the reference computer's."""
+    return computer.speed if computer.address else 1.0
 
 
-def _uses(sample: ContainerSample) -> int:
-    return sum(each.calls + each.messages for each in sample.connectors)
-
-
-def _fitted(found: Mapping[Pair, float], kind: str) -> Costs:
-    """Return the line through small and large; both directions' bytes are alike."""
-    small, large = SIZES
-    calls = [found[Pair(kind, "call", size)] for size in SIZES]
-    messages = [found[Pair(kind, "message", size)] for size in SIZES]
-    slopes = [(b - a) / (large - small) for a, b in (calls, messages)]
-    byte = max(0.0, sum(slopes) / len(slopes))
-    return Costs(
-        call=max(0.0, calls[0] - small * byte),
-        message=max(0.0, messages[0] - small * byte),
-        byte=byte,
-    )
-
-
-def _beyond(costs: Costs, direct: Costs) -> Costs:
-    return Costs(
-        call=max(0.0, costs.call - direct.call),
-        message=max(0.0, costs.message - direct.message),
-        byte=max(0.0, costs.byte - direct.byte),
-    )
-
-
-def _cost_table(costs: Mapping[str, Costs]) -> Table:
-    table = Table("connector", "per call", "per message", "per kB")
-    for kind, cost in costs.items():
-        table.add_row(
-            kind,
-            f"{cost.call * 1e6:.0f} µs",
-            f"{cost.message * 1e6:.0f} µs",
-            f"{cost.byte * 1e9:.2f} µs",
-        )
+def _cost_table(costs: Mapping[str, KindCosts]) -> Table:
+    table = Table("connector", "end", "per call", "per message", "per kB")
+    for kind, both in costs.items():
+        for end, cost in (("source", both.source), ("target", both.target)):
+            if kind == "direct" and end == "target":
+                continue  # in the same process as the source
+            table.add_row(
+                kind,
+                "both" if kind == "direct" else end,
+                f"{cost.call * 1e6:.0f} µs",
+                f"{cost.message * 1e6:.0f} µs",
+                f"{cost.byte * 1e9:.2f} µs",
+            )
     return table
 
 

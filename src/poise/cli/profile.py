@@ -85,6 +85,9 @@ def profile_command(
     found = [session.measure(name) for name in names]
     profile = _merged(session.profile(found), read_profile(robot), robot)
     with store_of(robot) as store:
+        if not profile.costs:
+            costs = store.latest_costs(robot.name)
+            profile = msgspec.structs.replace(profile, costs=costs)
         store.add(profile)
     where = _write(robot, profile)
     _print(robot, profile, console, as_json=as_json)

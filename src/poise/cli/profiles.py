@@ -64,6 +64,11 @@ def profiled(robot: Robot) -> Profiled:
     says = [
         f"demands from {robot.profile}, measured {profile.at} on '{profile.computer}'"
     ]
+    says.append(
+        "overheads from what connectors cost here"
+        if profile.costs
+        else "overheads are MB/s: `poise calibrate` measures what connectors cost"
+    )
     gaps = missing(robot, profile)
     if gaps:
         says.append(f"no demand is known of: {_some(gaps)}")

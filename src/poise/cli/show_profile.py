@@ -20,7 +20,7 @@ def show_profile(robot: Robot, profile: Profile, console: Console) -> None:
     )
     console.print(_components(robot, profile))
     console.print(_timers(profile))
-    console.print(_connectors(profile))
+    console.print(_connectors(robot, profile))
 
 
 def _components(robot: Robot, profile: Profile) -> Table:
@@ -67,9 +67,11 @@ def _timers(profile: Profile) -> Table:
     return table
 
 
-def _connectors(profile: Profile) -> Table:
-    table = Table("connector", "calls", "messages", "size", "traffic", "overhead")
-    relative = overheads(profile)
+def _connectors(robot: Robot, profile: Profile) -> Table:
+    unit = "0.01 cores" if profile.costs else "MB/s"
+    table = Table("connector", "calls", "messages", "size", "traffic")
+    table.add_column(f"overhead [{unit}]".replace("[", r"\["))
+    relative = overheads(robot, profile)
     for name, found in profile.connectors.items():
         table.add_row(
             name,
@@ -77,6 +79,6 @@ def _connectors(profile: Profile) -> Table:
             format_rate(found.messages) if found.messages else "",
             format_bytes(found.size),
             f"{format_bytes(found.traffic)}/s",
-            f"{relative[name]:.3g}",
+            f"{relative.get(name, 0.0):.3g}",
         )
     return table

@@ -1,10 +1,11 @@
-"""What each computer will use under a placement, and what connectors cost apart."""
+"""What each computer will use under a placement."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
-from poise.estimate.profile import ConnectorProfile, Costs, Profile
+from poise.estimate.overhead import apart, kinds_together, overhead_of
+from poise.estimate.profile import Profile
 from poise.model.robot import Robot
 
 Placement = Mapping[str, str]
@@ -15,8 +16,8 @@ def predicted_cpu(
 ) -> dict[str, float]:
     """Return what each computer is expected to use [cores of the reference computer].
 
-    The means of its components and their parts of their containers, its agent, and half
-    the cost of every connector whose other end is elsewhere.
+    The means of its components and their parts of their containers, its agent, and what
+    its ends of connectors use more because the other end is elsewhere.
 
     Parameters
     ----------
@@ -28,31 +29,22 @@ def predicted_cpu(
         known = profile.components.get(component)
         if known is not None:
             used[computer] += known.cpu.mean + known.share
-    remote = profile.costs.get("remote", Costs())
-    for source, target, traffic in _apart(robot, placement, profile):
-        for computer in (source, target):
-            used[computer] += remote.load(traffic) / 2
+    kinds = kinds_together(robot)
+    for connector in robot.all_connectors():
+        source, target = (placement.get(end.component) for end in connector.between)
+        traffic = profile.connectors.get(str(connector))
+        if traffic and source and target and source != target:
+            more = apart(traffic, kinds[str(connector)], profile.costs)
+            used[source] += more.source
+            used[target] += more.target
     return used
 
 
-def overheads(profile: Profile) -> dict[str, float]:
-    """Return the relative overhead of each connector (the paper's matrix).
-
-    What it would cost both computers if its ends were apart, in hundredths of a core.
-    Without measured costs: its traffic [MB/s].
-    """
-    remote = profile.costs.get("remote")
+def overheads(robot: Robot, profile: Profile) -> dict[str, float]:
+    """Return the relative overhead of each connector that was measured (`overhead`)."""
+    kinds = kinds_together(robot)
     return {
-        name: each.traffic / 1e6 if remote is None else 100 * remote.load(each)
+        name: overhead_of(each, kinds[name], profile.costs)
         for name, each in profile.connectors.items()
+        if name in kinds
     }
-
-
-def _apart(
-    robot: Robot, placement: Placement, profile: Profile
-) -> Iterator[tuple[str, str, ConnectorProfile]]:
-    for connector in robot.all_connectors():
-        ends = [placement.get(end.component) for end in connector.between]
-        traffic = profile.connectors.get(str(connector))
-        if traffic and ends[0] and ends[1] and ends[0] != ends[1]:
-            yield ends[0], ends[1], traffic

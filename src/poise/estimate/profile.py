@@ -88,7 +88,7 @@ class ConnectorProfile(Struct, frozen=True, kw_only=True):
 
 
 class Costs(Struct, frozen=True, kw_only=True):
-    """What a kind of connector costs, both ends together, beyond a direct one.
+    """What one end of a connector costs its computer.
 
     `call` and `message` in CPU time each [s], `byte` in CPU time per byte [s/byte].
     """
@@ -98,12 +98,26 @@ class Costs(Struct, frozen=True, kw_only=True):
     byte: float = 0.0
 
     def load(self, connector: ConnectorProfile) -> float:
-        """Return what the connector costs when it is of this kind [cores]."""
+        """Return what this end uses for what goes over the connector [cores]."""
         return (
             self.call * connector.calls
             + self.message * connector.messages
             + self.byte * connector.traffic
         )
+
+
+class KindCosts(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What connectors of one kind cost, at the source's end and at the target's.
+
+    Both ends of a direct one are in one process: all counts for its source.
+    """
+
+    source: Costs = Costs()
+    target: Costs = Costs()
+
+    def load(self, connector: ConnectorProfile) -> float:
+        """Return what both ends use together [cores]."""
+        return self.source.load(connector) + self.target.load(connector)
 
 
 class Profile(Struct, frozen=True, kw_only=True):
@@ -120,7 +134,8 @@ class Profile(Struct, frozen=True, kw_only=True):
     agent
         CPU of an agent [cores of the reference computer].
     costs
-        ``local`` and ``remote`` -> what such connectors cost.
+        ``direct``, ``local`` and ``remote`` -> what such connectors cost, as `poise
+        calibrate` measured it; empty: it did not.
     """
 
     robot: str
@@ -132,4 +147,4 @@ class Profile(Struct, frozen=True, kw_only=True):
     agent: float = 0.0
     components: Mapping[str, ComponentProfile] = {}
     connectors: Mapping[str, ConnectorProfile] = {}
-    costs: Mapping[str, Costs] = {}
+    costs: Mapping[str, KindCosts] = {}

@@ -2,16 +2,18 @@
 
 The rule: a component demands what it needs over two seconds in 95 of 100 cases, plus
 its part of its container, plus a twentieth; of memory the most that it ever held, plus
-its part of its container, plus a tenth. What the robot file says itself always wins: a
-person may know more than a measurement.
+its part of its container, plus a tenth. A connector's overhead is what being apart
+costs, once that was measured (`poise.estimate.overhead`). What the robot file says
+itself always wins: a person may know more than a measurement.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import msgspec
 
+from poise.estimate.overhead import declared, kinds_together, overhead_of
 from poise.estimate.profile import ComponentProfile, ConnectorProfile, Profile
 from poise.estimate.running import Estimate
 from poise.model.robot import Component, Connector, Robot
@@ -51,6 +53,11 @@ def shifted_cpu_demand(
 
 def with_profile(robot: Robot, profile: Profile) -> Robot:
     """Return `robot` with the demands and traffic that its file leaves open."""
+    kinds = kinds_together(robot)
+
+    def filled(connectors: Iterable[Connector]) -> tuple[Connector, ...]:
+        return tuple(_connector(each, profile, kinds[str(each)]) for each in connectors)
+
     return msgspec.structs.replace(
         robot,
         architectures=tuple(
@@ -60,11 +67,11 @@ def with_profile(robot: Robot, profile: Profile) -> Robot:
                     _component(c, profile.components.get(c.name))
                     for c in architecture.components
                 ),
-                connectors=_connectors(architecture.connectors, profile.connectors),
+                connectors=filled(architecture.connectors),
             )
             for architecture in robot.architectures
         ),
-        connectors=_connectors(robot.connectors, profile.connectors),
+        connectors=filled(robot.connectors),
     )
 
 
@@ -89,17 +96,15 @@ def _component(component: Component, profile: ComponentProfile | None) -> Compon
     )
 
 
-def _connectors(
-    connectors: Iterable[Connector], profiles: Mapping[str, ConnectorProfile]
-) -> tuple[Connector, ...]:
-    return tuple(_connector(each, profiles.get(str(each))) for each in connectors)
-
-
-def _connector(connector: Connector, profile: ConnectorProfile | None) -> Connector:
-    if profile is None or connector.overhead is not None:
-        return connector
-    return msgspec.structs.replace(
-        connector,
-        message=connector.message or profile.size,
-        rate=connector.rate or profile.rate,
-    )
+def _connector(connector: Connector, profile: Profile, kind: str) -> Connector:
+    """Return a connector with its traffic, and its overhead if costs were measured."""
+    known = profile.connectors.get(str(connector), ConnectorProfile())
+    rate, message = connector.rate or known.rate, connector.message or known.size
+    filled = msgspec.structs.replace(connector, message=message, rate=rate)
+    if connector.overhead is not None or not profile.costs:
+        return filled
+    used = declared(filled)
+    if (rate, message) == (known.rate, known.size):
+        used = known
+    overhead = overhead_of(used, kind, profile.costs)
+    return msgspec.structs.replace(filled, overhead=overhead)

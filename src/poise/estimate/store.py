@@ -1,15 +1,16 @@
-"""All profiles that were ever measured, in an SQLite file beside the robot file."""
+"""All that was ever measured of a robot, in an SQLite file beside the robot file."""
 
 from __future__ import annotations
 
 import hashlib
 import sqlite3
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Self
 
 import msgspec
 
-from poise.estimate.profile import Profile
+from poise.estimate.profile import KindCosts, Profile
 
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS profiles (
@@ -20,12 +21,18 @@ CREATE TABLE IF NOT EXISTS profiles (
     version TEXT NOT NULL,  -- of all implementations together
     at TEXT NOT NULL,
     profile TEXT NOT NULL   -- JSON
+);
+CREATE TABLE IF NOT EXISTS calibrations (
+    id INTEGER PRIMARY KEY,
+    robot TEXT NOT NULL,
+    at TEXT NOT NULL,
+    costs TEXT NOT NULL     -- JSON: kind of connector -> KindCosts
 )
 """
 
 
 class Store:
-    """Profiles by robot, computer, version of Poise and version of the code.
+    """Profiles by robot, computer, version of Poise and of the code; and calibrations.
 
     Parameters
     ----------
@@ -36,7 +43,7 @@ class Store:
     def __init__(self, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         self._database = sqlite3.connect(path, isolation_level=None, timeout=1.0)
-        self._database.execute(_SCHEMA)
+        self._database.executescript(_SCHEMA)
 
     def __enter__(self) -> Self:
         return self
@@ -72,6 +79,22 @@ class Store:
             if computer in (None, profile.computer):
                 return profile
         return None
+
+    def add_costs(self, robot: str, costs: Mapping[str, KindCosts]) -> None:
+        """Keep what connectors cost on a robot's computers; older ones stay."""
+        self._database.execute(
+            "INSERT INTO calibrations (robot, at, costs)"
+            " VALUES (?, datetime('now'), ?)",
+            (robot, msgspec.json.encode(costs).decode()),
+        )
+
+    def latest_costs(self, robot: str) -> dict[str, KindCosts]:
+        """Return what connectors cost by the last calibration; empty: there is none."""
+        row = self._database.execute(
+            "SELECT costs FROM calibrations WHERE robot = ? ORDER BY id DESC LIMIT 1",
+            (robot,),
+        ).fetchone()
+        return msgspec.json.decode(row[0], type=dict[str, KindCosts]) if row else {}
 
 
 def version_of_all(profile: Profile) -> str:

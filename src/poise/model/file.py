@@ -201,7 +201,10 @@ class Connector(Section, frozen=True, kw_only=True):
     ]
     overhead: Annotated[
         Amount | None,
-        _says("Relative overhead when its ends are apart; without it, its MB/s."),
+        _says(
+            "Relative overhead when its ends are apart. Without it: hundredths of a "
+            "core that being apart costs, once `poise calibrate` was run, else MB/s."
+        ),
     ] = None
     message: Annotated[
         Bytes, _says("Size of one message or call, both ways together: 1.5 kB.")

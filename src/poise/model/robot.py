@@ -147,8 +147,9 @@ class Connector(Struct, frozen=True, kw_only=True):
     Parameters
     ----------
     overhead
-        Relative overhead when its ends are on different computers; None: take the
-        traffic in MB/s (the paper's "system-dependent value").
+        Relative overhead when its ends are on different computers; a profile with
+        costs fills it (`poise.estimate.overhead`). None: take the traffic in MB/s
+        (the paper's "system-dependent value").
     message
         Size of one message or call, both ways together [bytes].
     rate

@@ -1,0 +1,91 @@
+"""What it costs that the ends of a connector are on different computers.
+
+::
+
+    overhead = 100 * (load(remote) - load(together))           [hundredths of a core]
+    load(kind) = call * calls/s + message * messages/s + byte * bytes/s       [cores]
+
+`call` and `message` [s] and `byte` [s/byte] are CPU time of both ends, measured for
+each kind of connector on these computers (`poise calibrate`). `together` is the kind
+that the connector has when both ends are on one computer: direct within a container,
+local between two. So the matrix of overheads (paper, section III) is one of CPU that
+could be saved.
+
+Without measured costs there is only the traffic: overheads are then MB/s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from msgspec import Struct
+
+from poise.estimate.profile import ConnectorProfile, KindCosts
+from poise.model.robot import Component, Connector, Robot
+
+_HUNDREDTHS = 100
+_MEGABYTE = 1e6
+
+
+class Ends(Struct, frozen=True):
+    """What source and target of a connector use more when they are apart [cores]."""
+
+    source: float
+    target: float
+
+
+def overhead_of(
+    connector: ConnectorProfile, together: str, costs: Mapping[str, KindCosts]
+) -> float:
+    """Return the relative overhead of a connector, as said above; >= 0.
+
+    Parameters
+    ----------
+    together
+        Its kind when both ends are on one computer: ``direct`` or ``local``.
+    costs
+        Kind -> what it costs; without ``remote``: the traffic [MB/s].
+    """
+    if "remote" not in costs:
+        return connector.traffic / _MEGABYTE
+    ends = apart(connector, together, costs)
+    return _HUNDREDTHS * (ends.source + ends.target)
+
+
+def apart(
+    connector: ConnectorProfile, together: str, costs: Mapping[str, KindCosts]
+) -> Ends:
+    """Return what each end uses more than together; the sum is what was measured.
+
+    Nobody sees from outside which end of a direct connector uses what, so the surplus
+    is divided as a remote one's use is.
+    """
+    remote = costs.get("remote", KindCosts())
+    used = remote.load(connector)
+    surplus = max(0.0, used - costs.get(together, KindCosts()).load(connector))
+    share = remote.source.load(connector) / used if used else 0.0
+    return Ends(surplus * share, surplus * (1 - share))
+
+
+def kinds_together(robot: Robot) -> dict[str, str]:
+    """Return connector -> its kind when both ends are on one computer.
+
+    The components of one architecture share a container, unless one is isolated or a
+    command.
+    """
+    found = {str(connector): "local" for connector in robot.connectors}
+    for architecture in robot.architectures:
+        alone = {c.name for c in architecture.components if _is_alone(c)}
+        for connector in architecture.connectors:
+            ends = {end.component for end in connector.between}
+            found[str(connector)] = "local" if ends & alone else "direct"
+    return found
+
+
+def declared(connector: Connector) -> ConnectorProfile:
+    """Return what the robot file says of a connector; it does not tell calls apart."""
+    return ConnectorProfile(messages=connector.rate, size=connector.message)
+
+
+def _is_alone(component: Component) -> bool:
+    return component.isolated or bool(component.command)
