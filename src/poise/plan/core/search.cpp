@@ -4,6 +4,7 @@
 
 #include "fleet.h"
 #include "fluid.h"
+#include "pack.h"
 
 namespace poise {
 namespace {
@@ -15,28 +16,6 @@ constexpr int kManyUnits = 400;
 // How hot each cooling begins, in mean changes of F: the first keeps much of where it
 // starts, the others come back when climbing leads no further. Found by trial.
 constexpr double kHeats[4] = {0.2, 0.5, 1.0, 2.0};
-
-// Somewhere to begin when the greedy has come to a dead end: each unit where it is
-// allowed and least is used.
-Placement any_placement(const Problem& p) {
-  Placement placed(p.n, 0);
-  std::vector<double> used(p.m, 0.0);
-  for (const std::int32_t unit : p.order) {
-    int best = -1;
-    for (int h = 0; h < p.m; ++h) {
-      if (p.allowed(unit, h) && (best < 0 || used[h] < used[best])) best = h;
-    }
-    if (best < 0) return {};
-    placed[unit] = best;
-    double share = 0;
-    for (int k = 0; k < p.r; ++k) {
-      const double limit = p.capacity[k * p.m + best] - p.floor[k * p.m + best];
-      if (limit > 0) share = std::max(share, p.demand[unit * p.r + k] / limit);
-    }
-    used[best] += share;
-  }
-  return placed;
-}
 
 }  // namespace
 
@@ -93,14 +72,15 @@ Outcome search(const Problem& p, const Placement& known, Stop& stop, std::uint64
                         (start.empty() || terms(p, joined).total() < terms(p, start).total());
     if (better) start = std::move(joined);
   }
+  if (start.empty()) start = Pack(p, stop, random).run();
   if (static_cast<std::int64_t>(p.n) * p.m <= kLargestTable) {
     Search search(p, stop, seed);
-    search.offer(start);
-    if (start.empty()) start = any_placement(p);
     if (static_cast<int>(start.size()) == p.n) search.run(start);
     start = search.best();
-  } else if (!start.empty()) {
+  } else if (!start.empty() && feasible(p, start)) {
     refine(p, start, stop);
+  } else {
+    start.clear();
   }
   out.placed = start;
   out.bound = fluid_bound(p);
