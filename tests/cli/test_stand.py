@@ -13,6 +13,7 @@ from poise.model.robot import (
     Port,
     Robot,
     Simulator,
+    Workload,
 )
 
 
@@ -43,7 +44,7 @@ ROBOT = Robot(
         Connector(between=(End("mind", "words"), End("mouth", "words"))),
     ),
     simulator=Simulator(command=("world",)),
-    workload=Simulator(command=("work",)),
+    workload=Workload(command=("work",)),
 )
 
 
@@ -68,7 +69,7 @@ def test_others_are_as_large_as_all_together() -> None:
     here, others = robot.computers
     assert here == ROBOT.computer("main")
     assert others.capacity["cpu"] * others.speed == 1.0
-    assert robot.simulator == ROBOT.workload
+    assert robot.simulator == Simulator(command=("work",))
 
 
 def test_apart_each_has_a_container_and_one_is_empty() -> None:

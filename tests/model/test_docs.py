@@ -35,6 +35,8 @@ def test_the_example_is_a_right_robot_file(find: Find) -> None:
         (file.Action, "tasks"),
         (file.Objective, "objective"),
         (file.Simulator, "simulator"),
+        (file.Workload, "workload"),
+        (file.Generated, "workload"),
     ],
 )
 def test_every_key_is_described(section: type[msgspec.Struct], heading: str) -> None:

@@ -18,6 +18,7 @@ from msgspec import Struct
 from poise import plan
 from poise.cli.check import find_problems
 from poise.cli.computers import Computers, Say, computers_of
+from poise.cli.keeping import keeping
 from poise.cli.profiles import profiled
 from poise.cli.world import World, world_of
 from poise.clock import SystemClock
@@ -109,6 +110,7 @@ def run_task(
     seconds: float,
     say: Say,
     report: Path | None = None,
+    record: Path | None = None,
     meanwhile: Callable[[Run, float], None] | None = None,
 ) -> RunReport:
     """Run a task for `seconds` [s], or until the simulated world ends, and report.
@@ -119,6 +121,9 @@ def run_task(
         Called with a sentence at every step.
     report
         A folder for the journal; None: it is not kept.
+    record
+        A file for what is used and what is published between architectures; None: it
+        is not kept.
     meanwhile
         Called a few times a second with the run and its time so far [s]; may move
         components.
@@ -132,7 +137,11 @@ def run_task(
         journal = Journal(report / "journal.sqlite" if report else ":memory:")
         stack.callback(journal.close)
         journal.note("decided", f"task '{task}', {decision.kind} placement")
-        up = stack.enter_context(running(robot, decision.placement, journal, say))
+        kept = stack.enter_context(keeping(robot, decision.placement, record, say))
+        watching = Watching(kept.samples.add) if record else None
+        up = stack.enter_context(
+            running(kept.robot, kept.placement, journal, say, watching)
+        )
         say(f"running task '{task}' for up to {seconds:g} s")
         fleet, world = up.run.fleet, up.world
         up.computers.begin()

@@ -186,6 +186,7 @@ class _Session:
                 for c in self._robot.components()
             },
             speed=self._speed,
+            played=stand.played,
         )
         return figures(subject, runs, sizes)
 

@@ -29,11 +29,18 @@ def run_command(
     report: Annotated[
         Path | None, typer.Option(help="Folder for report.json and the journal.")
     ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(help="File for what is used, and what architectures publish."),
+    ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the report as JSON.")
     ] = False,
 ) -> None:
     """Run a task on the robot's computers; without addresses they are emulated.
+
+    A recording can be a `workload`, on which `poise profile` measures, and is read by
+    `poise recording`.
 
     Example: poise run robot.yaml --task fetch --for 20s
     """
@@ -51,6 +58,7 @@ def run_command(
             seconds=seconds,
             say=console.print,
             report=report,
+            record=record,
             meanwhile=show,
         )
     text = msgspec.json.format(msgspec.json.encode(result))

@@ -1,7 +1,8 @@
 """What runs where while one architecture is measured alone.
 
 Its components have a computer for themselves. What feeds them, or is called by them,
-runs with its own feeders on another, so that their inputs are the real ones.
+runs with its own feeders on another, so that their inputs are the real ones. Where the
+workload is recorded or made up, a player takes the places of those that feed it.
 """
 
 from __future__ import annotations
@@ -11,8 +12,16 @@ from collections.abc import Iterator, Mapping
 import msgspec
 from msgspec import Struct
 
+from poise.cli.played import Played, played
 from poise.errors import UsageError
-from poise.model.robot import Architecture, Component, Computer, Device, Robot
+from poise.model.robot import (
+    Architecture,
+    Component,
+    Computer,
+    Device,
+    Robot,
+    Simulator,
+)
 from poise.runtime.implementation import find
 from poise.runtime.ports import ports_of
 
@@ -30,6 +39,8 @@ class Stand(Struct, frozen=True):
         Where the architecture runs.
     measured, feeding
         Names of its components, and of the architectures that feed it.
+    played
+        Connectors of the robot -> those of the player in their places.
     """
 
     robot: Robot
@@ -37,6 +48,7 @@ class Stand(Struct, frozen=True):
     placement: Mapping[str, str]
     measured: tuple[str, ...]
     feeding: tuple[str, ...]
+    played: Mapping[str, str] = {}
 
 
 def stand_of(robot: Robot, architecture: str, computer: str, *, apart: bool) -> Stand:
@@ -59,20 +71,27 @@ def stand_of(robot: Robot, architecture: str, computer: str, *, apart: bool) -> 
     if computer not in {c.name for c in robot.computers}:
         known = ", ".join(c.name for c in robot.computers)
         raise UsageError(f"--on {computer}: the robot's computers are {known}")
-    feeding = _feeding(robot, chosen)
+    playing = played(robot)
+    feeding = _feeding(robot, chosen, playing)
     if apart:
         chosen = _apart(chosen)
     here = {c.name: computer for c in chosen.components}
     made = _emulated if _is_emulated(robot) else _real
     stand, elsewhere = made(robot, computer)
-    beside = {c.name: elsewhere for a in feeding for c in a.components}
-    placement = _held_by_devices(stand, {**here, **beside}, (chosen, *feeding))
+    others = feeding if not playing.parts else (*feeding, playing.player())
+    beside = {c.name: elsewhere for a in others for c in a.components}
+    placement = _held_by_devices(stand, {**here, **beside}, (chosen, *others))
     return Stand(
-        msgspec.structs.replace(stand, architectures=(chosen, *feeding)),
+        msgspec.structs.replace(
+            stand,
+            architectures=(chosen, *others),
+            connectors=playing.connectors(robot),
+        ),
         computer,
         placement,
         tuple(name for name in here if name != EMPTY),
         tuple(a.name for a in feeding),
+        playing.names(robot),
     )
 
 
@@ -100,15 +119,21 @@ def _emulated(robot: Robot, computer: str) -> tuple[Robot, str]:
         links=(),
         # one machine plays both, so its simulator reaches both
         devices=tuple(_at(device, computer) for device in robot.devices),
-        simulator=robot.workload or robot.simulator,
+        simulator=_simulator(robot),
     )
     return stand, OTHERS
 
 
 def _real(robot: Robot, computer: str) -> tuple[Robot, str]:
     names = [c.name for c in robot.computers if c.name != computer]
-    stand = msgspec.structs.replace(robot, simulator=robot.workload or robot.simulator)
+    stand = msgspec.structs.replace(robot, simulator=_simulator(robot))
     return stand, names[0] if names else computer
+
+
+def _simulator(robot: Robot) -> Simulator | None:
+    if robot.workload is not None and robot.workload.command:
+        return Simulator(command=robot.workload.command)
+    return robot.simulator
 
 
 def _at(device: Device, computer: str) -> Device:
@@ -143,23 +168,27 @@ def _apart(architecture: Architecture) -> Architecture:
     return msgspec.structs.replace(architecture, components=(*alone, empty))
 
 
-def _feeding(robot: Robot, chosen: Architecture) -> tuple[Architecture, ...]:
+def _feeding(
+    robot: Robot, chosen: Architecture, playing: Played
+) -> tuple[Architecture, ...]:
     """Return the architectures that feed `chosen`, and those that feed them."""
     owner = {c.name: a for a in robot.architectures for c in a.components}
     found = [chosen.name]
     for name in found:  # grows meanwhile
-        for other in _needed(robot, name, owner):
+        for other in _needed(robot, name, owner, playing):
             if other not in found:
                 found.append(other)
     return tuple(a for a in robot.architectures if a.name in found[1:])
 
 
 def _needed(
-    robot: Robot, name: str, owner: Mapping[str, Architecture]
+    robot: Robot, name: str, owner: Mapping[str, Architecture], playing: Played
 ) -> Iterator[str]:
     """Yield the architectures whose messages, calls or answers `name` needs."""
     for connector in robot.connectors:
         source, target = connector.between
+        if playing.covers(connector):
+            continue
         if owner[target.component].name == name:
             yield owner[source.component].name
         elif owner[source.component].name == name and source.port in _required(

@@ -35,6 +35,7 @@ from poise.manage.recording import Recording, save
 from poise.manage.run import Run
 from poise.manage.transit import transit
 from poise.model.robot import Robot
+from poise.wire.recorded import Recorded
 from poise.wire.samples import AgentSample
 
 _LOOK_EVERY = 0.2
@@ -77,7 +78,11 @@ def up_command(
         estimates = Estimates(robot, read_profile(robot), emulated=emulated)
         recording = Recording()
         if record is not None:
-            stack.callback(lambda: save(recording.take(), record))
+            stack.callback(
+                lambda: save(
+                    Recorded(robot=robot.name, samples=recording.take()), record
+                )
+            )
         seen = _Seen(estimates, recording if record else None, console)
         watching = Watching(seen.take)
         up = running(robot, decision.placement, book, console.print, watching)

@@ -53,6 +53,8 @@ class Subject(Struct, frozen=True, kw_only=True):
         Component -> fingerprint of what it is made of.
     speed
         What turns the computer's CPU time into the reference computer's.
+    played
+        Connectors of the robot -> those that took their places.
     """
 
     robot: Robot
@@ -61,6 +63,7 @@ class Subject(Struct, frozen=True, kw_only=True):
     empty: str
     versions: Mapping[str, str]
     speed: float
+    played: Mapping[str, str] = {}
 
 
 class Figures(Struct, frozen=True, kw_only=True):
@@ -108,7 +111,7 @@ def figures(subject: Subject, runs: Sequence[Observed], apart: Observed) -> Figu
         )
     return Figures(
         components=found,
-        connectors=dict(_connectors(subject.robot, names, typical, apart)),
+        connectors=dict(_connectors(subject, typical, apart)),
         agent=speed * typical.measured.agents.get(subject.computer, 0.0),
     )
 
@@ -208,13 +211,14 @@ def _timers(status: ComponentStatus | None) -> dict[str, TimerProfile]:
 
 
 def _connectors(
-    robot: Robot, names: Sequence[str], typical: Observed, apart: Observed
+    subject: Subject, typical: Observed, apart: Observed
 ) -> Iterator[tuple[str, ConnectorProfile]]:
     """Yield the connectors that end at `names`: rates as used, sizes as encoded."""
-    for connector in robot.all_connectors():
-        if connector.between[1].component not in names:
+    replaced = {old: new.replace(" -> ", "-") for old, new in subject.played.items()}
+    for connector in subject.robot.all_connectors():
+        if connector.between[1].component not in subject.names:
             continue
-        key = name_of(connector)
+        key = replaced.get(str(connector), name_of(connector))
         used = typical.measured.connectors.get(key)
         encoded = apart.measured.connectors.get(key)
         if used is not None:

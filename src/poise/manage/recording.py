@@ -9,6 +9,7 @@ from pathlib import Path
 import msgspec
 
 from poise.errors import UsageError
+from poise.wire.recorded import Recorded
 from poise.wire.samples import AgentSample
 
 MOST = 200_000
@@ -35,13 +36,13 @@ class Recording:
         return taken
 
 
-def save(samples: Iterable[AgentSample], path: Path) -> None:
-    """Write samples to a file that `load` reads."""
-    path.write_bytes(msgspec.msgpack.encode(list(samples)))
+def save(recorded: Recorded, path: Path) -> None:
+    """Write a recording to a file that `load` reads."""
+    path.write_bytes(msgspec.msgpack.encode(recorded))
 
 
-def load(path: Path) -> list[AgentSample]:
-    """Return the samples in a file, oldest first.
+def load(path: Path) -> Recorded:
+    """Return the recording in a file.
 
     Raises
     ------
@@ -49,7 +50,7 @@ def load(path: Path) -> list[AgentSample]:
         It cannot be read, or is no recording.
     """
     try:
-        return msgspec.msgpack.decode(path.read_bytes(), type=list[AgentSample])
+        return msgspec.msgpack.decode(path.read_bytes(), type=Recorded)
     except OSError as error:
         raise UsageError(f"recording {path} cannot be read: {error}") from error
     except msgspec.DecodeError as error:

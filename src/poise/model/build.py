@@ -31,7 +31,7 @@ def build(source: file.Robot, folder: str) -> robot.Robot:
         together=tuple(map(tuple, source.together)),
         apart=tuple(map(tuple, source.apart)),
         simulator=_simulator(source.simulator),
-        workload=_simulator(source.workload),
+        workload=_workload(source.workload),
         profile=source.profile or "",
         folder=folder,
     )
@@ -136,6 +136,27 @@ def _simulator(source: file.Simulator | None) -> robot.Simulator | None:
     if source is None:
         return None
     return robot.Simulator(command=_command(source.command))
+
+
+def _workload(source: file.Workload | None) -> robot.Workload | None:
+    if source is None:
+        return None
+    return robot.Workload(
+        command=_command(source.command),
+        recording=source.recording or "",
+        generate=tuple(
+            robot.Generated(
+                port=_end(port),
+                rate=each.rate,
+                arrivals=each.arrivals,
+                size=each.size,
+                variation=each.variation,
+                message=each.message or "",
+                seed=each.seed,
+            )
+            for port, each in source.generate.items()
+        ),
+    )
 
 
 def _command(source: str | Sequence[str] | None) -> tuple[str, ...]:

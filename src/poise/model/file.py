@@ -13,7 +13,7 @@ from typing import Annotated, Any, get_args
 from msgspec import Meta, Struct
 
 from poise import units
-from poise.model.robot import Layer, PortKind, Scale, Spread
+from poise.model.robot import Arrivals, Layer, PortKind, Scale, Spread
 
 _NAME = r"[A-Za-z][A-Za-z0-9_-]{0,62}"
 _NAME_SAYS = "a letter, then up to 62 letters, digits, '_' or '-'"
@@ -290,6 +290,49 @@ class Simulator(Section, frozen=True, kw_only=True):
     command: Annotated[Command, _says("Its command line.")]
 
 
+class Generated(Section, frozen=True, kw_only=True):
+    """Messages that are made up for a port while components are measured."""
+
+    rate: Annotated[Annotated[Rate, Meta(gt=0)], _says("On average: 10 Hz.")]
+    arrivals: Annotated[
+        Arrivals, _says("At equal distances, or at random ones (Poisson).")
+    ] = "regular"
+    size: Annotated[
+        Bytes, _says("Mean size, encoded: 1.5 kB. Without it, as small as can be.")
+    ] = 0.0
+    variation: Annotated[
+        Annotated[Share, Meta(lt=1)],
+        _says("Sizes lie evenly within this share of the mean: 20%."),
+    ] = 0.0
+    message: Annotated[
+        Reference | None,
+        _says(
+            "package.module:function that makes a message of a random.Random and a "
+            "size [bytes]; without it, its fields are filled at random."
+        ),
+    ] = None
+    seed: Annotated[int, _says("The same seed makes the same messages.")] = 0
+
+
+class Workload(Section, frozen=True, kw_only=True):
+    """What components work on while `poise profile` measures them."""
+
+    command: Annotated[
+        Command | None, _says("The command line of what runs instead of the simulator.")
+    ] = None
+    recording: Annotated[
+        str | None,
+        _says(
+            "A file of `poise run --record`, relative to this one: what other "
+            "architectures published then comes from there."
+        ),
+    ] = None
+    generate: Annotated[
+        dict[End, Generated],
+        _says("component.port that subscribes -> messages that are made up for it."),
+    ] = {}
+
+
 class Robot(Section, frozen=True, kw_only=True):
     """A robot: its computers, its software, and what it is asked to do."""
 
@@ -323,8 +366,8 @@ class Robot(Section, frozen=True, kw_only=True):
         Simulator | None, _says("The simulated world of an emulated robot.")
     ] = None
     workload: Annotated[
-        Simulator | None,
-        _says("What runs instead of the simulator while `poise profile` measures."),
+        Workload | None,
+        _says("What components work on while `poise profile` measures them."),
     ] = None
     profile: Annotated[
         str | None,

@@ -16,6 +16,7 @@ from msgspec import Struct
 Layer = Literal["deliberative", "sequencing", "reactive"]
 Scale = Literal["normalised", "paper"]
 Spread = Literal["range", "variance"]
+Arrivals = Literal["regular", "poisson"]
 PortKind = Literal["provides", "requires", "publishes", "subscribes"]
 
 
@@ -264,6 +265,48 @@ class Simulator(Struct, frozen=True, kw_only=True):
     command: tuple[str, ...]
 
 
+class Generated(Struct, frozen=True, kw_only=True):
+    """Messages that are made up for a subscribed port.
+
+    Parameters
+    ----------
+    rate
+        On average [1/s]; > 0.
+    arrivals
+        ``regular``: at equal distances; ``poisson``: at random ones.
+    size
+        Mean encoded size [bytes]; 0: as small as can be.
+    variation
+        Sizes lie evenly within this share of `size`, in [0, 1).
+    message
+        ``package.module:function`` that makes one; empty: fields are filled at random.
+    """
+
+    port: End
+    rate: float
+    arrivals: Arrivals = "regular"
+    size: float = 0.0
+    variation: float = 0.0
+    message: str = ""
+    seed: int = 0
+
+
+class Workload(Struct, frozen=True, kw_only=True):
+    """What components work on while they are measured.
+
+    Parameters
+    ----------
+    command
+        Runs instead of the simulator; empty: the simulator does.
+    recording
+        A recording's file, relative to the robot's folder; empty: there is none.
+    """
+
+    command: tuple[str, ...] = ()
+    recording: str = ""
+    generate: tuple[Generated, ...] = ()
+
+
 class Robot(Struct, frozen=True, kw_only=True):
     """The whole robot.
 
@@ -274,7 +317,8 @@ class Robot(Struct, frozen=True, kw_only=True):
     together, apart
         Sets of components that must share a computer, or must not.
     workload
-        Runs instead of the simulator while components are profiled.
+        What components work on while they are profiled; None: what the simulator
+        and the other components give them.
     profile
         The profile's file, relative to `folder`; empty when there is none.
     folder
@@ -293,7 +337,7 @@ class Robot(Struct, frozen=True, kw_only=True):
     together: tuple[tuple[str, ...], ...] = ()
     apart: tuple[tuple[str, ...], ...] = ()
     simulator: Simulator | None = None
-    workload: Simulator | None = None
+    workload: Workload | None = None
     profile: str = ""
     folder: str = ""
 

@@ -12,6 +12,7 @@ from poise.errors import PoiseError, RobotError
 from poise.model.check.cycles import check_cycles
 from poise.model.check.paths import components
 from poise.model.check.ports import KnownPort, check_ports, check_required
+from poise.model.check.workload import check_generated
 from poise.model.positions import Finding, Path
 from poise.model.robot import Component, PortKind, Robot
 from poise.runtime.fingerprint import fingerprint
@@ -44,6 +45,7 @@ def check_code(robot: Robot) -> list[Finding]:
     findings += check_ports(robot, known)
     findings += check_required(robot, known)
     findings += check_cycles(robot, known, reentrant)
+    findings += check_generated(robot, known)
     return findings
 
 

@@ -23,7 +23,7 @@ from poise.clock import ComponentClock
 from poise.errors import RunError, Timeout, Unavailable
 from poise.runtime.clock_table import ComputerClock
 from poise.runtime.command import Command
-from poise.runtime.implementation import find
+from poise.runtime.implementation import find, specialised
 from poise.runtime.ledger import Incarnation, Ledger
 from poise.runtime.runner import Runner
 from poise.runtime.steps import Steps
@@ -188,7 +188,9 @@ class Container:
             self._commands[component.name, component.epoch] = Command(component, folder)
             return
         try:
-            implementation = find(component.implementation, folder)
+            implementation = specialised(
+                find(component.implementation, folder), component.parameters, folder
+            )
             runner = Runner(component, implementation, self._clock, self._waker.wake)
             runner.asked_at = asked_at
         except (Exception, SystemExit):

@@ -20,6 +20,7 @@ from poise.wire.messages import (
     ContainerStatus,
     Summary,
 )
+from poise.wire.recorded import Recorded
 from poise.wire.samples import AgentSample
 from tests.manage.sampled.conftest import Sampler
 
@@ -72,9 +73,10 @@ def test_a_replay_gives_the_same_estimates(
     for k in range(100):
         live.take(steady(0.2 * k))
         recording.add(steady(0.2 * k))
-    save(recording.take(), tmp_path / "run.samples")
+    recorded = Recorded(robot="r", samples=recording.take())
+    save(recorded, tmp_path / "run.samples")
     again = Estimates(robot, None, emulated=True)
-    replay(load(tmp_path / "run.samples"), again.take)
+    replay(load(tmp_path / "run.samples").samples, again.take)
     assert again.standings() == live.standings()
     assert recording.take() == []
 

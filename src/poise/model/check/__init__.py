@@ -10,6 +10,7 @@ from poise.model.check.hosts import check_hosts
 from poise.model.check.names import check_names
 from poise.model.check.ports import check_ports, declared_ports
 from poise.model.check.sets import check_sets
+from poise.model.check.workload import check_workload
 from poise.model.positions import Finding
 from poise.model.robot import Robot
 
@@ -23,3 +24,4 @@ def check(robot: Robot) -> Iterator[Finding]:
     yield from check_connectors(robot)
     yield from check_chains(robot)
     yield from check_ports(robot, declared_ports(robot))
+    yield from check_workload(robot)

@@ -1,0 +1,86 @@
+"""A robot with one component more, which writes down what others publish."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+from poise.model.robot import Architecture, Component, Connector, End, Robot
+from poise.runtime.implementation import find
+from poise.runtime.ports import ports_of
+
+RECORDER = "recorder-of-inputs"
+
+
+class Tapped(Struct, frozen=True):
+    """The robot, where its components run, and which component.port is written down."""
+
+    robot: Robot
+    placement: Mapping[str, str]
+    sources: tuple[str, ...]
+
+
+def tapped(robot: Robot, placement: Mapping[str, str], path: Path) -> Tapped:
+    """Return the robot with a recorder of what is published between architectures.
+
+    It has a container of its own on the robot's first computer, and writes to `path`
+    there.
+    """
+    sources = dict(published_between(robot, placement))
+    if not sources:
+        return Tapped(robot, placement, ())
+    names = {f"input_{i}": source for i, source in enumerate(sources)}
+    ports = {name: (source, sources[source]) for name, source in names.items()}
+    recorder = Component(
+        name=RECORDER,
+        implementation="poise.runtime.recorder:Recorder",
+        isolated=True,
+        parameters={"path": str(path.absolute()), "ports": ports},
+    )
+    connectors = tuple(
+        Connector(between=(_end(source), End(RECORDER, name)))
+        for name, source in names.items()
+    )
+    architecture = Architecture(
+        name=RECORDER, function=RECORDER, components=(recorder,)
+    )
+    return Tapped(
+        msgspec.structs.replace(
+            robot,
+            architectures=(*robot.architectures, architecture),
+            connectors=(*robot.connectors, *connectors),
+        ),
+        {**placement, RECORDER: robot.computers[0].name},
+        tuple(sources),
+    )
+
+
+def published_between(
+    robot: Robot, placed: Mapping[str, str]
+) -> Iterator[tuple[str, str]]:
+    """Yield what is published to other architectures: component.port and its type."""
+    for connector in robot.connectors:
+        source, target = connector.between
+        if source.component in placed and target.component in placed:
+            type_ = message_type(robot, source)
+            if type_:
+                yield str(source), type_
+
+
+def message_type(robot: Robot, end: End) -> str:
+    """Return the type of a topic's port as package.module:Class; empty: it is none."""
+    component = next(c for c in robot.components() if c.name == end.component)
+    if not component.implementation:
+        return ""
+    port = ports_of(find(component.implementation, robot.folder)).get(end.port)
+    if port is None or port.kind not in ("publishes", "subscribes"):
+        return ""
+    return f"{port.type.__module__}:{port.type.__qualname__}"
+
+
+def _end(text: str) -> End:
+    component, _, port = text.partition(".")
+    return End(component, port)

@@ -1,0 +1,185 @@
+"""A run is recorded, and its recording feeds an architecture that is measured alone."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+
+from poise.cli.played import PLAYER, played
+from poise.cli.stand import OTHERS, stand_of
+from poise.cli.tapped import RECORDER, tapped
+from poise.errors import UsageError
+from poise.estimate import profile_file
+from poise.manage.recording import load as load_recording
+from poise.manage.recording import save
+from poise.model import load
+from poise.model.robot import Generated, Robot, Workload
+from poise.wire.recorded import Input, Recorded
+
+from .conftest import Poise
+
+ROBOT = """\
+robot: heard
+computers:
+  main: {cpu: 1, memory: 1 GiB}
+architectures:
+  hearing:
+    function: hearing
+    components: {ear: {implementation: "hearing:Ear", cpu: 1%, memory: 30 MiB}}
+  thinking:
+    function: thinking
+    components: {mind: {implementation: "hearing:Mind", cpu: 1%, memory: 30 MiB}}
+connectors: [{between: [ear.heard, mind.heard]}]
+tasks: {think: {actions: [{name: think, functions: [hearing, thinking]}]}}
+profile: profile.yaml
+"""
+CODE = """
+from poise import Component, Message, Published, every, subscribed
+
+class Heard(Message):
+    text: str
+
+class Ear(Component):
+    heard: Published[Heard]
+
+    @every(0.05)
+    def listen(self) -> None:
+        self.heard.publish(Heard("w" * 500))
+
+class Mind(Component):
+    @subscribed(keep=5)
+    def heard(self, message: Heard) -> None:
+        self.measure("length", len(message.text))
+"""
+MADE_UP = """\
+workload: {generate: {mind.heard: {rate: 40 Hz, size: 1200 B}}}
+"""
+
+
+@pytest.fixture(name="folder")
+def _folder(tmp_path: Path) -> Path:
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+    (tmp_path / "hearing.py").write_text(CODE)
+    return tmp_path
+
+
+@pytest.fixture(name="robot")
+def _robot(folder: Path) -> Robot:
+    sys.modules.pop("hearing", None)
+    return load(folder / "robot.yaml")
+
+
+def recorded(folder: Path, source: str) -> Workload:
+    entry = Input(source, 0.1, b"", b"")
+    save(Recorded(robot="heard", inputs=[entry]), folder / "run.recording")
+    return Workload(recording="run.recording")
+
+
+def test_a_recorder_is_joined_to_what_is_published_between_architectures(
+    robot: Robot, tmp_path: Path
+) -> None:
+    placement = {"ear": "main", "mind": "main"}
+    tap = tapped(robot, placement, tmp_path / "inputs")
+    assert tap.sources == ("ear.heard",)
+    assert tap.placement == {**placement, RECORDER: "main"}
+    assert str(tap.robot.connectors[-1]) == f"ear.heard -> {RECORDER}.input_0"
+
+
+def test_nothing_is_joined_where_nothing_goes_from_one_to_another(
+    robot: Robot, tmp_path: Path
+) -> None:
+    tap = tapped(robot, {"ear": "main"}, tmp_path / "inputs")
+    assert (tap.robot, tap.sources) == (robot, ())
+
+
+def test_who_was_recorded_need_not_run(robot: Robot, folder: Path) -> None:
+    busy = replace(robot, workload=recorded(folder, "ear.heard"))
+    stand = stand_of(busy, "thinking", "main", apart=False)
+    assert stand.feeding == ()
+    assert stand.placement == {"mind": "main", PLAYER: OTHERS}
+    assert [str(c) for c in stand.robot.connectors] == [
+        f"{PLAYER}.output_0 -> mind.heard"
+    ]
+    assert stand.played == {
+        "ear.heard -> mind.heard": f"{PLAYER}.output_0 -> mind.heard"
+    }
+
+
+def test_what_is_generated_wins_over_what_was_recorded(
+    robot: Robot, folder: Path
+) -> None:
+    (mind,) = (c for c in robot.connectors)
+    made = Generated(port=mind.between[1], rate=5.0)
+    both = replace(recorded(folder, "ear.heard"), generate=(made,))
+    (part,) = played(replace(robot, workload=both)).parts.values()
+    assert (part.rate, part.source, part.type) == (5.0, "", "hearing:Heard")
+
+
+def test_says_what_is_wrong_with_a_recording(robot: Robot, folder: Path) -> None:
+    with pytest.raises(UsageError, match="`poise run --record` writes one"):
+        played(replace(robot, workload=Workload(recording="none")))
+    with pytest.raises(UsageError, match="holds nothing that goes from one archit"):
+        played(replace(robot, workload=recorded(folder, "nose.smelt")))
+
+
+@pytest.mark.parametrize(
+    ("workload", "says"),
+    [
+        ("{}", "the workload is empty"),
+        ("{generate: {nose.x: {rate: 1 Hz}}}", "there is no component 'nose'"),
+        ("{generate: {mind: {rate: 1 Hz}}}", "give the port, as in mind.scan"),
+        ("{generate: {mind.herd: {rate: 1 Hz}}}", "subscribes to no 'herd'"),
+        ("{generate: {ear.heard: {rate: 1 Hz}}}", "subscribes to no 'heard'"),
+        ("{generate: {mind.heard: {rate: 0 Hz}}}", "rate"),
+        ("{generate: {mind.heard: {}}}", "rate"),
+    ],
+)
+def test_check_tells_what_is_wrong_with_a_workload(
+    folder: Path,
+    poise: Poise,
+    workload: str,
+    says: str,
+) -> None:
+    (folder / "robot.yaml").write_text(f"{ROBOT}workload: {workload}\n")
+    done = poise("check", "robot.yaml")
+    assert done.returncode == 1
+    assert says in done.stderr
+
+
+@pytest.mark.slow
+def test_measures_on_what_was_recorded_and_on_what_is_made_up(
+    folder: Path, poise: Poise
+) -> None:
+    run = poise(
+        "run", "robot.yaml", "--task", "think", "--for", "3s", "--record", "a.recording"
+    )
+    assert "messages of ear.heard to a.recording" in run.stdout, run.stdout + run.stderr
+    recording = load_recording(folder / "a.recording")
+    assert len(recording.samples) > 5
+    assert {each.source for each in recording.inputs} == {"ear.heard"}
+    assert len(recording.inputs) > 20
+    measure: tuple[str, ...] = (
+        "profile",
+        "robot.yaml",
+        "--architecture",
+        "thinking",
+        "--for",
+        "2s",
+    )
+    measure += ("--warm-up", "1s", "--repeat", "1")
+    found = {}
+    for workload in ("workload: {recording: a.recording}\n", MADE_UP):
+        (folder / "robot.yaml").write_text(ROBOT + workload)
+        done = poise(*measure)
+        assert done.returncode == 0, done.stdout + done.stderr
+        profile = profile_file.read(folder / "profile.yaml")
+        found[workload] = profile.connectors["ear.heard -> mind.heard"]
+    played_, made = found.values()
+    # 20 Hz but for the pause after each round; how late they come is the machine's
+    assert 10 < played_.messages < 22
+    assert played_.size == pytest.approx(530, abs=30)
+    assert 25 < made.messages < 45
+    assert made.size == pytest.approx(1224, abs=30)
