@@ -11,9 +11,6 @@ constexpr int kMostShakes = 2;
 // Branch and bound on two computers takes some 500 nodes to prove its best; what it has
 // not found after twice as many it hardly ever finds.
 constexpr int kNodes = 1000;
-// How often, for each pair of computers, it is shaken without success before it is given
-// up for another cooling.
-constexpr int kPatience = 8;
 
 }  // namespace
 
@@ -52,15 +49,17 @@ void Search::shake() {
   }
 }
 
-void Search::climb() {
+// `patience`: how often, for each pair of computers, it is shaken in vain before it is
+// given up for another cooling.
+void Search::climb(int patience) {
   state_.reset(best_);
   for (int h = 0; h < p_.m; ++h) touch(h);
   resplit_all();
   if (state_.feasible()) offer(state_.placed());
   Placement here = best_;
   double now = best_objective_;
-  const int patience = kPatience * p_.m * p_.m;
-  for (int idle = 0; idle < patience && !stop_.after(1); ++idle) {
+  const std::int64_t most = static_cast<std::int64_t>(patience) * p_.m * p_.m;
+  for (std::int64_t idle = 0; idle < most && !stop_.after(1); ++idle) {
     shake();
     resplit_all();
     const double next = state_.feasible() ? state_.objective() : kInfinity;

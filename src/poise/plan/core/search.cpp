@@ -16,6 +16,13 @@ constexpr int kManyUnits = 400;
 // How hot each cooling begins, in mean changes of F: the first keeps much of where it
 // starts, the others come back when climbing leads no further. Found by trial.
 constexpr double kHeats[4] = {0.2, 0.5, 1.0, 2.0};
+// How often a pair of computers is shaken in vain before climbing gives up.
+constexpr int kPatience = 8;
+// Below so many units a computer, sharing out two computers reaches less far: many short
+// searches, each from the start, find more than a long one.
+constexpr int kFewUnits = 6;
+constexpr int kShortPatience = 2;
+constexpr int kShortShare = 100;
 
 }  // namespace
 
@@ -46,6 +53,10 @@ void Search::run(const Placement& start) {
   for (cool(length, kHeats[0]); !found() && !stop_.look(); cool(length, kHeats[0])) {
     length += length / 2;
   }
+  if (Resplit::takes(p_) && p_.n < kFewUnits * p_.m) {
+    start_over(start, std::max(length, stop_.steps_left() / kShortShare));
+    return;
+  }
   if (Resplit::takes(p_)) {
     length = std::max(64 * static_cast<std::int64_t>(p_.n),
                       stop_.steps_left() / kCoolingShare);
@@ -55,8 +66,24 @@ void Search::run(const Placement& start) {
     const std::int64_t left = stop_.steps_left();
     if (round > 0) state_.reset(found() ? best_ : state_.placed());
     cool(left < 2 * length && !Resplit::takes(p_) ? left : length, kHeats[round % 4]);
-    if (Resplit::takes(p_) && found()) climb();
+    if (Resplit::takes(p_) && found()) climb(kPatience);
     else length += length / 2;
+  }
+}
+
+// Cool and climb from the same start over and over; none knows what another has found.
+void Search::start_over(const Placement& start, std::int64_t length) {
+  while (!stop_.look()) {
+    const Placement known = std::move(best_);
+    const double objective = best_objective_;
+    best_.clear();
+    best_objective_ = kInfinity;
+    state_.reset(start);
+    cool(length, kHeats[1]);
+    if (found()) climb(kShortPatience);
+    if (objective > best_objective_) continue;
+    best_ = known;
+    best_objective_ = objective;
   }
 }
 

@@ -43,8 +43,10 @@ class Search {
   void cool(std::int64_t steps, double heat);
   void try_move(double limit);
 
+  void start_over(const Placement& start, std::int64_t length);
+
   // climb.cpp
-  void climb();
+  void climb(int patience);
   void shake();
   void resplit_all();
   void touch(int computer);
