@@ -141,7 +141,7 @@ def start(name: str, implementation: type[Component]) -> Runner:
 def place(folder: Path, name: str) -> Place:
     """Return where a container of this benchmark is."""
     socket = str(socket_path(folder, name))
-    return Place(prefix="bench", address="127.0.0.1", agent=AGENT, socket=socket)
+    return Place(prefix="bench", address="127.0.0.1", agents=(AGENT,), socket=socket)
 
 
 def activate(runner: Runner) -> None:

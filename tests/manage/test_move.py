@@ -6,21 +6,19 @@ import contextlib
 import os
 import re
 import signal
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
 import pytest
 
 from poise.clock import SystemClock
 from poise.errors import UsageError
-from poise.manage.deployment import name_of
+from poise.manage.exchange import GATE_LIMIT, OPEN_LIMIT
 from poise.manage.fleet import Fleet
 from poise.manage.journal import Journal
-from poise.manage.move import GATE_LIMIT, OPEN_LIMIT, MoveReport, move, replace
+from poise.manage.move import MoveReport, move, replace
 from poise.manage.run import Run, components_of, connectors_of
 from poise.model.robot import (
     Architecture,
@@ -30,7 +28,8 @@ from poise.model.robot import (
     End,
     Robot,
 )
-from poise.wire.messages import Order, Outcome
+from poise.wire.messages import Deployment, Order, Outcome
+from tests.manage.agents import agent
 from tests.runtime.conftest import free_port, wait_until
 
 pytestmark = pytest.mark.slow
@@ -158,10 +157,14 @@ class Hanging(Counter):
             threading.Event().wait(60)
 
 class Busy(Counter):
+    """Is busy as long as a file is there, and tells so by another."""
+
     @every(0.01)
     def dawdle(self):
-        if self.state.last:
-            threading.Event().wait(2)
+        busy = os.path.join(self.parameters["folder"], "busy")
+        while os.path.exists(busy):
+            open(busy + "-now", "w").close()
+            threading.Event().wait(0.01)
 
 class Tripled(Message):
     end: int
@@ -192,12 +195,13 @@ class Striking:
     def __init__(self, fleet: Fleet) -> None:
         self._fleet = fleet
         self.round = 0
+        self.deploy = fleet.deploy
         self.before: dict[int, Callable[[], None]] = {}
 
     def __getattr__(self, name: str) -> object:
         return getattr(self._fleet, name)
 
-    def order(self, orders: Iterable[tuple[str, Order]]) -> list[Outcome]:
+    def order(self, orders: Iterable[tuple[str, Order]]) -> Iterator[Outcome]:
         strike = self.before.pop(self.round, None)
         self.round += 1
         if strike is not None:
@@ -213,14 +217,18 @@ class World:
         self.name = name
         self.striking = Striking(fleet)
         self.journal = journal
+        self.extra: tuple[Component, ...] = ()
         self.run: Run
 
     def start(
         self, counter: str, source: str = "left", *, isolated: bool = False
     ) -> Run:
         (self.folder / self.name).mkdir()
-        robot = _robot(self.folder, self.name, counter, isolated=isolated)
+        robot = _robot(
+            self.folder, self.name, counter, isolated=isolated, extra=self.extra
+        )
         placement = {"source": source, "counter": "left", "sink": "left"}
+        placement |= {component.name: "left" for component in self.extra}
         fleet: Fleet = self.striking  # type: ignore[assignment] # it stands in for one
         self.run = Run(robot, placement, fleet, self.journal, str(self.folder))
         self.run.start()
@@ -267,7 +275,14 @@ class World:
         ]
 
 
-def _robot(folder: Path, name: str, counter: str, *, isolated: bool) -> Robot:
+def _robot(
+    folder: Path,
+    name: str,
+    counter: str,
+    *,
+    isolated: bool,
+    extra: tuple[Component, ...],
+) -> Robot:
     implementations = {"source": "Source", "counter": counter, "sink": "Sink"}
     joints = (
         ("source.numbers", "counter.numbers"),
@@ -285,7 +300,8 @@ def _robot(folder: Path, name: str, counter: str, *, isolated: bool) -> Robot:
                 parameters={"folder": str(folder / name)},
             )
             for n, c in implementations.items()
-        ),
+        )
+        + extra,
         connectors=tuple(
             Connector(between=(End(*a.split(".")), End(*b.split("."))), limit=3.0)
             for a, b in joints
@@ -311,7 +327,7 @@ def agents() -> Iterator[tuple[Path, Fleet]]:
         ports = {"left": free_port(), "right": free_port()}
         lifeline, held = os.pipe()
         for name in ports:
-            stack.enter_context(_agent(robot, name, ports, folder, lifeline))
+            stack.enter_context(agent(robot, name, ports, folder, lifeline))
         stack.callback(os.close, held)
         stack.callback(os.close, lifeline)
         ends = {name: f"tcp/127.0.0.1:{port}" for name, port in ports.items()}
@@ -330,18 +346,6 @@ def world(
     yield world
     world.run.stop()
     journal.close()
-
-
-def _agent(
-    robot: str, name: str, ports: dict[str, int], folder: Path, lifeline: int
-) -> subprocess.Popen[bytes]:
-    argv = [sys.executable, "-m", "poise", "agent", name, "--robot", robot]
-    argv += ["--address", "127.0.0.1", "--port", str(ports[name])]
-    argv += ["--folder", str(folder / name), "--lifeline", str(lifeline)]
-    for other, port in ports.items():
-        if other != name:
-            argv += ["--peer", f"127.0.0.1:{port}"]
-    return subprocess.Popen(argv, pass_fds=[lifeline], stderr=subprocess.DEVNULL)
 
 
 def assert_bounded(report: MoveReport) -> None:
@@ -393,7 +397,6 @@ def test_a_publisher_waits_for_a_slow_subscriber_that_moves(world: World) -> Non
         ("Unrestorable", "LookupError: no such map"),
         ("Unactivatable", "LookupError: no such motor"),
         ("Hanging", "is not activated|took over"),
-        ("Busy", "did not come to rest"),
     ],
 )
 def test_leads_back_when_the_component_cannot_move(
@@ -405,6 +408,23 @@ def test_leads_back_when_the_component_cannot_move(
     assert re.search(words, report.reason)
     assert_bounded(report)
     assert run.placement()["counter"] == "left"
+    world.works()
+    assert world.told("sink")[1] == 0
+
+
+def test_leads_back_and_says_so_when_the_component_does_not_come_to_rest(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # the component's own limit is the smaller one; here by more than machines stall
+    monkeypatch.setattr("poise.manage.exchange.GATE_LIMIT", 6.0)
+    run = world.start("Busy")
+    busy = world.folder / world.name / "busy"
+    busy.touch()
+    wait_until(lambda: busy.with_name("busy-now").exists())
+    report = move(run, "counter", "right")
+    busy.unlink()
+    assert not report.committed
+    assert "component 'counter' did not come to rest" in report.reason
     world.works()
     assert world.told("sink")[1] == 0
 
@@ -437,11 +457,11 @@ def test_an_implementation_is_replaced_and_its_state_adapted(world: World) -> No
 
 
 @pytest.mark.parametrize("victim", [("left", "counter"), ("right", "counter")])
-@pytest.mark.parametrize("before", [2, 3, 4, 5])
+@pytest.mark.parametrize("before", [1, 2, 3])
 def test_a_container_that_is_killed_between_two_rounds(
     world: World, victim: tuple[str, str], before: int
 ) -> None:
-    """Rounds: offer, precopy, shut, flush, take over, open."""
+    """Rounds: offer, precopy, hand over, open."""
     run = world.start("Counter", isolated=True)
     world.striking.before[before] = lambda: world.kill(*victim)
     started = time.monotonic()
@@ -449,12 +469,12 @@ def test_a_container_that_is_killed_between_two_rounds(
     assert time.monotonic() - started < LIMIT
     assert_bounded(report)
     if victim[0] == "right":
-        assert report.committed == (before == 5)
+        assert report.committed == (before == 3)
     world.works()
     world.wait_for(lambda: world.active() == [run.placement()["counter"]])
 
 
-@pytest.mark.parametrize("before", [3, 5])
+@pytest.mark.parametrize("before", [2, 3])
 def test_a_source_that_is_killed_between_two_rounds(world: World, before: int) -> None:
     run = world.start("Counter", "right", isolated=True)
     world.striking.before[before] = lambda: world.kill("right", "source")
@@ -462,6 +482,56 @@ def test_a_source_that_is_killed_between_two_rounds(world: World, before: int) -
     assert_bounded(report)
     world.works()
     world.wait_for(lambda: world.active() == [run.placement()["counter"]])
+
+
+def _ticker(folder: Path) -> Component:
+    code = "import os, sys, time; open(sys.argv[1], 'w').write(str(os.getpid()))"
+    code += "; time.sleep(600)"
+    command = ("python", "-c", code, str(folder / "pid"))
+    return Component(name="ticker", command=command)
+
+
+def test_a_command_line_component_moves_by_a_short_stop(world: World) -> None:
+    world.extra = (_ticker(world.folder),)
+    run = world.start("Counter")
+    pid = world.folder / "pid"
+    wait_until(lambda: pid.exists() and bool(pid.read_text()))
+    before = pid.read_text()
+    report = move(run, "ticker", "right")
+    assert (report.committed, report.reason) == (True, "")
+    assert report.short_stop
+    assert run.placement()["ticker"] == "right"
+    wait_until(lambda: pid.read_text() not in {"", before})
+    assert not Path("/proc", before).exists()
+    world.works()
+    assert world.wrong() == 0
+
+
+def test_a_command_line_component_goes_on_when_it_cannot_start_elsewhere(
+    world: World,
+) -> None:
+    world.extra = (_ticker(world.folder),)
+    run = world.start("Counter")
+    pid = world.folder / "pid"
+    wait_until(lambda: pid.exists() and bool(pid.read_text()))
+    deploy, told = world.striking.deploy, []
+
+    def refuse(deployments: Mapping[str, Deployment]) -> dict[str, str]:
+        told.append(deployments)
+        # first it is made inactive there, then stopped here, then to be active there
+        if len(told) == 3:
+            return {"right": "the agent of 'right' refused: not today"}
+        return deploy(deployments)
+
+    world.striking.deploy = refuse
+    report = move(run, "ticker", "right")
+    assert not report.committed
+    assert "not today" in report.reason
+    assert run.placement()["ticker"] == "left"
+    wait_until(
+        lambda: bool(pid.read_text()) and Path("/proc", pid.read_text()).exists()
+    )
+    world.works()
 
 
 def test_refuses_what_cannot_be_moved(world: World) -> None:
@@ -472,7 +542,3 @@ def test_refuses_what_cannot_be_moved(world: World) -> None:
         move(run, "counter", "nowhere")
     with pytest.raises(UsageError, match="runs on 'left' already"):
         move(run, "counter", "left")
-    assert {name_of(c) for c in run.layout.into("counter", run.placed)} == {
-        "source.numbers-counter.numbers",
-        "source.doubles-counter.doubles",
-    }

@@ -1,51 +1,62 @@
 """The protocol of a move as a model: every order in which things can happen.
 
-One component is moved from container `old` to container `new`. A source container
-publishes to it and has callers; what it gets it publishes to a sink. The names of the
-steps are those of `poise.manage.move.Move`, `poise.runtime.steps.Steps` and what they
-use.
+One component is moved, or two neighbours at once, each from a container ``old`` to a
+container ``new``. A source publishes to the first and has callers there; what a
+component gets, it publishes to the next, and the last to a sink. The names of the steps
+are those of `poise.manage.exchange.Exchange`, `poise.runtime.steps.Steps` and what
+they use.
 
-The manager may give any round of orders up at any time: an order that it gave up is
-lost, or is still taken at any moment after that. Any container may be killed at any
-moment, and is started anew with what its agent was told last.
+The manager may give a round of orders up at any time, and does so when one fails: what
+was not answered is lost, or is still taken at any moment after that. Any container may
+be killed at any moment, and is started anew with what its agent was told last.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from tests.model_of_moves.world import MARK, Bounds, Incarnation, State, changed
+from tests.model_of_moves.faults import Faults
+from tests.model_of_moves.world import MARK, Bounds, Incarnation, Order, Side, State
 
-ROUNDS = {
-    "shut": ("Hold", "Rest"),
-    "flush": ("Flush at old", "Flush at sink"),
-    "take": ("Take", "Activate"),
-    "keep": ("Open new", "Release to new", "Retire"),
-    "back": ("Open old", "Release to old"),
+STEPS: dict[str, dict[str, tuple[str, ...]]] = {
+    "hand over": {
+        "source": ("Hold",),
+        "old": ("Rest", "Flush, Give"),
+        "sink": ("Flush",),
+        "new": ("Take", "Activate"),
+    },
+    "keep": {"new": ("Open",), "source": ("Release to new",), "old": ("Retire",)},
+    "back": {"old": ("Open",), "source": ("Release to old",)},
 }
-AT = {
-    "Hold": "source",
-    "Release to new": "source",
-    "Release to old": "source",
-    "Rest": "old",
-    "Flush at old": "old",
-    "Retire": "old",
-    "Open old": "old",
-    "Flush at sink": "sink",
-    "Take": "new",
-    "Activate": "new",
-    "Open new": "new",
-}
+Taken = tuple[State, bool]
+"""The state after a step, and whether the step succeeded."""
 
 
 def initial(bounds: Bounds) -> State:
-    """Return the state after `Move._prepare`."""
+    """Return the state after `Exchange._prepare`."""
+    count = bounds.movers
+    nothing = ((),) * (count + 1)
     return State(
-        old=Incarnation("work", stays=True),
-        new=Incarnation("inactive"),
-        orders=tuple((name, "sent") for name in ROUNDS["shut"]),
+        olds=(Incarnation("work", stays=True),) * count,
+        news=(Incarnation("inactive"),) * count,
+        to_olds=nothing,
+        to_news=nothing,
+        orders=orders_of("hand over", count),
         calls=(("begins", ""),) * len(bounds.callers),
         runs=(0,) * len(bounds.callers),
+    )
+
+
+def orders_of(round_: str, count: int) -> tuple[Order, ...]:
+    """Return the orders of a round."""
+    return tuple(
+        Order(round_, container)
+        for kind in STEPS[round_]
+        for container in (
+            [kind]
+            if kind in {"source", "sink"}
+            else [f"{kind} {k}" for k in range(count)]
+        )
     )
 
 
@@ -61,169 +72,165 @@ class Protocol:
     def __init__(self, bounds: Bounds, bug: str = "") -> None:
         self._bounds = bounds
         self._bug = bug
+        self._faults = Faults(bounds, bug)
 
     def successors(self, s: State) -> Iterator[tuple[str, State]]:
         """Yield all that may happen next."""
         yield from self._manager(s)
-        for name, outcome in s.orders:
-            # one container takes the steps of one order one after the other
-            is_next = name != "Activate" or dict(s.orders)["Take"] == "done"
-            if outcome == "sent" and is_next:
-                for taken, result in self._take(s, name):
-                    yield name, _noted(taken, name, result)
-        for name in s.stale:
-            for taken, _ in self._take(s, name):
-                yield f"{name} (late)", taken._replace(stale=s.stale - {name})
+        for order in s.orders:
+            if order.outcome == "sent":
+                for taken, is_done in self._take(s, order, is_late=False):
+                    after = _after(order, is_done=is_done)
+                    orders = tuple(after if o == order else o for o in s.orders)
+                    yield _said(order), taken._replace(orders=orders)
+        for order in s.late:
+            for taken, is_done in self._take(s, order, is_late=True):
+                after = _after(order, is_done=is_done)
+                going_on = {after} if after.outcome == "sent" else set()
+                late = (s.late - {order}) | going_on
+                yield f"{_said(order)} (late)", taken._replace(late=late)
         yield from self._streams(s)
         yield from self._work(s)
         for who in range(len(s.calls)):
             yield from self._call(s, who)
         yield from self._deployments(s)
-        if s.kills < self._bounds.kills:
-            yield from self._kills(s)
-        yield from self._starts(s)
+        yield from self._faults.successors(s)
 
-    # poise.manage.move.Move
+    # poise.manage.exchange.Exchange
 
     def _manager(self, s: State) -> Iterator[tuple[str, State]]:
         if s.round in {"remove", "end"}:
-            if s.round == "remove" and _is_gone(s, s.spec):
+            gone = s.all_of("old" if s.spec == "new" else "new")
+            if s.round == "remove" and all(o.phase in {"gone", "dead"} for o in gone):
                 yield "removed", s._replace(round="end")
             return
-        outcomes = {outcome for _, outcome in s.orders}
+        outcomes = {order.outcome for order in s.orders}
+        pending = "sent" in outcomes
         if outcomes == {"done"}:
             yield f"{s.round} is done", self._next(s, failed=False)
-        elif "sent" not in outcomes:
-            yield f"{s.round} failed", self._next(s, failed=True)
-        elif s.given_up < self._bounds.gives_up:
-            pending = {name for name, outcome in s.orders if outcome == "sent"}
+        elif "failed" in outcomes and (s.round == "hand over" or not pending):
+            yield f"{s.round} failed", self._next(_late(s), failed=True)
+        elif pending and s.given_up < self._bounds.gives_up:
             s = s._replace(given_up=s.given_up + 1)
             yield f"{s.round} is given up", self._next(s, failed=True)
-            # a late `Flush` only waits
-            late = s.stale | {name for name in pending if "Flush" not in name}
-            yield f"{s.round} is late", self._next(s._replace(stale=late), failed=True)
+            yield f"{s.round} is late", self._next(_late(s), failed=True)
 
     def _next(self, s: State, *, failed: bool) -> State:
         if s.round in {"keep", "back"}:
             spec = "new" if s.round == "keep" else "old"
             return s._replace(round="remove", orders=(), spec=spec)
-        following = {"shut": "flush", "flush": "take", "take": "keep"}[s.round]
-        if self._bug == "no flush" and s.round == "shut":
-            following = "take"
-        if failed:
-            following = "back"
-        if self._bug == "ignore failures" and failed:
-            following = "keep"
-        orders = tuple((name, "sent") for name in ROUNDS[following])
+        following = "back" if failed and self._bug != "ignore failures" else "keep"
+        orders = orders_of(following, self._bounds.movers)
         return s._replace(round=following, orders=orders)
 
     # poise.runtime.steps.Steps
 
-    def _take(self, s: State, name: str) -> Iterator[tuple[State, str]]:
-        """Yield the states after an order and what is answered; nothing: it waits."""
-        where = AT[name]
-        if where == "source":
-            yield changed(s, **self._at_source(s, name)), "done"
-        elif where == "sink":
-            yield from self._flush(s, is_marked=s.is_sink_marked)
-        elif name in {"Rest", "Flush at old", "Retire", "Open old"}:
-            yield from self._at_old(s, name)
+    def _take(self, s: State, order: Order, *, is_late: bool) -> Iterator[Taken]:
+        """Yield the states after the next step of an order; nothing: it waits."""
+        kind, _, which = order.container.partition(" ")
+        step = STEPS[order.round][kind][order.next]
+        if kind == "source":
+            if not s.is_source_dead:
+                yield self._at_source(s, step), True
+        elif kind == "sink":
+            yield from self._flush(s, is_marked=s.is_sink_marked, is_late=is_late)
+        elif kind == "old":
+            yield from self._at_old(s, int(which), step, is_late=is_late)
         else:
-            yield from self._at_new(s, name)
+            yield from self._at_new(s, int(which), step, is_late=is_late)
 
-    def _flush(self, s: State, *, is_marked: bool) -> Iterator[tuple[State, str]]:
+    def _flush(self, s: State, *, is_marked: bool, is_late: bool) -> Iterator[Taken]:
         """`Ends.wait_marks`; its limit matters when a killed one had the mark."""
-        if is_marked:
-            yield s, "done"
-        elif s.kills:
-            yield s, "failed"
+        if is_marked or self._bug == "no flush":
+            yield s, True
+        elif s.kills or is_late:
+            yield s, False
 
-    def _at_source(self, s: State, name: str) -> dict[str, object]:
+    def _at_source(self, s: State, step: str) -> State:
         """`Outlet.hold`, `Outlet.mark`, `Outlet.release`."""
-        if name == "Hold":
+        if step == "Hold":
             if s.applied != "both" and self._bug != "hold too late":
-                return {}
-            stream = _stream(s, s.path)
-            stream = (
-                (MARK, *stream) if self._bug == "mark overtakes" else (*stream, MARK)
-            )
-            return {"held": s.held or (), f"to_{s.path}": stream}
-        path = name.removeprefix("Release to ")
+                return s
+            s = s._replace(held=s.held or ())
+            if self._bug == "mark overtakes":
+                return s.with_stream(s.path, 0, (MARK, *s.streams(s.path)[0]))
+            return s.flowing(s.path, 0, MARK)
+        path: Side = "new" if step == "Release to new" else "old"
         if s.applied not in {"both", path}:
-            return {}
-        return {
-            "path": path,
-            "held": None,
-            f"to_{path}": _stream(s, path) + (s.held or ()),
-        }
+            return s
+        held = s.held or ()
+        return s._replace(path=path, held=None).flowing(path, 0, *held)
 
-    def _at_old(self, s: State, name: str) -> Iterator[tuple[State, str]]:
-        old = s.old
+    def _at_old(
+        self, s: State, which: int, step: str, *, is_late: bool
+    ) -> Iterator[Taken]:
+        old = s.olds[which]
         if old.phase in {"dead", "gone"}:
-            yield s, "failed"
-        elif name == "Rest":
+            yield s, False
+        elif step == "Rest":
             # `Runner.rest`: waits until no chain is inside, marks all streams behind it
             if not old.stays and self._bug != "rest too late":
-                yield s, "failed"
-            elif old.phase == "inactive":
-                yield s._replace(from_old=(*s.from_old, MARK)), "done"
-            elif old.inside < 0 or self._bug == "no drain":
-                marked = s._replace(from_old=(*s.from_old, MARK))
-                yield marked._replace(old=old._replace(phase="rest")), "done"
-        elif name == "Flush at old":
-            yield from self._flush(s, is_marked=old.is_marked)
-        elif name == "Retire":
-            yield s._replace(old=old._replace(is_retired=True)), "done"
+                yield s, False
+            elif old.inside < 0 or old.phase == "inactive" or self._bug == "no drain":
+                phase = "inactive" if old.phase == "inactive" else "rest"
+                resting = s.with_one("old", which, old._replace(phase=phase))
+                yield resting.flowing("old", which + 1, MARK), True
+        elif step == "Flush, Give":
+            for after, is_done in self._flush(
+                s, is_marked=old.is_marked, is_late=is_late
+            ):
+                given = old._replace(gives=old.gives or is_done)
+                yield after.with_one("old", which, given), is_done
+        elif step == "Retire":
+            yield s.with_one("old", which, old._replace(is_retired=True)), True
         else:
-            yield s._replace(old=_working(old)), "done"
+            yield working(s, "old", which), True
 
-    def _at_new(self, s: State, name: str) -> Iterator[tuple[State, str]]:
-        old, new = s.old, s.new
+    def _at_new(
+        self, s: State, which: int, step: str, *, is_late: bool
+    ) -> Iterator[Taken]:
+        old, new = s.olds[which], s.news[which]
         if new.phase in {"dead", "gone"}:
-            yield s, "failed"
-        elif name == "Take":
-            # `Giver._all` refuses unless at rest; its container answers, or has ended
-            if old.phase == "rest" or (old.phase == "inactive" and old.stays):
+            yield s, False
+        elif step == "Take":
+            # `Giver._all` waits for `Give`, and refuses unless at rest
+            is_at_rest = old.phase == "rest" or (old.phase == "inactive" and old.stays)
+            if old.gives and is_at_rest:
                 taken = new._replace(inbox=old.inbox, log=old.log)
-                yield s._replace(new=taken), "done"
-            else:
-                yield s, "failed"
-            yield s, "failed"  # its `restore` raised
-        elif name == "Activate":
-            phase = "work" if self._bug == "work before it is kept" else "ready"
-            yield s._replace(new=new._replace(phase=phase)), "done"
-            yield s, "failed"  # its `activate` raised
+                yield s.with_one("new", which, taken), True
+                yield s, False  # its `restore` raised
+            elif is_late or s.kills or old.gives:
+                yield s, False
+        elif step == "Activate":
+            yield s.with_one("new", which, self._activated(new, which)), True
+            yield s, False  # its `activate` raised
         else:
-            yield s._replace(new=_working(new)), "done"
+            yield working(s, "new", which), True
+
+    def _activated(self, new: Incarnation, which: int) -> Incarnation:
+        """`Ends.keep_back`: what `activate` publishes goes out with `Open`."""
+        said: tuple[float, ...] = ()
+        if self._bounds.speaks and which == self._bounds.movers - 1:
+            said = (max(new.log, default=0) + 0.5,)
+        phase = "work" if self._bug == "work before it is kept" else "ready"
+        return new._replace(phase=phase, kept_back=said)
 
     # poise.runtime.connectors, and what carries them
 
     def _streams(self, s: State) -> Iterator[tuple[str, State]]:
-        for name in ("old", "new"):
-            stream, to = _stream(s, name), getattr(s, name)
-            if stream:
-                item, rest = stream[0], {f"to_{name}": stream[1:]}
-                if to.phase == "dead":
-                    excused = s.excused | {item}
-                    yield f"lost before {name}", changed(s, **rest, excused=excused)
-                elif to.phase == "gone":
-                    yield f"lost before {name}", changed(s, **rest)
-                else:
-                    if item == MARK:
-                        to = to._replace(is_marked=True)
+        for side in SIDES:
+            for to, stream in enumerate(s.streams(side)):
+                if stream:
+                    rest = s.with_stream(side, to, stream[1:])
+                    if to == self._bounds.movers:
+                        yield _at_sink(rest, stream[0])
                     else:
-                        to = to._replace(inbox=(*to.inbox, item))
-                    yield f"arrives at {name}", changed(s, **rest, **{name: to})
-            out = s.from_old if name == "old" else s.from_new
-            if out:
-                item, rest = out[0], {f"from_{name}": out[1:]}
-                if s.is_sink_dead:
-                    excused = s.excused | {item}
-                    yield "lost before sink", changed(s, **rest, excused=excused)
-                elif item == MARK:
-                    yield "mark at sink", changed(s, **rest, is_sink_marked=True)
-                else:
-                    yield "arrives at sink", changed(s, **rest, got=(*s.got, item))
+                        yield _arrived(rest, side, to, stream[0])
+        if self._bug == "speak at once":
+            for which, new in enumerate(s.news):
+                if new.kept_back:
+                    said = s.with_one("new", which, new._replace(kept_back=()))
+                    yield "speaks", said.flowing("new", which + 1, *new.kept_back)
 
     def _work(self, s: State) -> Iterator[tuple[str, State]]:
         if not s.is_source_dead and s.sent < self._bounds.messages:
@@ -232,18 +239,14 @@ class Protocol:
             if s.held is not None:
                 yield "publish (held)", published._replace(held=(*s.held, number))
             else:
-                stream = {f"to_{s.path}": (*_stream(s, s.path), number)}
-                yield "publish", changed(published, **stream)
-        for name in ("old", "new"):
-            one = getattr(s, name)
-            if one.phase == "work" and one.inside < 0 and one.inbox:
-                item, *inbox = one.inbox
-                one = one._replace(inbox=tuple(inbox), log=(*one.log, item))
-                out = s.from_old if name == "old" else s.from_new
-                yield (
-                    f"{name} works",
-                    changed(s, **{name: one, f"from_{name}": (*out, item)}),
-                )
+                yield "publish", published.flowing(s.path, 0, number)
+        for side in SIDES:
+            for which, one in enumerate(s.all_of(side)):
+                if one.phase == "work" and one.inside < 0 and one.inbox:
+                    item, *inbox = one.inbox
+                    after = one._replace(inbox=tuple(inbox), log=(*one.log, item))
+                    done = s.with_one(side, which, after)
+                    yield f"{side} {which} works", done.flowing(side, which + 1, item)
 
     def _call(self, s: State, who: int) -> Iterator[tuple[str, State]]:
         """Follow a call: `Path.function`, `Turn`, `Outlet.again`."""
@@ -254,7 +257,8 @@ class Protocol:
             if where == "begins" or path != s.path:
                 yield f"caller {who} calls {s.path}", _at(s, who, "waits", s.path)
             return
-        one: Incarnation = getattr(s, path)
+        side: Side = "old" if path == "old" else "new"
+        one = s.one(side, 0)
         if one.phase == "dead":
             yield f"caller {who}: Unavailable", _at(s, who, "error", path)
         elif where == "waits":
@@ -263,125 +267,96 @@ class Protocol:
                 yield f"caller {who}: moved", _at(s, who, "moved", path)
             elif one.phase == "work" and one.inside < 0:
                 runs = tuple(n + (i == who) for i, n in enumerate(s.runs))
-                inside = changed(s, **{path: one._replace(inside=who)}, runs=runs)
-                yield f"caller {who} is inside", _at(inside, who, "inside", path)
+                inside = s.with_one(side, 0, one._replace(inside=who))
+                entered = _at(inside._replace(runs=runs), who, "inside", path)
+                yield f"caller {who} is inside", entered
         elif where == "inside" and self._bounds.callers[who] == "r":
             # the callee calls the sink, which calls back in the same chain
             yield f"caller {who} goes out", _at(s, who, "out", path)
         else:
             # a chain that comes back is let in though others wait, also for the rest
-            left = changed(s, **{path: one._replace(inside=-1)})
+            left = s.with_one(side, 0, one._replace(inside=-1))
             yield f"caller {who} is answered", _at(left, who, "answered", path)
 
-    # poise.runtime.container.Container._apply, told by `Move._remove`
+    # poise.runtime.container.Container._apply, told by `Exchange._remove`
 
     def _deployments(self, s: State) -> Iterator[tuple[str, State]]:
         if s.spec == "both":
             return
-        kept, gone = s.spec, "old" if s.spec == "new" else "new"
+        kept: Side = "new" if s.spec == "new" else "old"
+        gone: Side = "old" if kept == "new" else "new"
         if s.applied != s.spec and not s.is_source_dead:
             # `Outlet.remove`: one path is left, and what was held goes there
             path = kept if self._bug != "keep the path" else s.path
-            stream, held = {}, s.held
-            if self._bug != "hold for ever" and held is not None:
-                stream, held = {f"to_{path}": (*_stream(s, path), *held)}, None
-            s2 = changed(s, applied=s.spec, path=path, held=held, **stream)
-            yield "source is told", s2
-        one, other = getattr(s, kept), getattr(s, gone)
-        if kept not in s.told and one.phase != "dead":
-            told = s._replace(told=s.told | {kept})
-            yield f"{kept} is told", changed(told, **{kept: _working(one)})
-        is_left = other.phase not in {"dead", "gone"} and other.inside < 0
-        if is_left and self._bug != "remove nothing":
-            yield (
-                f"{gone} is removed",
-                changed(s, **{gone: other._replace(phase="gone")}),
-            )
-
-    # faults
-
-    def _kills(self, s: State) -> Iterator[tuple[str, State]]:
-        s = s._replace(kills=s.kills + 1)
-        if "S" in self._bounds.killed and not s.is_source_dead:
-            excused = s.excused | set(s.held or ())
-            dead = _broken_off(s, {"old", "new", ""})
-            dead = dead._replace(
-                is_source_dead=True,
-                excused=excused,
-                old=s.old._replace(inside=-1),
-                new=s.new._replace(inside=-1),
-            )
-            yield "kill source", _failed(dead, "source")
-        for name in ("old", "new"):
-            one: Incarnation = getattr(s, name)
-            if name[0] in self._bounds.killed and one.phase not in {"dead", "gone"}:
-                out = s.from_old if name == "old" else s.from_new
-                inside = {*one.inbox, *one.log, *_stream(s, name), *out}
-                dead = _broken_off(s, {name})._replace(excused=s.excused | inside)
-                dead = changed(dead, **{name: Incarnation("dead"), f"from_{name}": ()})
-                yield f"kill {name}", _failed(dead, name)
-        if "D" in self._bounds.killed and not s.is_sink_dead:
-            dead = s._replace(is_sink_dead=True, is_sink_marked=False)
-            yield "kill sink", _failed(dead, "sink")
-
-    def _starts(self, s: State) -> Iterator[tuple[str, State]]:
-        if s.is_source_dead:
-            # `Wiring._hold_amid_a_move`
-            path = "old" if s.spec == "both" else s.spec
-            held = () if s.spec == "both" and self._bug != "send at birth" else None
-            born = s._replace(is_source_dead=False, path=path, held=held)
-            yield "source starts", born._replace(applied=s.spec)
-        if s.is_sink_dead:
-            yield "sink starts", s._replace(is_sink_dead=False)
-        for name in ("old", "new"):
-            if getattr(s, name).phase == "dead":
-                phase = {"both": "inactive", name: "work"}.get(s.spec, "gone")
-                if self._bug == "work at birth" and name == "old":
-                    phase = "work" if s.spec == "both" else phase
-                born_one = Incarnation(phase, stays=name == "old" and s.spec == "both")
-                told = s.told if s.spec == "both" else s.told | {name}
-                yield f"{name} starts", changed(s, **{name: born_one}, told=told)
+            told = s._replace(applied=s.spec, path=path)
+            if self._bug != "hold for ever" and s.held is not None:
+                told = told._replace(held=None).flowing(path, 0, *s.held)
+            yield "source is told", told
+        for which, one in enumerate(s.all_of(kept)):
+            name = f"{kept} {which}"
+            if name not in s.told and one.phase != "dead":
+                told = s._replace(told=s.told | {name})
+                yield f"{name} is told", working(told, kept, which)
+        for which, one in enumerate(s.all_of(gone)):
+            is_left = one.phase not in {"dead", "gone"} and one.inside < 0
+            if is_left and self._bug != "remove nothing":
+                removed = s.with_one(gone, which, one._replace(phase="gone"))
+                yield f"{gone} {which} is removed", removed
 
 
-def _is_gone(s: State, spec: str) -> bool:
-    other: Incarnation = s.old if spec == "new" else s.new
-    return other.phase in {"gone", "dead"}
+SIDES: tuple[Side, Side] = ("old", "new")
 
 
-def _working(one: Incarnation) -> Incarnation:
+def _late(s: State) -> State:
+    """Let what was not answered be taken later; a `Flush` at the sink only waits."""
+    pending = {o for o in s.orders if o.outcome == "sent" and o.container != "sink"}
+    return s._replace(late=s.late | pending)
+
+
+def working(s: State, side: Side, which: int) -> State:
     """`Runner.aim("active")`."""
-    phase = one.phase if one.phase in {"dead", "gone"} else "work"
-    return one._replace(phase=phase, stays=False)
+    one = s.one(side, which)
+    if one.phase in {"dead", "gone"}:
+        return s.with_one(side, which, one._replace(stays=False))
+    said = one.kept_back
+    one = one._replace(phase="work", stays=False, kept_back=())
+    return s.with_one(side, which, one).flowing(side, which + 1, *said)
 
 
-def _noted(s: State, name: str, outcome: str) -> State:
-    orders = dict(s.orders) | {name: outcome}
-    if (name, outcome) == ("Take", "failed"):
-        orders["Activate"] = "failed"
-    return s._replace(orders=tuple(orders.items()))
+def _arrived(s: State, side: Side, which: int, item: float) -> tuple[str, State]:
+    one = s.one(side, which)
+    name = f"{side} {which}"
+    if one.phase == "dead":
+        return f"lost before {name}", s._replace(excused=s.excused | {item})
+    if one.phase == "gone":
+        return f"lost before {name}", s
+    if item == MARK:
+        one = one._replace(is_marked=True)
+    else:
+        one = one._replace(inbox=(*one.inbox, item))
+    return f"arrives at {name}", s.with_one(side, which, one)
 
 
-def _failed(s: State, container: str) -> State:
-    """Let the agent answer the orders of a container that ended."""
-    orders = tuple(
-        (name, "failed" if AT[name] == container and outcome == "sent" else outcome)
-        for name, outcome in s.orders
-    )
-    stale = frozenset(name for name in s.stale if AT[name] != container)
-    return s._replace(orders=orders, stale=stale)
+def _at_sink(s: State, item: float) -> tuple[str, State]:
+    if s.is_sink_dead:
+        return "lost before sink", s._replace(excused=s.excused | {item})
+    if item == MARK:
+        return "mark at sink", s._replace(is_sink_marked=True)
+    return "arrives at sink", s._replace(got=(*s.got, item))
 
 
-def _broken_off(s: State, paths: set[str]) -> State:
-    """End every call over one of these paths with an error."""
-    calls = tuple(
-        ("error" if path in paths and where != "answered" else where, path)
-        for where, path in s.calls
-    )
-    return s._replace(calls=calls)
+def _after(order: Order, *, is_done: bool) -> Order:
+    kind = order.container.partition(" ")[0]
+    if not is_done:
+        return order._replace(outcome="failed")
+    if order.next + 1 == len(STEPS[order.round][kind]):
+        return order._replace(outcome="done")
+    return order._replace(next=order.next + 1)
 
 
-def _stream(s: State, name: str) -> tuple[int, ...]:
-    return s.to_old if name == "old" else s.to_new
+def _said(order: Order) -> str:
+    kind = order.container.partition(" ")[0]
+    return f"{STEPS[order.round][kind][order.next]} at {order.container}"
 
 
 def _at(s: State, who: int, where: str, path: str) -> State:

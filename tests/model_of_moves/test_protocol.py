@@ -10,14 +10,18 @@ from tests.model_of_moves.world import Bounds, State, is_final, trouble_of
 
 BOUNDS = [
     Bounds(messages=3),
+    Bounds(messages=2, speaks=True),
     Bounds(messages=2, gives_up=1),
     Bounds(messages=1, callers="cr"),
     Bounds(messages=0, callers="cr", gives_up=1),
-    Bounds(messages=0, callers="r", gives_up=1, kills=1),
+    Bounds(messages=0, callers="r", kills=1),
+    Bounds(messages=1, kills=1, speaks=True),
     Bounds(messages=2, kills=1, killed="S"),
-    Bounds(messages=2, kills=1, killed="o"),
-    Bounds(messages=2, kills=1, killed="n"),
-    Bounds(messages=1, kills=1, gives_up=1),
+    Bounds(messages=1, kills=1, killed="o", gives_up=1),
+    Bounds(messages=1, kills=1, killed="n", gives_up=1),
+    Bounds(messages=1, movers=2, speaks=True),
+    Bounds(messages=0, movers=2, callers="c"),
+    Bounds(messages=0, movers=2, kills=1, killed="o"),
 ]
 BUGS = [
     ("no drain", Bounds(messages=0, callers="r"), "a chain is inside"),
@@ -27,11 +31,20 @@ BUGS = [
     ("hold for ever", Bounds(messages=1, gives_up=1), "stuck"),
     ("hold too late", Bounds(messages=1, gives_up=1), "stuck"),
     ("rest too late", Bounds(messages=1, gives_up=1), "stuck"),
-    ("ignore failures", Bounds(messages=1, gives_up=1), "two are at work"),
-    ("work before it is kept", Bounds(messages=1, gives_up=1), "two are at work"),
+    ("ignore failures", Bounds(messages=1, gives_up=1), "old and new are at work"),
+    (
+        "work before it is kept",
+        Bounds(messages=1, gives_up=1),
+        "old and new are at work",
+    ),
     ("remove nothing", Bounds(messages=1), "stuck"),
+    ("speak at once", Bounds(messages=2, speaks=True), "reordered"),
     ("send at birth", Bounds(messages=2, kills=1, killed="S"), "lost"),
-    ("work at birth", Bounds(messages=1, kills=1, killed="o"), "two are at work"),
+    (
+        "work at birth",
+        Bounds(messages=1, kills=1, killed="o"),
+        "old and new are at work",
+    ),
 ]
 
 

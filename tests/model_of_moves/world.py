@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 MARK = 0
 """A mark in a stream of messages, which are numbered from 1."""
+
+Side = Literal["old", "new"]
+Stream = tuple[float, ...]
 
 
 class Bounds(NamedTuple):
@@ -14,14 +17,18 @@ class Bounds(NamedTuple):
     messages: int = 2
     callers: str = ""
     """A letter each: `c` calls, `r` is called back by what its callee calls."""
+    movers: int = 1
+    """Neighbours that move at once: the first sends to the second."""
+    speaks: bool = False
+    """Whether `activate` of the last of them publishes a message."""
     kills: int = 0
     gives_up: int = 0
-    killed: str = "SondD"
-    """Containers that may be killed, by their letter."""
+    killed: str = "SonD"
+    """Containers that may be killed: source, old, new, sink."""
 
 
 class Incarnation(NamedTuple):
-    """The moved component in one container (`poise.runtime.runner.Runner`).
+    """A moved component in one container (`poise.runtime.runner.Runner`).
 
     `phase`: inactive, ready (activated, at rest), work, rest, gone, dead.
     """
@@ -29,73 +36,122 @@ class Incarnation(NamedTuple):
     phase: str
     stays: bool = False
     is_retired: bool = False
+    gives: bool = False
     inside: int = -1
     """The caller whose chain is inside; -1: none."""
-    inbox: tuple[int, ...] = ()
-    log: tuple[int, ...] = ()
+    inbox: Stream = ()
+    log: Stream = ()
     """Its state: what it has worked on."""
+    kept_back: Stream = ()
+    """What `activate` published: it goes out when the component works."""
     is_marked: bool = False
+
+
+class Order(NamedTuple):
+    """The steps of one round for one container."""
+
+    round: str
+    container: str
+    next: int = 0
+    """The step to be taken next."""
+    outcome: str = "sent"
 
 
 class State(NamedTuple):
     """All of the modelled world."""
 
-    old: Incarnation
-    new: Incarnation
+    olds: tuple[Incarnation, ...]
+    news: tuple[Incarnation, ...]
+    # what is under way to each of them, and at last to the sink
+    to_olds: tuple[Stream, ...]
+    to_news: tuple[Stream, ...]
     # the manager
-    round: str = "shut"
-    orders: tuple[tuple[str, str], ...] = ()
-    """Orders of this round: name and outcome (sent, done, failed)."""
-    stale: frozenset[str] = frozenset()
-    """Orders that were given up and may still be taken."""
+    round: str = "hand over"
+    orders: tuple[Order, ...] = ()
+    late: frozenset[Order] = frozenset()
+    """Orders for which nobody waits, and that may still be taken."""
     spec: str = "both"
     """What agents were told: both, only old, only new."""
     told: frozenset[str] = frozenset()
-    """The containers of the component that heard it."""
-    # the source's outlet, and the streams between containers
+    """The containers of moved components that heard it."""
+    # the source's outlet
     applied: str = "both"
-    path: str = "old"
-    held: tuple[int, ...] | None = None
+    path: Side = "old"
+    held: Stream | None = None
     sent: int = 0
     is_source_dead: bool = False
     is_sink_marked: bool = False
     is_sink_dead: bool = False
-    to_old: tuple[int, ...] = ()
-    to_new: tuple[int, ...] = ()
-    from_old: tuple[int, ...] = ()
-    from_new: tuple[int, ...] = ()
-    got: tuple[int, ...] = ()
+    got: Stream = ()
     """What the sink received."""
     calls: tuple[tuple[str, str], ...] = ()
     """Each caller: where it is, and its path."""
     runs: tuple[int, ...] = ()
     """How often each call was run."""
-    excused: frozenset[int] = frozenset()
+    excused: frozenset[float] = frozenset()
     """Messages that were in a container when it was killed."""
     kills: int = 0
     given_up: int = 0
 
+    def one(self, side: Side, which: int) -> Incarnation:
+        """Return an incarnation."""
+        return (self.olds if side == "old" else self.news)[which]
 
-def changed(state: State, **changes: Any) -> State:
-    """Return a state with some fields changed."""
-    return state._replace(**changes)
+    def with_one(self, side: Side, which: int, one: Incarnation) -> State:
+        """Return the state with another incarnation."""
+        ones = _with(self.all_of(side), which, one)
+        return self._replace(olds=ones) if side == "old" else self._replace(news=ones)
+
+    def all_of(self, side: str) -> tuple[Incarnation, ...]:
+        """Return the incarnations of one side."""
+        return self.olds if side == "old" else self.news
+
+    def streams(self, side: str) -> tuple[Stream, ...]:
+        """Return what is under way on one side."""
+        return self.to_olds if side == "old" else self.to_news
+
+    def flowing(self, side: Side, to: int, *items: float) -> State:
+        """Return the state with more under way."""
+        return self.with_stream(side, to, (*self.streams(side)[to], *items))
+
+    def with_stream(self, side: Side, to: int, stream: Stream) -> State:
+        """Return the state with something else under way."""
+        all_ = _with(self.streams(side), to, stream)
+        if side == "old":
+            return self._replace(to_olds=all_)
+        return self._replace(to_news=all_)
+
+
+def _with(things: tuple[Any, ...], which: int, thing: object) -> tuple[Any, ...]:
+    return (*things[:which], thing, *things[which + 1 :])
 
 
 def trouble_of(s: State) -> str:
     """Return which invariant does not hold."""
-    both = s.old, s.new
-    missing = set(range(1, s.sent + 1)) - set(s.got) - s.excused
-    troubles = {
-        "two are at work": s.old.phase == s.new.phase == "work",
-        "doubled": len(set(s.got)) < len(s.got),
-        "reordered": list(s.got) != sorted(s.got),
-        "a call was run twice": any(runs > 1 for runs in s.runs),
-        "a chain is inside what is at rest": any(
-            one.inside >= 0 and one.phase != "work" for one in both
-        ),
-        "lost": bool(missing) and s.round == "end" and is_quiet(s),
-    }
-    return next((name for name, holds in troubles.items() if holds), "")
+    both = (*s.olds, *s.news)
+    got = s.got
+    if _works(s.olds) and _works(s.news):
+        trouble = "old and new are at work"
+    elif len(set(got)) < len(got):
+        trouble = "doubled"
+    elif list(got) != sorted(got):
+        trouble = "reordered"
+    elif any(runs > 1 for runs in s.runs):
+        trouble = "a call was run twice"
+    elif any(one.inside >= 0 and one.phase != "work" for one in both):
+        trouble = "a chain is inside what is at rest"
+    elif s.spec == "old" and any(item % 1 for item in got):
+        trouble = "what was not kept has spoken"
+    elif s.round == "end" and is_quiet(s):
+        missing = set(range(1, s.sent + 1)) - set(got) - s.excused
+        trouble = "lost" if missing else ""
+    else:
+        trouble = ""
+    return trouble
+
+
+def _works(ones: tuple[Incarnation, ...]) -> bool:
+    return any(one.phase == "work" for one in ones)
 
 
 def is_final(s: State, bounds: Bounds) -> bool:
@@ -109,11 +165,10 @@ def is_final(s: State, bounds: Bounds) -> bool:
 
 
 def is_quiet(s: State) -> bool:
-    """Whether one incarnation works and nothing waits or is under way."""
-    one: Incarnation = getattr(s, s.spec)
-    streams = (s.to_old, s.to_new, s.from_old, s.from_new)
+    """Whether one side works and nothing waits or is under way."""
+    ones = s.all_of(s.spec)
     alive = not (s.is_source_dead or s.is_sink_dead)
-    settled = s.applied == s.spec in s.told and s.held is None and not s.stale
-    return (
-        alive and settled and one.phase == "work" and not one.inbox and not any(streams)
-    )
+    told = all(f"{s.spec} {which}" in s.told for which in range(len(ones)))
+    settled = s.applied == s.spec and told and s.held is None and not s.late
+    work = all(one.phase == "work" and not one.inbox for one in ones)
+    return alive and settled and work and not any((*s.to_olds, *s.to_news))

@@ -151,7 +151,7 @@ class Pair:
         place = Place(
             prefix="poise/test",
             address="127.0.0.1",
-            agent=self._agent,
+            agents=(self._agent,),
             socket=str(socket_path(self._folder, name)),
         )
         transports = self.transports[name] = Transports(place)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol
 
 import pytest
@@ -143,7 +144,9 @@ def texts(runner: Runner) -> tuple[str, ...]:
 def rest(runner: Runner) -> DirectPipe:
     runner.stay()
     runner.rest(LIMIT)
-    return DirectPipe(Giver(runner))
+    giver = Giver(runner)
+    giver.give()
+    return DirectPipe(giver)
 
 
 def tell(runner: Runner, *words: str) -> None:
@@ -187,12 +190,14 @@ def test_a_large_state_goes_first_and_then_what_changed(
     old = incarnations.start(Gradual, active=True)
     new = incarnations.start(Gradual, active=False)
     tell(old, "a")
-    pipe = DirectPipe(Giver(old))
+    giver = Giver(old)
+    pipe = DirectPipe(giver)
     handover.take(new, handover.fetch(pipe, Ask.STATE, LIMIT))
     assert texts(new) == ("a",)
     tell(old, "b")
     old.stay()
     old.rest(LIMIT)
+    giver.give()
     given = handover.fetch(pipe, Ask.ALL, LIMIT)
     assert not given.state
     handover.take(new, given)
@@ -201,7 +206,9 @@ def test_a_large_state_goes_first_and_then_what_changed(
 
 def test_what_works_gives_only_its_state(incarnations: Incarnations) -> None:
     """As when the new one asks after the move led back."""
-    pipe = DirectPipe(Giver(incarnations.start(Book, active=True)))
+    giver = Giver(incarnations.start(Book, active=True))
+    giver.give()
+    pipe = DirectPipe(giver)
     with pytest.raises(UsageError, match="RunError: component 'book' is not at rest"):
         handover.fetch(pipe, Ask.ALL, LIMIT)
 
@@ -240,3 +247,23 @@ def test_a_state_does_not_come_for_ever(incarnations: Incarnations) -> None:
     pipe = rest(incarnations.start(Book, active=True))
     with pytest.raises(Timeout, match="of the state came in 0 s"):
         handover.fetch(pipe, Ask.ALL, 0.0)
+
+
+def test_whoever_asks_waits_until_it_is_given(incarnations: Incarnations) -> None:
+    old = incarnations.start(Book, active=True)
+    tell(old, "a")
+    giver = Giver(old)
+    with ThreadPoolExecutor(1) as asker:
+        asked = asker.submit(handover.fetch, DirectPipe(giver), Ask.ALL, LIMIT)
+        old.stay()
+        old.rest(LIMIT)
+        assert not asked.done()
+        giver.give()
+        assert asked.result(LIMIT).state
+
+
+def test_whoever_asks_hears_why_nothing_is_given(incarnations: Incarnations) -> None:
+    giver = Giver(incarnations.start(Book, active=True))
+    giver.refuse("it did not come to rest")
+    with pytest.raises(UsageError, match="it did not come to rest"):
+        handover.fetch(DirectPipe(giver), Ask.ALL, LIMIT)

@@ -225,7 +225,7 @@ class _Mover:
         if self._report is None and now > _MOVE_AT:
             self._counts.append(_deadlines(run))
             self._report = move(run, _MOVED, self._target)
-            self._ended = now
+            self._ended = now + self._report.prepared + self._report.gate_shut
         elif len(self._counts) == 1 and now > self._ended + 1:
             self._counts.append(_deadlines(run))
 

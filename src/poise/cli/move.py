@@ -8,7 +8,15 @@ from typing import Annotated
 import msgspec
 import typer
 
-from poise.manage.desk import AskMove, AskReplace, Moved, ask
+from poise.manage.alternative import ReplaceReport
+from poise.manage.desk import (
+    AskAlternative,
+    AskMove,
+    AskReplace,
+    Moved,
+    Replaced,
+    ask,
+)
 from poise.manage.move import MoveReport
 from poise.units import format_seconds
 
@@ -27,7 +35,8 @@ def move_command(
     """Move a component of a running robot to another computer.
 
     It keeps its state, and no call or message is lost, doubled or reordered. When
-    something fails it goes on where it was, and the exit code is 1.
+    something fails it goes on where it was, and the exit code is 1. A command-line
+    component is stopped and started anew.
 
     Example: poise move localiser vision
     """
@@ -35,25 +44,32 @@ def move_command(
 
 
 def replace_command(
-    component: Annotated[str, typer.Argument(help="The component.")],
-    implementation: Annotated[str, typer.Argument(help="package.module:Class")],
+    what: Annotated[str, typer.Argument(help="The component, or an architecture.")],
+    by: Annotated[
+        str, typer.Argument(help="package.module:Class, or another architecture.")
+    ],
     adapt: Annotated[
         str, typer.Option(help="package.module:function that maps the old state.")
     ] = "",
     robot: Robot = None,
     as_json: AsJson = False,
 ) -> None:
-    """Swap the implementation of a running robot's component, keeping its state.
+    """Swap a running component's implementation, or a whole architecture.
+
+    State is kept, and mapped by --adapt. An architecture is replaced by another that
+    provides the same function: all its components take over at once, or none does.
 
     Example: poise replace localiser trot.navigator.scan_matcher:ScanMatcher
     """
-    what = AskReplace(component, implementation, adapt)
-    show_move(ask(robot, what), as_json=as_json)
+    if ":" in by:
+        show_move(ask(robot, AskReplace(what, by, adapt)), as_json=as_json)
+    else:
+        show_move(ask(robot, AskAlternative(what, by, adapt)), as_json=as_json)
 
 
 def show_move(answer: object, *, as_json: bool) -> None:
-    """Print what came of a move; exit with 1 when it was called off."""
-    assert isinstance(answer, Moved)  # noqa: S101, what the manager answers to these
+    """Print what came of a move or replacement; exit with 1 when it was called off."""
+    assert isinstance(answer, Moved | Replaced)  # noqa: S101, what is answered to these
     report = answer.report
     if as_json:
         sys.stdout.write(msgspec.json.encode(report).decode() + "\n")
@@ -63,11 +79,18 @@ def show_move(answer: object, *, as_json: bool) -> None:
         raise typer.Exit(1)
 
 
-def _sentence(report: MoveReport) -> str:
+def _sentence(report: MoveReport | ReplaceReport) -> str:
+    if isinstance(report, MoveReport):
+        stays = f"{report.component} stays on {report.source}"
+        runs = f"{report.component} runs on {report.target}"
+    else:
+        stays, runs = f"{report.architecture} goes on", f"{report.by} runs"
     if not report.committed:
-        return f"{report.component} stays on {report.source}: {report.reason}"
+        return f"{stays}: {report.reason}"
+    if isinstance(report, MoveReport) and report.short_stop:
+        away = format_seconds(report.gate_shut)
+        return f"{runs} now; started anew, away for {away}"
     return (
-        f"{report.component} runs on {report.target} now; prepared in "
-        f"{format_seconds(report.prepared)}, gate shut for "
+        f"{runs} now; prepared in {format_seconds(report.prepared)}, gate shut for "
         f"{format_seconds(report.gate_shut)}"
     )

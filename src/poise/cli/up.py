@@ -12,9 +12,11 @@ from rich.console import Console
 from poise.cli.launch import Kind, Watching, decide, prepared, running
 from poise.cli.profiles import read_profile
 from poise.errors import RobotError
+from poise.manage.alternative import replace_architecture
 from poise.manage.balance import propose
 from poise.manage.desk import (
     Answered,
+    AskAlternative,
     AskBalance,
     Asked,
     AskMove,
@@ -24,6 +26,7 @@ from poise.manage.desk import (
     Balanced,
     Desk,
     Moved,
+    Replaced,
     RobotStatus,
     Stopping,
 )
@@ -141,6 +144,10 @@ class _Manager:
                 return Answered(Moved(replace(run, component, implementation, adapt)))
             case AskBalance(cost, dry):
                 return Answered(self._balance(cost, dry=dry))
+            case AskAlternative(architecture, by, adapt):
+                return Answered(
+                    Replaced(replace_architecture(run, architecture, by, adapt))
+                )
             case AskStop():
                 self.is_stopping = True
                 return Answered(Stopping())

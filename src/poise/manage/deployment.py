@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import PurePath
 
 from msgspec import Struct, structs
 
-from poise.model.robot import Architecture, Component, Connector, Robot
+from poise.model.robot import Architecture, Component, Connector, End, Robot
 from poise.wire.messages import (
     ComponentSpec,
     ConnectorKind,
@@ -20,6 +21,9 @@ from poise.wire.messages import (
 FILLS_INTERPRETER = 0.5
 """A component with a larger CPU demand [cores] gets a container of its own: threads of
 one Python process share one core."""
+
+_STRANGERS = {"stay", "inactive"}
+"""Who goes and who comes in an exchange are not joined."""
 
 Placement = Mapping[str, str]
 
@@ -36,6 +40,8 @@ class Incarnation(Struct, frozen=True, kw_only=True):
     adapt
         ``package.module:function`` that turns the state of the implementation before
         into one for this; empty: it is the same.
+    gently
+        Whether it is prepared with the CPU time that others leave.
     """
 
     component: str
@@ -44,6 +50,7 @@ class Incarnation(Struct, frozen=True, kw_only=True):
     goal: Goal = "active"
     implementation: str = ""
     adapt: str = ""
+    gently: bool = False
 
     def with_goal(self, goal: Goal) -> Incarnation:
         """Return the same with another goal."""
@@ -79,6 +86,8 @@ class Layout:
             if commands.isdisjoint(end.component for end in connector.between)
         ]
 
+        self._slots = _slots(robot)
+
     def container_of(self, component: str) -> str:
         """Return the name of a component's container, the same on every computer."""
         return self._containers[component]
@@ -105,25 +114,22 @@ class Layout:
             for computer, specs in containers.items()
         }
 
-    def into(self, component: str, placed: Iterable[str]) -> list[Connector]:
-        """Return the connectors from placed components to `component`."""
+    def connectors(self, placed: Iterable[str]) -> list[Connector]:
+        """Return the connectors between placed components that Poise joins."""
         there = set(placed)
         return [
             connector
             for connector in self._joinable
-            if connector.between[1].component == component
-            and connector.between[0].component in there
+            if there.issuperset(end.component for end in connector.between)
         ]
 
-    def out_of(self, component: str, placed: Iterable[str]) -> list[Connector]:
-        """Return the connectors from `component` to placed components."""
-        there = set(placed)
-        return [
-            connector
-            for connector in self._joinable
-            if connector.between[0].component == component
-            and connector.between[1].component in there
-        ]
+    def slot_of(self, connector: Connector) -> str:
+        """Return what the source calls its end: alike for an alternative's connector.
+
+        The nth connector from a port to an architecture has the slot of the nth from
+        there to its alternatives.
+        """
+        return self._slots[name_of(connector)]
 
     def joined(
         self, connector: Connector, source: Incarnation, target: Incarnation
@@ -138,6 +144,7 @@ class Layout:
         first, second = connector.between
         return ConnectorSpec(
             name=name_of(connector),
+            slot=self.slot_of(connector),
             kind=kind,
             source=source.component,
             source_epoch=source.epoch,
@@ -173,6 +180,7 @@ class Layout:
                 for name in component.devices
             },
             weigh=self._weigh,
+            gently=incarnation.gently,
         )
 
     def _connectors(
@@ -186,11 +194,9 @@ class Layout:
             first, second = connector.between
             for source in by_name.get(first.component, ()):
                 for target in by_name.get(second.component, ()):
-                    strangers = (
-                        source.component == target.component
-                        and source.epoch != target.epoch
-                    )
-                    if not strangers and (source in inside or target in inside):
+                    if {source.goal, target.goal} == _STRANGERS:
+                        continue
+                    if source in inside or target in inside:
                         yield self.joined(connector, source, target)
 
 
@@ -198,6 +204,22 @@ def name_of(connector: Connector) -> str:
     """Return the name that a connector has at run time."""
     source, target = connector.between
     return f"{source}-{target}"
+
+
+def _slots(robot: Robot) -> dict[str, str]:
+    """Return the slots of all connectors, by name."""
+    homes = {c.name: a for a in robot.architectures for c in a.components}
+    counts: Counter[tuple[End, str]] = Counter()
+    first: dict[tuple[End, str, int], str] = {}
+    slots = {}
+    for connector in robot.all_connectors():
+        source, target = connector.between
+        there = homes[target.component]
+        rank = counts[source, there.name]
+        counts[source, there.name] += 1
+        name = name_of(connector)
+        slots[name] = first.setdefault((source, there.function, rank), name)
+    return slots
 
 
 def _container(architecture: Architecture, component: Component) -> str:

@@ -17,6 +17,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from poise.errors import PoiseError, RunError, UsageError
+from poise.manage.alternative import ReplaceReport
 from poise.manage.balance import Proposal
 from poise.manage.estimates import Standing
 from poise.manage.move import MoveReport
@@ -48,6 +49,14 @@ class AskReplace(Struct, frozen=True, tag=True):
     adapt: str = ""
 
 
+class AskAlternative(Struct, frozen=True, tag=True):
+    """Put the architecture `by` in the place of another; `adapt` maps the states."""
+
+    architecture: str
+    by: str
+    adapt: str = ""
+
+
 class AskBalance(Struct, frozen=True, tag=True):
     """Place the robot anew, unless `dry`; `move` is what moving a component costs."""
 
@@ -59,7 +68,7 @@ class AskStop(Struct, frozen=True, tag=True):
     """Stop the robot."""
 
 
-Ask = AskStatus | AskMove | AskReplace | AskBalance | AskStop
+Ask = AskStatus | AskMove | AskReplace | AskAlternative | AskBalance | AskStop
 
 
 class Asked(Struct, frozen=True):
@@ -99,13 +108,19 @@ class Balanced(Struct, frozen=True, tag=True):
     report: TransitionReport | None = None
 
 
+class Replaced(Struct, frozen=True, tag=True):
+    """What came of the replacement of an architecture."""
+
+    report: ReplaceReport
+
+
 class Refusal(Struct, frozen=True, tag=True):
     """It was not done, and why."""
 
     reason: str
 
 
-Answer = RobotStatus | Stopping | Moved | Balanced
+Answer = RobotStatus | Stopping | Moved | Replaced | Balanced
 
 
 class Answered(Struct, frozen=True):

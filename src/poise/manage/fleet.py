@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
+from queue import Empty, SimpleQueue
 from typing import Self
 
 import msgspec
 import zenoh
+from zenoh.handlers import Callback
 
 from poise.clock import Clock
 from poise.errors import RunError
@@ -31,11 +34,17 @@ log = logging.getLogger(__name__)
 
 MARGIN = 0.1
 """An agent's answer to an order may come so much after the order's limit [s]."""
+_LAST_WORD = 1.0
+"""So long after the limit of an order zenoh may tell that no answer came [s]."""
 _LOOK = 0.1
 ANSWER_LIMIT = 2.0
 """An agent answers a deployment within this time [s]."""
 _NEWS = 0.5
 """That an agent is lost is known so long [s] after its connection ends, at most."""
+
+
+_Said = SimpleQueue[tuple[int, zenoh.Reply | None]]
+"""What zenoh's threads say: of which order, and an answer, or None at its end."""
 
 
 class Fleet:
@@ -162,22 +171,41 @@ class Fleet:
             if refusal
         }
 
-    def order(self, orders: Iterable[tuple[str, Order]]) -> list[Outcome]:
-        """Tell containers to take steps, all at once; return what came of each.
+    def order(self, orders: Iterable[tuple[str, Order]]) -> Iterator[Outcome]:
+        """Tell containers to take steps, all at once; yield what came of each.
+
+        The first to be known comes first, and nobody need wait for the others.
 
         Parameters
         ----------
         orders
             Computers and orders. An agent that does not answer counts as failed.
         """
-        asked = [
-            (computer, order, self._ask(computer, order, order.limit + MARGIN))
-            for computer, order in orders
-        ]
-        return [
-            self._outcome(computer, order, replies)
-            for computer, order, replies in asked
-        ]
+        said: _Said = SimpleQueue()
+        asked = {order.number: (computer, order) for computer, order in orders}
+        for number, (computer, order) in asked.items():
+            self._session.get(
+                f"{self._prefix}/agent/{computer}",
+                Callback(partial(_note, said, number), partial(_note, said, number)),
+                payload=msgspec.msgpack.encode(order),
+                timeout=order.limit + MARGIN,
+            )
+        return self._outcomes(asked, said)
+
+    def _outcomes(
+        self,
+        asked: dict[int, tuple[str, Order]],
+        said: _Said,
+    ) -> Iterator[Outcome]:
+        limit = max((order.limit for _, order in asked.values()), default=0.0)
+        while asked:
+            try:
+                number, reply = said.get(timeout=limit + _LAST_WORD)
+            except Empty:  # zenoh did not even tell that the time is over
+                number, reply = next(iter(asked)), None
+            if number in asked:
+                computer, order = asked.pop(number)
+                yield self._outcome(computer, order, reply)
 
     def _ask(
         self, computer: str, request: Request, limit: float
@@ -199,10 +227,10 @@ class Fleet:
         return f"refused: {why}"
 
     def _outcome(
-        self, computer: str, order: Order, replies: Iterable[zenoh.Reply]
+        self, computer: str, order: Order, reply: zenoh.Reply | None
     ) -> Outcome:
         """Return what came of an order."""
-        answer = _answer(replies)
+        answer = _answer(() if reply is None else (reply,))
         if isinstance(answer, Done | Failed):
             return answer
         if answer is None:
@@ -248,6 +276,10 @@ class Fleet:
                 self._alive.discard(computer)
                 self._lost.add(computer)
             self._changed.notify_all()
+
+
+def _note(said: _Said, number: int, reply: zenoh.Reply | None = None) -> None:
+    said.put((number, reply))
 
 
 def _decoded(sample: zenoh.Sample) -> Accepted | Refused | Done | Failed:

@@ -5,12 +5,15 @@ It believes only what agents observed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import contextlib
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from functools import partial
 
 from poise.errors import RunError
 from poise.manage.deployment import Incarnation, Layout, Placement
 from poise.manage.fleet import Fleet
 from poise.manage.journal import Journal
+from poise.manage.levels import levels
 from poise.model.robot import Robot
 from poise.wire.messages import (
     AgentStatus,
@@ -24,6 +27,9 @@ READY_LIMIT = 20.0
 """All components are configured and all connectors joined within this time [s]."""
 ACTIVE_LIMIT = 10.0
 STOP_LIMIT = 5.0
+REST_LIMIT = 1.0
+"""Components that call others become inactive within this time [s], or are not waited
+for any longer."""
 
 
 class Run:
@@ -91,7 +97,7 @@ class Run:
         self.fleet.wait_news(self._raise_on_trouble, seconds)
 
     def stop(self) -> None:
-        """Stop everything; agents that are gone are left out.
+        """Stop everything, callers first; agents that are gone are left out.
 
         Raises
         ------
@@ -99,10 +105,48 @@ class Run:
             Something still ran after `STOP_LIMIT`.
         """
         left = self.computers()
+        with contextlib.suppress(RunError):  # it is only for quiet
+            self._come_to_rest()
         self.tell((), left)
         if not self.fleet.wait_news(lambda: self._is_empty(left), STOP_LIMIT):
             raise RunError(f"containers still ran {STOP_LIMIT:g} s after the stop")
         self.journal.note("done", "everything stopped")
+
+    def _come_to_rest(self) -> None:
+        """Make callers inactive before those whom they call: no call goes nowhere."""
+        calls = self.calls()
+        leads = [
+            (connector.between[0].component, connector.between[1].component)
+            for connector in self.layout.connectors(self.placed)
+            if (connector.between[0].component, connector.between[0].port) in calls
+        ]
+        callees = {callee for _, callee in leads}
+        resting: set[str] = set()
+        for level in levels(self.placed, leads):
+            if callees <= resting:
+                break
+            resting |= set(level)
+            wanted = [
+                each.with_goal("inactive") if each.component in resting else each
+                for each in self.placed.values()
+            ]
+            self.tell(wanted, self.computers())
+            self.fleet.wait_news(partial(self._do_rest, resting), REST_LIMIT)
+
+    def _do_rest(self, names: Collection[str]) -> bool:
+        self.raise_on_lost()
+        return not any(
+            component.name in names and component.state == "active"
+            for component in components_of(self.current())
+        )
+
+    def calls(self) -> set[tuple[str, str]]:
+        """Return the ends over which components call: component and port."""
+        return {
+            (component.name, port)
+            for component in components_of(self.fleet.statuses())
+            for port in component.requires
+        }
 
     def reach(self, goal: Goal, limit: float) -> None:
         """Bring every component to a goal within `limit` [s]; `start` says the rest."""

@@ -30,6 +30,7 @@ from poise.runtime.children import STOP_LIMIT, BackOff, Child, End
 from poise.runtime.collector import Collector
 from poise.runtime.ledger import new_memory
 from poise.runtime.orders import Orders
+from poise.runtime.priority import go_first
 from poise.runtime.requests import Requests, answer
 from poise.runtime.round_trips import RoundTrips
 from poise.runtime.waker import Waker, wait_readable
@@ -130,6 +131,7 @@ class Agent:
         """
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._on_signal)
+        go_first()
         try:
             self._run_in(self._setup)
         finally:
@@ -314,7 +316,7 @@ class Agent:
         return Place(
             prefix=f"poise/{self._setup.robot}",
             address=self._setup.address,
-            agent=self._endpoint(),
+            agents=(self._endpoint(), *self._setup.peers),
             socket=str(socket_path(Path(self._setup.folder), name)),
             computer=self._setup.computer,
         )

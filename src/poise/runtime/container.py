@@ -23,8 +23,10 @@ from poise.clock import ComponentClock
 from poise.errors import RunError, Timeout, Unavailable
 from poise.runtime.clock_table import ComputerClock
 from poise.runtime.command import Command
+from poise.runtime.component import Component
 from poise.runtime.implementation import find, specialised
 from poise.runtime.ledger import Incarnation, Ledger
+from poise.runtime.priority import as_usual, gently, go_first
 from poise.runtime.runner import Runner
 from poise.runtime.steps import Steps
 from poise.runtime.waker import Waker, is_writable, wait_readable
@@ -48,7 +50,7 @@ log = logging.getLogger(__name__)
 REPORT_EVERY = 1.0
 """A status goes out at least this often [s]."""
 _JOINING_EVERY = 0.02
-"""While a connector is not joined it is looked for, and told of, this often [s]."""
+"""While a connector is not joined, it is looked for this often [s]."""
 _STOP_LIMIT = 1.0
 _STEP_THREADS = 4
 _SWITCH_EVERY = 0.001
@@ -82,7 +84,7 @@ class Container:
         self._broken: dict[Incarnation, ComponentStatus] = {}
         self._steps = Steps(self._runners, self._wiring, self._transports)
         # steps wait for components and for other computers; the control thread must not
-        self._step_threads = ThreadPoolExecutor(_STEP_THREADS, "step")
+        self._step_threads = ThreadPoolExecutor(_STEP_THREADS, "step", go_first)
         self._telling = threading.Lock()
         self._stopping = False
         self._waker = Waker()
@@ -101,6 +103,7 @@ class Container:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:
+            go_first()
             self._serve()
         except Unavailable:
             log.warning("container '%s': the agent is gone", self._name)
@@ -112,22 +115,28 @@ class Container:
         self._waker.wake()
 
     def _serve(self) -> None:
-        report_at = 0.0
+        report_at, unjoined = 0.0, self._wiring.unjoined()
         while not self._stopping:
-            limit = max(0.0, report_at - self._clock.now())
-            agent = self._agent.fileno()
-            ended = [fd for each in self._commands.values() for fd in each.watched()]
-            ready = wait_readable([agent, self._waker.fileno(), *ended], limit)
-            self._waker.clear()
-            if agent in ready:
-                self._hear(control.receive(self._agent, ToContainer).what)
-            if not ready.isdisjoint(ended):
-                self._raise_if_ended()
-            status = self._status()
-            self._report(status)
-            is_joined = all(connector.ready for connector in status.connectors)
-            pause = REPORT_EVERY if is_joined else _JOINING_EVERY
-            report_at = self._clock.now() + pause
+            look_at = report_at
+            if unjoined:
+                look_at = min(report_at, self._clock.now() + _JOINING_EVERY)
+            has_news = self._listen(max(0.0, look_at - self._clock.now()))
+            before, unjoined = unjoined, self._wiring.unjoined()
+            if has_news or unjoined != before or self._clock.now() >= report_at:
+                self._report(self._status())
+                report_at = self._clock.now() + REPORT_EVERY
+
+    def _listen(self, limit: float) -> bool:
+        """Wait up to `limit` [s] for news, and attend to it; whether there was any."""
+        agent, waker = self._agent.fileno(), self._waker.fileno()
+        ended = [fd for each in self._commands.values() for fd in each.watched()]
+        ready = wait_readable([agent, waker, *ended], limit)
+        self._waker.clear()
+        if agent in ready:
+            self._hear(control.receive(self._agent, ToContainer).what)
+        if not ready.isdisjoint(ended):
+            self._raise_if_ended()
+        return bool(ready)
 
     def _raise_if_ended(self) -> None:
         """End with a command that ended: the agent starts both anew, after a while."""
@@ -144,12 +153,13 @@ class Container:
 
     def _hear(self, what: ContainerSpec | Order) -> None:
         if isinstance(what, Order):
-            self._step_threads.submit(self._take_step, what)
+            self._step_threads.submit(self._take_step, what, time.monotonic())
         else:
-            self._apply(what)
+            with as_usual():
+                self._apply(what)
 
-    def _take_step(self, order: Order) -> None:
-        outcome = self._steps.take(order)
+    def _take_step(self, order: Order, heard: float) -> None:
+        outcome = self._steps.take(order, heard)
         with contextlib.suppress(Timeout, Unavailable):  # the agent gave up on us
             self._tell(outcome)
 
@@ -189,7 +199,7 @@ class Container:
             return
         try:
             implementation = specialised(
-                find(component.implementation, folder), component.parameters, folder
+                self._found(component, folder), component.parameters, folder
             )
             runner = Runner(component, implementation, self._clock, self._waker.wake)
             runner.asked_at = asked_at
@@ -199,6 +209,17 @@ class Container:
             return
         self._runners[component.name, component.epoch] = runner
         runner.start()
+
+    def _found(self, component: ComponentSpec, folder: str) -> type[Component]:
+        """Import the class of a component, with what CPU time is left if it says so.
+
+        Not while others work here: they would wait for the interpreter, which a thread
+        that hardly gets a CPU may hold.
+        """
+        is_idle = all(each.state != "active" for each in self._runners.values())
+        if component.gently and is_idle:
+            return gently(lambda: find(component.implementation, folder))
+        return find(component.implementation, folder)
 
     def _note_broken(self, component: ComponentSpec, error: str) -> None:
         self._broken[component.name, component.epoch] = ComponentStatus(

@@ -122,6 +122,16 @@ class Ends:
             self._is_free = freely
             self._set_free(freely=freely)
 
+    def keep_back(self) -> None:
+        """Keep what it sends until `let_go`: it is not at work yet."""
+        for outlet in list(self.outlets.values()):
+            outlet.keep_back()
+
+    def let_go(self) -> None:
+        """Send what was kept back; harmless when repeated."""
+        for outlet in list(self.outlets.values()):
+            outlet.let_go()
+
     @contextmanager
     def _with_room(self) -> Iterator[None]:
         with self._letting:

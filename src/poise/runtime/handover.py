@@ -2,12 +2,14 @@
 
 The new incarnation asks the old one, over a pipe of their own: first for the state
 while the old one still serves (`Ask.STATE`, for components that offer
-`snapshot_delta`), then, when it is at rest, for everything (`Ask.ALL`).
+`snapshot_delta`), then for everything (`Ask.ALL`), which is answered as soon as the old
+one is at rest and all that was sent to it has come.
 """
 
 from __future__ import annotations
 
 import inspect
+import threading
 import time
 from collections.abc import Callable, Mapping
 from enum import IntEnum
@@ -15,7 +17,7 @@ from typing import Any, get_type_hints
 
 from msgspec import Struct
 
-from poise.errors import Timeout, UsageError
+from poise.errors import RunError, Timeout, UsageError
 from poise.runtime.component import Component
 from poise.runtime.connectors.wired import entry_codec
 from poise.runtime.runner import Runner
@@ -65,39 +67,66 @@ class Piece(Struct, frozen=True):
 
 
 _HANDOVER = codec(Handover)
-_ASK = codec(tuple[int, int])
+_ASK = codec(tuple[int, int, float])
 _PIECE = codec(Piece)
 _ERROR = codec(str)
 
 
-def key_of(component: str, old: int, new: int) -> str:
-    """Return what both incarnations call the pipe between them."""
-    return f"handover/{component}/{old}.{new}"
+def key_of(component: str, epoch: int, number: int) -> str:
+    """Return what both sides call the pipe from an old incarnation in an exchange."""
+    return f"handover/{component}/{epoch}.{number}"
 
 
 class Giver:
-    """The old incarnation's side."""
+    """The old incarnation's side, in one exchange.
+
+    Whoever asks for everything waits until `give` or `refuse` was called.
+    """
 
     def __init__(self, runner: Runner) -> None:
         self._runner = runner
         self._has_given_state = False
-        self._given = b""
+        self._decided = threading.Event()
+        self._why_not = ""
+        self._giving = threading.Lock()
+        self._state_frame = self._frame = b""
+
+    def give(self) -> None:
+        """Hand over from now on: it is at rest, and all that was sent to it is here."""
+        self._why_not = ""
+        self._decided.set()
+
+    def refuse(self, reason: str) -> None:
+        """Hand over nothing, and tell why."""
+        self._why_not = reason
+        self._decided.set()
 
     def handle(self, received: Frame) -> Pieces:
-        """Answer the new incarnation; a component's error crosses as text."""
+        """Answer a new incarnation; a component's error crosses as text."""
         try:
-            ask, offset = received.value(_ASK)
-            if not offset:
-                given = self._state() if Ask(ask) is Ask.STATE else self._all()
-                self._given = b"".join(frame.segments(_HANDOVER, given, Kind.RESULT))
-            end = offset + PIECE
-            piece = Piece(len(self._given), self._given[offset:end])
-            if end >= len(self._given):
-                self._given = b""
+            ask, offset, limit = received.value(_ASK)
+            with self._giving:
+                given = self._given(Ask(ask), offset, limit)
+            piece = Piece(len(given), given[offset : offset + PIECE])
             return frame.segments(_PIECE, piece, Kind.RESULT)
         except Exception as error:  # noqa: BLE001, a user's snapshot may raise anything
             text = f"{type(error).__qualname__}: {error}"
             return frame.segments(_ERROR, text, Kind.ERROR)
+
+    def _given(self, ask: Ask, offset: int, limit: float) -> bytes:
+        """Return what is handed over; it is made when somebody begins to ask."""
+        if ask is Ask.STATE:
+            if not offset:
+                self._state_frame = _encoded(self._state())
+            return self._state_frame
+        if not self._decided.wait(limit):
+            raise Timeout(f"component '{self._runner.spec.name}' is not ready to give")
+        if self._why_not:
+            raise RunError(self._why_not)
+        if not self._frame:
+            self._state_frame = b""
+            self._frame = _encoded(self._all())
+        return self._frame
 
     def _state(self) -> Handover:
         chain = new_chain()
@@ -127,6 +156,10 @@ class Giver:
         )
 
 
+def _encoded(given: Handover) -> bytes:
+    return b"".join(frame.segments(_HANDOVER, given, Kind.RESULT))
+
+
 def fetch(pipe: Pipe, ask: Ask, limit: float) -> Handover:
     """Ask the old incarnation.
 
@@ -144,7 +177,7 @@ def fetch(pipe: Pipe, ask: Ask, limit: float) -> Handover:
         left = deadline - time.monotonic()
         if left <= 0:
             raise Timeout(f"{len(data)} of {size} B of the state came in {limit:g} s")
-        asked = frame.segments(_ASK, (ask, len(data)), Kind.CALL)
+        asked = frame.segments(_ASK, (ask, len(data), left), Kind.CALL)
         answer = pipe.request(asked, left)
         if answer.kind is Kind.ERROR:
             text = answer.value(_ERROR)

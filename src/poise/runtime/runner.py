@@ -64,6 +64,9 @@ class Runner:
         self.spec = spec
         self.turn = Turn(spec.name)
         self.ports = ports_of(implementation)
+        self._requires = tuple(
+            port.name for port in self.ports.values() if port.kind == "requires"
+        )
         self.component = create(
             implementation,
             Context(
@@ -199,6 +202,7 @@ class Runner:
             if self._is_resting and (self._state, self._goal) == ("active", "active"):
                 self._is_resting = False
                 self.ends.let_in(freely=False)
+                self.ends.let_go()
                 self.turn.open()
         finally:
             self._resting.release()
@@ -225,6 +229,7 @@ class Runner:
             cpu=self.account.cpu() if cpu is None else cpu,
             start=self._start,
             snapshot=self._snapshot,
+            requires=self._requires,
             timers=tuple(s.status(now) for s in list(self.schedules.values())),
             measures={n: h.summary() for n, h in list(self._measures.items())},
         )
@@ -271,6 +276,9 @@ class Runner:
         if hook == "deactivate":
             self.account.plan([])
             self._come_to_rest()
+        elif hook == "activate":
+            # the incarnation before it may still be at work, and goes first
+            self.ends.keep_back()
         try:
             with self.at_rest():
                 getattr(self.component, hook)()

@@ -9,20 +9,20 @@ for, and why they come in this order: docs/design/moves.md.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections import Counter
 
 from poise.errors import PoiseError, RunError, Timeout
-from poise.runtime import handover
-from poise.runtime.connectors.outlet import Outlet
-from poise.runtime.handover import Ask, Giver
-from poise.runtime.implementation import find_function
+from poise.runtime.handover import Giver, key_of
 from poise.runtime.runner import Runner
+from poise.runtime.succession import Heir
 from poise.runtime.wiring import Runners, Transports, Wiring
 from poise.wire.messages import (
     Activate,
     Done,
+    Drain,
     Failed,
     Flush,
+    Give,
     Hold,
     Offer,
     Open,
@@ -35,10 +35,15 @@ from poise.wire.messages import (
     Step,
     Take,
 )
-from poise.wire.pipe import Pipe
 
+_SHARE = 0.75
+"""Steps may take this share of their order's limit: the rest is for the answer, so that
+whoever ordered them hears which step was too slow, and of what component."""
 _POLL = 0.001
-"""zenoh tells of a new peer without a wake-up; look this often [s]."""
+"""A mailbox does not tell when it is empty; look this often [s]."""
+_REST_SHARE = 0.8
+"""Coming to rest may take this share of that: so those that wait to take over hear why
+they cannot before they give up."""
 
 
 class Steps:
@@ -50,53 +55,56 @@ class Steps:
         self._runners = runners
         self._wiring = wiring
         self._transports = transports
-        self._offered: dict[Runner, str] = {}
-        self._pipes: dict[Runner, Pipe] = {}
+        self._givers: dict[Runner, tuple[str, Giver]] = {}
+        self._heirs: dict[Runner, Heir] = {}
 
-    def take(self, order: Order) -> Outcome:
-        """Take one step and tell what came of it."""
-        started = time.monotonic()
-        numbers: dict[str, int] = {}
+    def take(self, order: Order, heard: float) -> Outcome:
+        """Take the steps of an order that was heard at `heard` [s, monotonic clock]."""
+        deadline = heard + _SHARE * order.limit
+        seconds: Counter[str] = Counter()
         try:
             for step in order.steps:
-                numbers |= self._take(step) or {}
+                began = time.monotonic()
+                self._take(step, deadline)
+                seconds[type(step).__name__] += time.monotonic() - began  # type: ignore[assignment] # a counter of times
         except PoiseError as error:
             return Failed(order.number, str(error))
         except Exception as error:  # noqa: BLE001, a user's restore may raise anything
             return Failed(order.number, f"{type(error).__qualname__}: {error}")
-        return Done(order.number, numbers, time.monotonic() - started)
+        return Done(order.number, dict(seconds))
 
-    def _take(self, step: Step) -> dict[str, int] | None:  # noqa: C901, a table
+    def _take(self, step: Step, deadline: float) -> None:  # noqa: C901, PLR0912, a table
         match step:
             case Hold(connectors, mark):
-                outlets = [self._wiring.outlet(name) for name in connectors]
-                for outlet in outlets:
+                for name in connectors:
+                    outlet = self._wiring.outlet(name)
                     outlet.hold()
-                return marks_of(outlets, mark)
+                    outlet.mark(mark)
             case Release(keys):
                 for key in keys:
-                    self._wiring.outlet(key.rpartition("/")[0]).release(key)
-            case Offer(component, epoch, new):
-                key = handover.key_of(component, epoch, new)
-                self._offer(self._runner(component, epoch), key)
-            case Precopy(component, epoch, old, limit):
-                self._precopy(component, epoch, old, limit)
-            case Rest(component, epoch, mark, limit):
-                runner = self._runner(component, epoch)
-                runner.rest(limit)
-                return marks_of(list(runner.ends.outlets.values()), mark)
-            case Flush(component, epoch, received, limit):
-                runner = self._runner(component, epoch)
-                runner.ends.wait_marks(received, limit)
-            case Take(component, epoch, old, limit):
-                self._fetch(component, epoch, old, Ask.ALL, limit)
-            case Activate(component, epoch, limit):
-                self._activate(self._runner(component, epoch), limit)
+                    self._wiring.outlet_to(key).release(key)
+            case Offer(component, epoch, number):
+                self._offer(self._runner(component, epoch), number)
+            case Precopy():
+                self._precopy(step, deadline)
+            case Rest(component, epoch, mark):
+                self._rest(self._runner(component, epoch), mark, _left(deadline))
+            case Flush(component, epoch, connectors, mark):
+                ends = self._runner(component, epoch).ends
+                ends.wait_marks(dict.fromkeys(connectors, mark), _left(deadline))
+            case Drain(component, epoch):
+                self._drain(self._runner(component, epoch), deadline)
+            case Give(component, epoch):
+                self._giver(self._runner(component, epoch)).give()
+            case Take(component, epoch):
+                heir = self._heir(self._runner(component, epoch))
+                heir.take_over(_left(deadline))
+            case Activate(component, epoch):
+                self._activate(self._runner(component, epoch), _left(deadline))
             case Open(component, epoch):
                 self._runner(component, epoch).aim("active")
             case Retire(component, epoch):
                 self._runner(component, epoch).turn.retire()
-        return None
 
     def _runner(self, component: str, epoch: int) -> Runner:
         try:
@@ -104,41 +112,60 @@ class Steps:
         except KeyError:
             raise RunError(f"component '{component}' ({epoch}) is not here") from None
 
-    def _offer(self, runner: Runner, key: str) -> None:
-        """Let one incarnation fetch; what an earlier move offered is over."""
-        server = self._transports.remote_server()
-        if runner in self._offered:
-            server.shut(self._offered[runner])
-        self._offered[runner] = key
-        server.open(key, Giver(runner).handle)
+    def _giver(self, runner: Runner) -> Giver:
+        try:
+            return self._givers[runner][1]
+        except KeyError:
+            raise RunError(f"component '{runner.spec.name}' offers nothing") from None
 
-    def _precopy(self, component: str, epoch: int, old: int, limit: float) -> None:
-        """Join the pipe for the hand-over, and use it already when that helps."""
-        runner = self._runner(component, epoch)
-        pipe = self._pipe(runner, old, limit)
-        deadline = time.monotonic() + limit
-        while not pipe.is_ready():
+    def _rest(self, runner: Runner, mark: int, limit: float) -> None:
+        try:
+            runner.rest(_REST_SHARE * limit)
+        except PoiseError as error:
+            if runner in self._givers:
+                self._givers[runner][1].refuse(str(error))
+            raise
+        for outlet in list(runner.ends.outlets.values()):
+            outlet.mark(mark)
+
+    def _drain(self, runner: Runner, deadline: float) -> None:
+        while any(inbox.waiting() for inbox in runner.ends.inboxes.values()):
             if time.monotonic() > deadline:
-                raise Timeout(f"component '{component}' ({old}) cannot be reached")
+                raise Timeout(
+                    f"component '{runner.spec.name}' did not work on all that waits"
+                )
             time.sleep(_POLL)
-        if handover.offers_delta(runner.component):
-            self._fetch(component, epoch, old, Ask.STATE, limit)
 
-    def _fetch(
-        self, component: str, epoch: int, old: int, ask: Ask, limit: float
-    ) -> None:
-        runner = self._runner(component, epoch)
-        given = handover.fetch(self._pipe(runner, old, limit), ask, limit)
-        adapt = runner.spec.adapt
-        handover.take(runner, given, find_function(adapt) if adapt else None)
-        if ask is Ask.ALL:
-            self._pipes.pop(runner).close()
+    def _offer(self, runner: Runner, number: int) -> None:
+        """Let new incarnations fetch; what an earlier exchange offered is over."""
+        self._withdraw(runner)
+        key = key_of(runner.spec.name, runner.spec.epoch, number)
+        giver = Giver(runner)
+        self._givers[runner] = key, giver
+        self._transports.remote_server().open(key, giver.handle)
 
-    def _pipe(self, runner: Runner, old: int, limit: float) -> Pipe:
-        if runner not in self._pipes:
-            key = handover.key_of(runner.spec.name, old, runner.spec.epoch)
-            self._pipes[runner] = self._transports.remote_pipe(key, limit)
-        return self._pipes[runner]
+    def _withdraw(self, runner: Runner) -> None:
+        if runner in self._givers:
+            key, giver = self._givers.pop(runner)
+            giver.refuse("the offer is withdrawn")
+            self._transports.remote_server().shut(key)
+
+    def _precopy(self, step: Precopy, deadline: float) -> None:
+        """Join the pipes for the hand-over, and use them already when that helps."""
+        runner = self._runner(step.component, step.epoch)
+        self._forget_heir(runner)
+        heir = self._heirs[runner] = Heir(runner, step, self._transports.remote_pipe)
+        heir.join(deadline)
+
+    def _heir(self, runner: Runner) -> Heir:
+        try:
+            return self._heirs[runner]
+        except KeyError:
+            raise RunError(f"component '{runner.spec.name}' takes nothing") from None
+
+    def _forget_heir(self, runner: Runner) -> None:
+        if runner in self._heirs:
+            self._heirs.pop(runner).close()
 
     def _activate(self, runner: Runner, limit: float) -> None:
         runner.aim("ready")
@@ -148,12 +175,9 @@ class Steps:
 
     def forget(self, runner: Runner) -> None:
         """Know no more of an incarnation that has gone."""
-        if runner in self._pipes:
-            self._pipes.pop(runner).close()
-        if runner in self._offered:
-            self._transports.remote_server().shut(self._offered.pop(runner))
+        self._forget_heir(runner)
+        self._withdraw(runner)
 
 
-def marks_of(outlets: Iterable[Outlet], mark: int) -> dict[str, int]:
-    """Send a mark over each; return it for the connectors where somebody is."""
-    return {outlet.name: mark for outlet in outlets if outlet.mark(mark)}
+def _left(deadline: float) -> float:
+    return max(0.0, deadline - time.monotonic())

@@ -21,6 +21,7 @@ from poise.runtime.connectors.direct import DirectPath
 from poise.runtime.connectors.outlet import Outlet, Path
 from poise.runtime.connectors.wired import WiredPath, receiving
 from poise.runtime.ports import Port
+from poise.runtime.priority import first
 from poise.runtime.runner import Runner
 from poise.wire.codec import WireError
 from poise.wire.local import LocalPipe, LocalServer
@@ -46,8 +47,8 @@ class Place(Struct, frozen=True, kw_only=True):
         What all zenoh keys of the robot begin with.
     address
         IP address of its computer, on which it may listen.
-    agent
-        zenoh endpoint of its computer's agent.
+    agents
+        zenoh endpoints of all computers' agents, who know where containers are.
     socket
         Path of the AF_UNIX socket for containers of the same computer.
     computer
@@ -56,7 +57,7 @@ class Place(Struct, frozen=True, kw_only=True):
 
     prefix: str
     address: str
-    agent: str
+    agents: tuple[str, ...]
     socket: str
     computer: str = ""
 
@@ -136,9 +137,10 @@ class Transports:
 
     def _zenoh(self) -> zenoh.Session:
         if self._session is None:
-            self._session = open_session(
-                listen=[f"tcp/{self._place.address}:0"], connect=[self._place.agent]
-            )
+            with first():  # zenoh's threads only carry
+                self._session = open_session(
+                    listen=[f"tcp/{self._place.address}:0"], connect=self._place.agents
+                )
         return self._session
 
 
@@ -155,13 +157,18 @@ class OpenEnds:
         self.outlet: Outlet | None = None
         self.counts: Counts = Counts()
 
+    def is_ready(self) -> bool:
+        """Return whether the other end is there, so far as this one can know."""
+        return self.path is None or self.path.is_ready()
+
     def status(self) -> ConnectorStatus:
         """Return what was counted, and whether the other end is there."""
-        ready = self.path is None or self.path.is_ready()
         end: End = "target" if self.outlet is None else "source"
         if self.spec.kind == "direct":
             end = "both"
-        return self.counts.status(self.spec.name, self.spec.kind, end, ready=ready)
+        return self.counts.status(
+            self.spec.name, self.spec.kind, end, ready=self.is_ready()
+        )
 
 
 class Wiring:
@@ -215,6 +222,25 @@ class Wiring:
                 return ends.outlet
         raise UsageError(f"no connector '{name}' begins in this container")
 
+    def outlet_to(self, key: str) -> Outlet:
+        """Return the source's end of the open connector with this key.
+
+        Raises
+        ------
+        UsageError
+            There is none.
+        """
+        ends = self._open.get(key)
+        if ends is None or ends.outlet is None:
+            raise UsageError(f"no connector with key '{key}' begins in this container")
+        return ends.outlet
+
+    def unjoined(self) -> frozenset[str]:
+        """Return the keys of the connectors whose other end is not there."""
+        return frozenset(
+            key for key, ends in list(self._open.items()) if not ends.is_ready()
+        )
+
     def status(self) -> tuple[ConnectorStatus, ...]:
         """Return the status of every open connector."""
         return tuple(ends.status() for ends in list(self._open.values()))
@@ -258,7 +284,7 @@ class Wiring:
     ) -> None:
         spec = ends.spec
         port = _port(source, spec.source_port)
-        outlet = source.ends.outlet(spec.name, port, spec.limit)
+        outlet = source.ends.outlet(spec.slot or spec.name, port, spec.limit)
         if target is not None:
             far = _port(target, spec.target_port)
             ends.path = DirectPath(spec.name, target.ends, far, spec.limit, outlet)

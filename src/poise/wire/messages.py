@@ -14,7 +14,7 @@ from msgspec import Struct
 
 from poise.wire.clocks import ClockStatus
 
-PROTOCOL = 1
+PROTOCOL = 2
 """Manager, agents and containers of different protocol versions refuse each other."""
 
 Goal = Literal["inactive", "active", "stay"]
@@ -44,6 +44,8 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
         Device names to paths.
     weigh
         Whether the size of its snapshot is taken when it is deactivated.
+    gently
+        Whether it is prepared with the CPU time that others leave: they are at work.
     """
 
     name: str
@@ -55,6 +57,7 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
     parameters: Mapping[str, Any] = {}
     devices: Mapping[str, str] = {}
     weigh: bool = False
+    gently: bool = False
 
 
 class ConnectorSpec(Struct, frozen=True, kw_only=True):
@@ -70,9 +73,14 @@ class ConnectorSpec(Struct, frozen=True, kw_only=True):
         The target's container, for the kind ``local``.
     limit
         Time limit of a call [s].
+    slot
+        What the source calls its end. Connectors from one port to architectures that
+        are alternatives have the same, so that what waits for one goes to the other.
+        Empty: `name`.
     """
 
     name: str
+    slot: str = ""
     kind: ConnectorKind
     source: str
     source_epoch: int = 0
@@ -110,11 +118,7 @@ class Deployment(Struct, frozen=True, kw_only=True, tag=True):
 
 
 class Hold(Struct, frozen=True, tag=True):
-    """Queue what goes out over these connectors, behind a mark; calls go on.
-
-    The result tells the connectors over which the mark went: nothing is under way over
-    the others, for nobody is there.
-    """
+    """Queue what goes out over these connectors, behind a mark; calls go on."""
 
     connectors: tuple[str, ...]
     mark: int
@@ -127,50 +131,67 @@ class Release(Struct, frozen=True, tag=True):
 
 
 class Offer(Struct, frozen=True, tag=True):
-    """Old incarnation: be ready to hand over to the incarnation `new`."""
+    """Old incarnation: be ready to hand over in the exchange `number`."""
 
     component: str
     epoch: int
-    new: int
+    number: int
 
 
 class Precopy(Struct, frozen=True, tag=True):
-    """New incarnation: fetch the state while the old one, `old`, still serves."""
+    """New incarnation: join those who will hand over, and fetch a large state already.
 
-    component: str
-    epoch: int
-    old: int
-    limit: float
+    From an incarnation of the same component it will take state, waiting messages and
+    timers; from other components what `adapt` (`ComponentSpec`) makes of their states.
 
-
-class Rest(Struct, frozen=True, tag=True):
-    """Old incarnation: come to rest, and send a mark behind all that it sent.
-
-    The result is that of `Hold`.
+    Parameters
+    ----------
+    olds
+        The components that hand over, and their epochs.
     """
 
     component: str
     epoch: int
+    number: int
+    olds: Mapping[str, int]
+
+
+class Rest(Struct, frozen=True, tag=True):
+    """Old incarnation: come to rest, and send a mark behind all that it sent."""
+
+    component: str
+    epoch: int
     mark: int
-    limit: float
 
 
 class Flush(Struct, frozen=True, tag=True):
-    """Wait until these marks have come to a component, by connector."""
+    """Wait until this mark has come to a component, over each of these connectors."""
 
     component: str
     epoch: int
-    received: Mapping[str, int]
-    limit: float
+    connectors: tuple[str, ...]
+    mark: int
+
+
+class Drain(Struct, frozen=True, tag=True):
+    """Old incarnation, to which no more comes: work on all that waits."""
+
+    component: str
+    epoch: int
+
+
+class Give(Struct, frozen=True, tag=True):
+    """Old incarnation, to which all has come: hand over to whoever asks."""
+
+    component: str
+    epoch: int
 
 
 class Take(Struct, frozen=True, tag=True):
-    """New incarnation: take over state, waiting messages and timers from `old`."""
+    """New incarnation: take over as soon as the old ones give."""
 
     component: str
     epoch: int
-    old: int
-    limit: float
 
 
 class Activate(Struct, frozen=True, tag=True):
@@ -178,7 +199,6 @@ class Activate(Struct, frozen=True, tag=True):
 
     component: str
     epoch: int
-    limit: float
 
 
 class Open(Struct, frozen=True, tag=True):
@@ -195,7 +215,20 @@ class Retire(Struct, frozen=True, tag=True):
     epoch: int
 
 
-Step = Hold | Release | Offer | Precopy | Rest | Flush | Take | Activate | Open | Retire
+Step = (
+    Hold
+    | Release
+    | Offer
+    | Precopy
+    | Rest
+    | Flush
+    | Drain
+    | Give
+    | Take
+    | Activate
+    | Open
+    | Retire
+)
 
 
 class Order(Struct, frozen=True, tag=True):
@@ -218,11 +251,10 @@ class Order(Struct, frozen=True, tag=True):
 
 
 class Done(Struct, frozen=True, tag=True):
-    """The steps were taken; `numbers` are marks by connector."""
+    """The steps were taken; `seconds` says how long those of each kind took [s]."""
 
     number: int
-    numbers: Mapping[str, int] = {}
-    seconds: float = 0.0
+    seconds: Mapping[str, float] = {}
 
 
 class Failed(Struct, frozen=True, tag=True):
@@ -336,6 +368,8 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
         How long it took to import, make and configure it [s].
     snapshot
         Size of its snapshot, if that was taken [bytes].
+    requires
+        Its ports over which it calls others.
     """
 
     name: str
@@ -346,6 +380,7 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
     cpu: float = 0.0
     start: float = 0.0
     snapshot: int = 0
+    requires: tuple[str, ...] = ()
     timers: tuple[TimerStatus, ...] = ()
     measures: Mapping[str, Summary] = {}
 

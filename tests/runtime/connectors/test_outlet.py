@@ -97,14 +97,39 @@ def test_uses_the_first_path(outlet: Outlet, old: FakePath, new: FakePath) -> No
 
 def test_a_mark_goes_behind_all_that_went(outlet: Outlet, old: FakePath) -> None:
     outlet.send(1)
-    assert outlet.mark(7)
+    outlet.mark(7)
     assert old.went == [1, "mark 7"]
 
 
 def test_no_mark_goes_to_nobody(outlet: Outlet) -> None:
-    assert not outlet.mark(7)
+    with pytest.raises(Unavailable, match="nobody at its other end"):
+        outlet.mark(7)
     outlet.add("old", FakePath(ready=False))
-    assert not outlet.mark(7)
+    with pytest.raises(Unavailable, match="nobody at its other end"):
+        outlet.mark(7)
+
+
+def test_what_is_kept_back_goes_when_its_source_works(
+    outlet: Outlet, old: FakePath
+) -> None:
+    outlet.keep_back()
+    outlet.send(1)
+    assert old.went == []
+    outlet.let_go()
+    outlet.send(2)
+    assert old.went == [1, 2]
+
+
+def test_what_is_kept_back_also_waits_for_a_target_that_moves(
+    outlet: Outlet, old: FakePath, new: FakePath
+) -> None:
+    outlet.keep_back()
+    outlet.hold()
+    outlet.send(1)
+    outlet.let_go()
+    assert (old.went, new.went) == ([], [])
+    outlet.release("new")
+    assert (old.went, new.went) == ([], [1])
 
 
 @pytest.mark.parametrize("towards", ["old", "new"])

@@ -113,6 +113,7 @@ class Outlet:
         self._paths: dict[str, Path] = {}
         self._current: Path | None = None
         self._held: deque[tuple[Method | None, object, float]] | None = None
+        self._is_kept_back = self._target_moves = False
         self._changed = threading.Condition()
         self._disconnect()
 
@@ -134,6 +135,7 @@ class Outlet:
             if path is self._current:
                 self._use(next(iter(self._paths.values()), None))
             if len(self._paths) < _WHILE_MOVING:
+                self._target_moves = False
                 self._send_held()
         path.close()
 
@@ -170,9 +172,20 @@ class Outlet:
                 raise RunError(
                     f"connector {self.name} has nothing to hold messages for"
                 )
-            if self._held is None:
-                self._held = deque()
-                self._changed.notify_all()
+            self._target_moves = True
+            self._begin_to_hold()
+
+    def keep_back(self) -> None:
+        """Hold messages until `let_go`: the source is not at work yet."""
+        with self._changed:
+            self._is_kept_back = True
+            self._begin_to_hold()
+
+    def let_go(self) -> None:
+        """Send what was kept back, and keep no more; harmless when repeated."""
+        with self._changed:
+            self._is_kept_back = False
+            self._send_held()
 
     def release(self, key: str) -> None:
         """Use a path, send what was held, and hold no more; harmless when repeated.
@@ -186,15 +199,21 @@ class Outlet:
             if key not in self._paths:
                 raise Unavailable(f"connector {self.name} has no path {key}")
             self._use(self._paths[key])
+            self._target_moves = False
             self._send_held()
 
-    def mark(self, number: int) -> bool:
-        """Send a mark behind all that went out; return whether somebody is there."""
+    def mark(self, number: int) -> None:
+        """Send a mark behind all that went out.
+
+        Raises
+        ------
+        Unavailable
+            Nobody is there who could take it.
+        """
         with self._changed:
             if self._current is None or not self._current.is_ready():
-                return False
+                raise Unavailable(f"connector {self.name} has nobody at its other end")
             self._current.mark(number)
-            return True
 
     def again(
         self,
@@ -247,7 +266,14 @@ class Outlet:
             except CallError:
                 return True  # nobody is there: to send it will tell so
 
+    def _begin_to_hold(self) -> None:
+        if self._held is None:
+            self._held = deque()
+            self._changed.notify_all()
+
     def _send_held(self) -> None:
+        if self._target_moves or self._is_kept_back:
+            return
         for method, value, began in self._held or ():
             self._push(method, value, began)
         self._held = None

@@ -1,0 +1,45 @@
+"""In which order components come to rest. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+
+
+def levels(names: Collection[str], leads: Iterable[tuple[str, str]]) -> list[list[str]]:
+    """Return `names` so that each comes before all to which it leads.
+
+    Those that lead to each other are in one level.
+
+    Parameters
+    ----------
+    leads
+        Pairs of which the first leads to the second, such as caller and callee; also
+        over others than `names`.
+    """
+    following: dict[str, set[str]] = {}
+    for source, target in leads:
+        following.setdefault(source, set()).add(target)
+    reached = {name: _reached(name, following) for name in names}
+    left, found = list(names), []
+    while left:
+        level = [
+            name
+            for name in left
+            if all(
+                name not in reached[other] or other in reached[name] for other in left
+            )
+        ]
+        found.append(level)
+        left = [name for name in left if name not in level]
+    return found
+
+
+def _reached(name: str, following: dict[str, set[str]]) -> set[str]:
+    found: set[str] = set()
+    waiting = [name]
+    while waiting:
+        for target in following.get(waiting.pop(), ()):
+            if target not in found:
+                found.add(target)
+                waiting.append(target)
+    return found

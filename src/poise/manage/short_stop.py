@@ -1,0 +1,66 @@
+"""Takes a command-line component elsewhere: it is stopped here and started there.
+
+Its process cannot hand anything over, and must not run twice. So it is made sure first
+that it can run there; then it is away for a moment.
+"""
+
+from __future__ import annotations
+
+import time
+
+from msgspec import structs
+
+from poise.errors import RunError
+from poise.manage.deployment import Incarnation
+from poise.manage.exchange import Exchanged
+from poise.manage.run import ACTIVE_LIMIT, READY_LIMIT, STOP_LIMIT, Run
+
+
+def short_stop(run: Run, old: Incarnation, new: Incarnation) -> Exchanged:
+    """Stop `old` and start `new`, or start `old` anew; never raises for a failure.
+
+    ``gate_shut`` is how long it was away [s].
+    """
+    started = time.monotonic()
+    others = [each for each in run.placed.values() if each != old]
+    try:
+        try:
+            run.tell([*others, old, new.with_goal("inactive")], run.computers())
+            run.wait([new.with_goal("inactive")], READY_LIMIT)
+        except RunError as error:
+            run.tell(run.placed.values(), run.computers())
+            return Exchanged(reason=str(error), prepared=time.monotonic() - started)
+        stopped = time.monotonic()
+        reason = _swap(run, others, old, new)
+    except RunError as error:
+        return Exchanged(reason=f"telling what should run: {error}")
+    return Exchanged(
+        reason=reason,
+        prepared=stopped - started,
+        gate_shut=time.monotonic() - stopped,
+        seconds={"prepare": stopped - started, "stop": time.monotonic() - stopped},
+    )
+
+
+def _swap(
+    run: Run, others: list[Incarnation], old: Incarnation, new: Incarnation
+) -> str:
+    """Return why `old` runs again; empty: `new` runs."""
+    active = new.with_goal("active")
+    try:
+        _stop(run, [*others, new.with_goal("inactive")], old)
+        run.tell([*others, active], run.computers())
+        run.wait([active], ACTIVE_LIMIT)
+    except RunError as error:
+        again = structs.replace(old, epoch=run.next_epoch(old.component))
+        run.placed[old.component] = again
+        run.tell(run.placed.values(), run.computers())
+        return str(error)
+    run.placed[new.component] = active
+    return ""
+
+
+def _stop(run: Run, rest: list[Incarnation], old: Incarnation) -> None:
+    run.tell(rest, run.computers())
+    if not run.fleet.wait_news(lambda: run.has_ended(old), STOP_LIMIT):
+        raise RunError(f"'{old.component}' does not end on '{old.computer}'")
