@@ -19,6 +19,7 @@ COMMANDS = {
     "plan": ("plan:plan_command", "Decide where each component runs."),
     "profile": ("profile:profile_command", "Measure what each component needs."),
     "calibrate": ("calibrate:calibrate_command", "Measure computers and connectors."),
+    "recording": ("recording:recording_command", "Export or replay a recording."),
     "run": ("run:run_command", "Run a task for a while and report."),
     "demo": ("demo:demo_command", "Drive a robot, placed by hand and by Poise."),
     "up": ("up:up_command", "Start a robot and keep it running."),

@@ -18,11 +18,12 @@ from poise.cli.launch import checked
 from poise.cli.measure_alone import Tick, measure_alone
 from poise.cli.options import parse_option
 from poise.cli.profiles import read_profile, stale, store_of
-from poise.cli.show_profile import show_profile
+from poise.cli.show_profile import history_table, show_profile
 from poise.cli.stand import EMPTY, Stand, stand_of
 from poise.cli.write_demands import write_demands
 from poise.errors import RobotError, UsageError
 from poise.estimate import profile_file
+from poise.estimate.predict import overheads
 from poise.estimate.profile import Profile
 from poise.estimate.version import version_of
 from poise.manage.profiling import Figures, Observed, Subject, disagreeing, figures
@@ -54,6 +55,13 @@ def profile_command(
     write: Annotated[
         bool, typer.Option("--write", help="Write demands into the robot file, too.")
     ] = False,
+    plot: Annotated[
+        Path | None,
+        typer.Option(help="For show: draw it into a .svg, .png or .pdf file."),
+    ] = None,
+    history: Annotated[
+        bool, typer.Option("--history", help="For show: beside earlier profiles.")
+    ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the profile as JSON.")
     ] = False,
@@ -62,14 +70,20 @@ def profile_command(
 
     What was measured goes into the profile that the robot file names, where `poise
     plan` and all others find it, and into a store beside it that keeps older ones.
-    `poise profile show robot.yaml` prints the last one and measures nothing.
+    `poise profile show robot.yaml` prints the last one and measures nothing; it draws
+    it (`--plot`), and compares it with earlier ones (`--history`).
 
-    Example: poise profile robot.yaml --for 30s
+    Examples
+    --------
+    poise profile robot.yaml --for 30s
+    poise profile show robot.yaml --plot profile.svg
     """
     console = Console(stderr=as_json, highlight=False)
     if str(file) == "show":
-        _show(shown, console, as_json=as_json)
+        _show(shown, console, as_json=as_json, plot=plot, history=history)
         return
+    if plot is not None or history:
+        raise UsageError("--plot and --history are for `poise profile show`")
     if shown is not None:
         raise UsageError(f"{shown}: give one robot file, or `show` and a robot file")
     robot = checked(file)
@@ -97,19 +111,33 @@ def profile_command(
         console.print(f"demands written to {', '.join(map(str, changed)) or 'no file'}")
 
 
-def _show(file: Path | None, console: Console, *, as_json: bool) -> None:
+def _show(
+    file: Path | None,
+    console: Console,
+    *,
+    as_json: bool,
+    plot: Path | None,
+    history: bool,
+) -> None:
     if file is None:
         raise UsageError("give a robot file, as in `poise profile show robot.yaml`")
     robot = checked(file)
     profile = read_profile(robot)
-    if profile is None:
-        with store_of(robot) as store:
-            profile = store.latest(robot.name)
+    with store_of(robot) as store:
+        profile = profile or store.latest(robot.name)
+        earlier = store.all(robot.name) if history else []
     if profile is None:
         raise RobotError(
             f"robot '{robot.name}' has no profile: `poise profile {file}` measures it"
         )
     _print(robot, profile, console, as_json=as_json)
+    if history:
+        console.print(history_table(profile, earlier))
+    if plot is not None:
+        from poise.view.profile_plot import plot_profile
+
+        plot_profile(profile, overheads(robot, profile), plot)
+        console.print(f"drawn to {plot}")
 
 
 def _print(robot: Robot, profile: Profile, console: Console, *, as_json: bool) -> None:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rich.console import Console
 from rich.table import Table
 
 from poise.estimate.predict import overheads
 from poise.estimate.profile import ComponentProfile, Profile
 from poise.estimate.rule import cpu_demand, memory_demand
+from poise.manage.profiling import AGREE_CORES, AGREE_SHARE
 from poise.model.robot import Robot
 from poise.units import format_bytes, format_rate, format_seconds
+
+_MOST_EARLIER = 4
 
 
 def show_profile(robot: Robot, profile: Profile, console: Console) -> None:
@@ -21,6 +26,46 @@ def show_profile(robot: Robot, profile: Profile, console: Console) -> None:
     console.print(_components(robot, profile))
     console.print(_timers(profile))
     console.print(_connectors(robot, profile))
+
+
+def history_table(now: Profile, earlier: Sequence[Profile]) -> Table:
+    """Return every component's CPU and memory by profile, newest first.
+
+    Parameters
+    ----------
+    earlier
+        Newest first. Those on another computer are left out, and so is `now` itself.
+    """
+    others = [
+        each for each in earlier if each.computer == now.computer and each.at != now.at
+    ][:_MOST_EARLIER]
+    table = Table("component")
+    for each in (now, *others):
+        table.add_column(f"{each.at.removesuffix('+00:00')}\nPoise {each.poise}")
+    for name, found in now.components.items():
+        cells = [_brief(found)]
+        newer = found
+        for each in others:
+            older = each.components.get(name)
+            cells.append(_compared(older, newer) if older else "")
+            newer = older or newer
+        table.add_row(name, *cells)
+    return table
+
+
+def _brief(found: ComponentProfile) -> str:
+    return f"{found.cpu.mean:.2%}, {format_bytes(found.memory)}"
+
+
+def _compared(older: ComponentProfile, newer: ComponentProfile) -> str:
+    """Return what was measured, marked where the code or the CPU changed since."""
+    text = _brief(older)
+    if older.version != newer.version:
+        text += " other code"
+    moved = abs(newer.cpu.mean - older.cpu.mean)
+    if moved > max(AGREE_SHARE * older.cpu.mean, AGREE_CORES):
+        return f"[yellow]{text}[/]"
+    return text
 
 
 def _components(robot: Robot, profile: Profile) -> Table:

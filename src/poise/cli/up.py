@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
 from poise.cli.launch import Kind, Watching, decide, prepared, running
 from poise.cli.profiles import read_profile
-from poise.errors import RobotError
+from poise.errors import RobotError, UsageError
 from poise.manage.alternative import replace_architecture
 from poise.manage.balance import propose
 from poise.manage.desk import (
@@ -41,6 +41,9 @@ from poise.model.robot import Robot
 from poise.wire.recorded import Recorded
 from poise.wire.samples import AgentSample
 
+if TYPE_CHECKING:
+    from poise.manage.telemetry import Telemetry
+
 _LOOK_EVERY = 0.2
 
 
@@ -57,6 +60,9 @@ def up_command(
     ] = None,
     metrics: Annotated[
         int | None, typer.Option(help="TCP port for Prometheus, on this computer.")
+    ] = None,
+    otel: Annotated[
+        str | None, typer.Option(help="URL of an OpenTelemetry collector (OTLP/HTTP).")
     ] = None,
     record: Annotated[
         Path | None, typer.Option(help="File for what agents tell of what is used.")
@@ -94,6 +100,10 @@ def up_command(
             address = ("127.0.0.1", metrics)
             server = MetricsServer(estimates, run.fleet.statuses, address)
             stack.callback(server.close)
+        if otel is not None:
+            send = telemetry()
+            to = send(robot.name, estimates, run.fleet.statuses, otel)
+            stack.callback(to.close)
         console.print(
             f"robot '{robot.name}' is up with task '{chosen}'; Ctrl-C ends it"
         )
@@ -102,6 +112,17 @@ def up_command(
             desk.serve(manager.answer, _LOOK_EVERY)
             run.raise_on_lost()
         console.print("stopping")
+
+
+def telemetry() -> type[Telemetry]:
+    """Return the class that sends metrics; UsageError when its extra is missing."""
+    try:
+        from poise.manage.telemetry import Telemetry
+    except ImportError as error:
+        raise UsageError(
+            f"--otel needs OpenTelemetry: pip install 'poise[otel]' ({error})"
+        ) from error
+    return Telemetry
 
 
 class _Seen:

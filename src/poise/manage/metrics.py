@@ -1,4 +1,4 @@
-"""Estimates and counts in the text format of Prometheus, and where to fetch them."""
+"""Estimates and counts as metrics, and where Prometheus fetches them."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from poise.manage.estimates import Estimates
 from poise.manage.report import Statuses
 from poise.wire.messages import ConnectorStatus
 
-Sample = tuple[str, str, float]
+Labels = Mapping[str, str]
+Sample = tuple[str, Labels, float]
 """A metric's name, its labels and its value."""
 
-_HELP = {
+GAUGES = {
     "poise_component_cpu_cores": "Mean CPU that a component needs, of the reference "
     "computer's cores",
     "poise_component_cpu_expected_cores": "What its profile says",
@@ -23,7 +24,7 @@ _HELP = {
     "poise_connector_messages_per_second": "Messages over a connector",
     "poise_connector_bytes_per_second": "Traffic over a connector",
 }
-_COUNTED = {
+COUNTERS = {
     "poise_connector_calls_total": "Calls over a connector, as its end counts",
     "poise_connector_messages_total": "Messages over a connector, as its end counts",
     "poise_connector_bytes_total": "What left an end of a connector, or came to it",
@@ -39,8 +40,8 @@ _ESCAPED = str.maketrans({"\\": r"\\", '"': r"\"", "\n": r"\n"})
 
 def to_prometheus(estimates: Estimates, statuses: Statuses) -> str:
     """Return estimates and counts in Prometheus' text format, version 0.0.4."""
-    lines = _family(_HELP, "gauge", _samples(estimates))
-    lines += _family(_COUNTED, "counter", _counted(statuses))
+    lines = _family(GAUGES, "gauge", gauges(estimates))
+    lines += _family(COUNTERS, "counter", counters(statuses))
     lines += _family(_TIMED, "summary", _timed(statuses))
     return "\n".join(lines) + "\n"
 
@@ -49,7 +50,7 @@ def _family(
     helps: Mapping[str, str], kind: str, samples: Iterable[Sample]
 ) -> list[str]:
     # while a component moves, an end may be told of twice
-    values = {(name, labels): value for name, labels, value in samples}
+    values = {(name, _text(labels)): value for name, labels, value in samples}
     lines = []
     for name, help_ in helps.items():
         lines += [f"# HELP {name} {help_}", f"# TYPE {name} {kind}"]
@@ -69,31 +70,35 @@ def _ends(statuses: Statuses) -> Iterator[tuple[dict[str, str], ConnectorStatus]
                 yield names, each
 
 
-def _counted(statuses: Statuses) -> Iterator[Sample]:
-    for names, end in _ends(statuses):
-        labels = _labels(**names)
+def counters(statuses: Statuses) -> Iterator[Sample]:
+    """Yield what every end of every connector counted."""
+    for labels, end in _ends(statuses):
         yield "poise_connector_calls_total", labels, end.calls
         yield "poise_connector_messages_total", labels, end.messages
         yield "poise_connector_errors_total", labels, end.errors
         yield "poise_connector_drops_total", labels, end.drops
         for direction, size in (("out", end.bytes_out), ("in", end.bytes_in)):
-            labelled = _labels(**names, direction=direction)
-            yield "poise_connector_bytes_total", labelled, size
+            yield (
+                "poise_connector_bytes_total",
+                {**labels, "direction": direction},
+                size,
+            )
 
 
 def _timed(statuses: Statuses) -> Iterator[Sample]:
-    for names, end in _ends(statuses):
+    for labels, end in _ends(statuses):
         for name, times in zip(_TIMED, (end.delay, end.wait), strict=True):
             if times.count:
-                yield name, _labels(**names, quantile="0.5"), times.median
-                yield name, _labels(**names, quantile="0.99"), times.p99
-                yield f"{name}_sum", _labels(**names), times.mean * times.count
-                yield f"{name}_count", _labels(**names), times.count
+                yield name, {**labels, "quantile": "0.5"}, times.median
+                yield name, {**labels, "quantile": "0.99"}, times.p99
+                yield f"{name}_sum", labels, times.mean * times.count
+                yield f"{name}_count", labels, times.count
 
 
-def _samples(estimates: Estimates) -> Iterator[Sample]:
+def gauges(estimates: Estimates) -> Iterator[Sample]:
+    """Yield what components need and what goes over connectors now."""
     for each in estimates.standings():
-        labels = _labels(component=each.component, computer=each.computer)
+        labels = {"component": each.component, "computer": each.computer}
         now = each.estimate
         yield "poise_component_cpu_cores", labels, now.mean
         yield "poise_component_cpu_p95_cores", labels, now.p95
@@ -101,14 +106,14 @@ def _samples(estimates: Estimates) -> Iterator[Sample]:
         if each.expected is not None:
             yield "poise_component_cpu_expected_cores", labels, each.expected
     for traffic in estimates.traffic():
-        labels, flow = _labels(connector=traffic.connector), traffic.now
+        labels, flow = {"connector": traffic.connector}, traffic.now
         yield "poise_connector_calls_per_second", labels, flow.calls
         yield "poise_connector_messages_per_second", labels, flow.messages
         yield "poise_connector_bytes_per_second", labels, flow.traffic
 
 
-def _labels(**values: str) -> str:
-    pairs = (f'{name}="{v.translate(_ESCAPED)}"' for name, v in values.items())
+def _text(labels: Labels) -> str:
+    pairs = (f'{name}="{v.translate(_ESCAPED)}"' for name, v in labels.items())
     return f"{{{','.join(pairs)}}}"
 
 

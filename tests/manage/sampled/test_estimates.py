@@ -1,4 +1,3 @@
-import io
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -12,7 +11,6 @@ from poise.estimate.spread import Spread
 from poise.manage.estimates import Estimates
 from poise.manage.metrics import MetricsServer, to_prometheus
 from poise.manage.recording import Recording, load, replay, save
-from poise.manage.table import COLUMNS, write_csv
 from poise.model.robot import Robot
 from poise.wire.messages import (
     AgentStatus,
@@ -87,15 +85,6 @@ def test_says_what_is_no_recording(tmp_path: Path) -> None:
         load(tmp_path / "x")
     with pytest.raises(UsageError, match="cannot be read"):
         load(tmp_path / "y")
-
-
-def test_writes_a_row_for_every_component(steady: Sampler) -> None:
-    out = io.StringIO()
-    write_csv([steady(1.0), steady(2.0)], out)
-    head, first, *_, last = out.getvalue().splitlines()
-    assert head == ",".join(COLUMNS)
-    assert first == "a,see,eye,0,1.0,0.1,0.0,10,10,0.32,9000000"
-    assert last.startswith("a,see,mind,0,2.0,0.4,")
 
 
 def test_speaks_to_prometheus(robot: Robot, steady: Sampler) -> None:

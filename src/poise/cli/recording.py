@@ -1,0 +1,100 @@
+"""`poise recording`: look into what was recorded of a run."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import typer
+from rich.console import Console
+
+from poise.cli.launch import checked
+from poise.cli.profiles import read_profile
+from poise.cli.tables import table
+from poise.errors import UsageError
+from poise.manage.estimates import Estimates, Standing
+from poise.manage.recording import load, replay
+from poise.manage.table import export
+from poise.wire.samples import AgentSample
+
+
+def recording_command(
+    what: Annotated[
+        Literal["export", "replay"],
+        typer.Argument(help="export: to a table; replay: into the estimator."),
+    ],
+    file: Annotated[Path, typer.Argument(help="The recording.")],
+    to: Annotated[
+        Path | None, typer.Option(help="For export: a .csv or .parquet file.")
+    ] = None,
+    of: Annotated[
+        Literal["components", "connectors"],
+        typer.Option(help="For export: what the rows are of."),
+    ] = "components",
+    robot: Annotated[
+        Path | None, typer.Option(help="For replay: the robot file.")
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="For replay: print JSON.")
+    ] = False,
+) -> None:
+    """Turn a recording into a table, or estimate again from what it holds.
+
+    `poise run --record FILE` and `poise up --record FILE` make recordings. A replay
+    says what the robot's components needed at the end, against its profile, and when
+    a demand shifted.
+
+    Examples
+    --------
+    poise recording export run.recording --to run.parquet
+    poise recording replay run.recording --robot robot.yaml
+    """
+    recorded = load(file)
+    if what == "export":
+        if to is None:
+            raise UsageError("give a file: --to run.csv or --to run.parquet")
+        count = export(recorded.samples, to, of)
+        sys.stdout.write(f"{count} rows of {of} in {to}\n")
+        return
+    if robot is None:
+        raise UsageError("give the robot file: --robot robot.yaml")
+    found = checked(robot)
+    if found.name != recorded.robot:
+        raise UsageError(
+            f"{file} was recorded of robot '{recorded.robot}', not of '{found.name}'"
+        )
+    emulated = all(computer.address is None for computer in found.computers)
+    estimates = Estimates(found, read_profile(found), emulated=emulated)
+    console = Console(stderr=as_json, highlight=False)
+    _replay(recorded.samples, estimates, console)
+    standings = estimates.standings()
+    if as_json:
+        sys.stdout.write(msgspec.json.encode(standings).decode() + "\n")
+    else:
+        _show(standings, console)
+
+
+def _replay(samples: list[AgentSample], estimates: Estimates, console: Console) -> None:
+    began = min((sample.at for sample in samples), default=0.0)
+
+    def take(sample: AgentSample) -> None:
+        for name, drift in estimates.take(sample):
+            console.print(
+                f"[yellow]{sample.at - began:.1f} s: '{name}' needs {drift.after:.1%} "
+                f"of a core, {drift.before:.1%} before[/]"
+            )
+
+    replay(samples, take)
+
+
+def _show(standings: list[Standing], console: Console) -> None:
+    rows = table("component", "computer", "CPU", "p95", "profile")
+    for each in standings:
+        now = each.estimate
+        error = f" ± {now.error:.1%}" if now.error is not None else ""
+        expected = "" if each.expected is None else f"{each.expected:.1%}"
+        mean, p95 = f"{now.mean:.1%}{error}", f"{now.p95:.1%}"
+        rows.add_row(each.component, each.computer, mean, p95, expected)
+    console.print(rows)
