@@ -84,6 +84,21 @@ class Told(Component):
 
     def tell(self) -> None: ...
 
+class Filling(Component):
+    out: Published[Pose]
+
+    @subscribed(block=2)
+    def into(self, message: Pose) -> None: ...
+
+class LettingFill(Filling):
+    reentrant = True
+
+class Passing(Component):
+    out: Published[Pose]
+
+    @subscribed(keep=2)
+    def into(self, message: Pose) -> None: ...
+
 class Misspelt(Component):
     scan: Published["Sacn"]
 """
@@ -269,7 +284,7 @@ def ring(*classes: str) -> tuple[str, str]:
     return "\n      ".join(more), "\n      ".join(connectors)
 
 
-@pytest.mark.parametrize("classes", [["Round"] * 2, ["Round"] * 4])
+@pytest.mark.parametrize("classes", [["Round"] * 2, ["Round"] * 4, ["Filling"] * 3])
 def test_refuses_calls_that_go_round(check: Check, classes: list[str]) -> None:
     (problem,) = check(*ring(*classes))
     last = f"c{len(classes) - 1}.out -> c0.into"
@@ -280,7 +295,13 @@ def test_refuses_calls_that_go_round(check: Check, classes: list[str]) -> None:
 
 @pytest.mark.parametrize(
     "classes",
-    [["Round", "Letting"], ["Letting", "Round", "Round"], ["Telling", "Told"]],
+    [
+        ["Round", "Letting"],
+        ["Letting", "Round", "Round"],
+        ["Telling", "Told"],
+        ["Filling", "LettingFill"],
+        ["Filling", "Passing"],
+    ],
 )
 def test_accepts_a_ring_that_lets_others_in_or_does_not_wait(
     check: Check, classes: list[str]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import platform
 import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -69,6 +72,7 @@ def wait_until_ready(pipe: RemotePipe) -> None:
     listeners = [
         entity.declare_matching_listener(look)
         for entity in (pipe._querier, pipe._publisher)
+        if entity is not None
     ]
     assert pipe.is_ready() or ready.wait(LIMIT)
     for listener in listeners:
@@ -195,6 +199,68 @@ def test_nonsense_is_refused_at_once_and_counted_and_harms_nobody(
     assert "cut short" in answer.value(frame.FAILURE)[1]
     assert len(refused) == 1
     assert pipe.request(call("ab"), LIMIT).value(TEXT) == "ba"
+
+
+def test_a_pipe_for_messages_alone_takes_no_calls(
+    server: RemoteServer, sessions: Sessions, prefix: str
+) -> None:
+    receiver = Receiver()
+    server.open("topic", receiver, calls=False)
+    pipe = RemotePipe(sessions[1], f"{prefix}/topic", LIMIT, calls=False)
+    wait_until_ready(pipe)
+    pipe.push(message("ab"), LIMIT)
+    assert receiver.wait_for(1) == ["ab"]
+    with pytest.raises(Unavailable, match="for messages only"):
+        pipe.request(call("ab"), LIMIT)
+    pipe.close()
+
+
+def test_a_handler_that_is_slow_keeps_nothing_else_waiting(
+    server: RemoteServer, pipe: RemotePipe, sessions: Sessions, prefix: str
+) -> None:
+    """More comes than its ring takes: the oldest are lost, calls go on."""
+    inside, go_on, receiver = threading.Event(), threading.Event(), Receiver()
+
+    def slow(received: Frame) -> Pieces | None:
+        inside.set()
+        assert go_on.wait(LIMIT)
+        return receiver(received)
+
+    server.open("topic", slow, most=4, calls=False)
+    server.open("echo", Receiver())
+    topic = RemotePipe(sessions[1], f"{prefix}/topic", LIMIT, calls=False)
+    wait_until_ready(pipe)
+    wait_until_ready(topic)
+    topic.push(message("first"), LIMIT)
+    assert inside.wait(LIMIT)
+    for number in range(1000):
+        topic.push(message(str(number)), LIMIT)
+    assert pipe.request(call("ab"), LIMIT).value(TEXT) == "ba"
+    go_on.set()
+    assert receiver.wait_for(5) == ["first", "996", "997", "998", "999"]
+    topic.close()
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library")
+def test_memory_of_large_messages_is_kept_for_the_next() -> None:
+    code = """
+import resource
+from poise.wire.remote import keep_memory
+keep_memory()
+
+def faults():
+    for _ in range(20):
+        bytes(6 << 20), b"".join([bytes(6 << 20)])
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+
+faults()
+before = faults()
+print(faults() - before)
+"""
+    told = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert int(told.stdout) < 1536  # one block's pages; without it, 60 times as many
 
 
 @pytest.mark.parametrize(

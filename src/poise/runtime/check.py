@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import msgspec
+
 from poise.errors import PoiseError, RobotError
 from poise.model.check.cycles import check_cycles
 from poise.model.check.paths import components
@@ -17,7 +19,7 @@ from poise.model.positions import Finding, Path
 from poise.model.robot import Component, PortKind, Robot
 from poise.runtime.fingerprint import fingerprint
 from poise.runtime.implementation import find, find_type
-from poise.runtime.ports import is_oneway, methods_of, ports_of, timers_of
+from poise.runtime.ports import Port, is_oneway, methods_of, ports_of, timers_of
 
 _Known = dict[str, dict[str, KnownPort]]
 
@@ -79,7 +81,7 @@ def _coded_ports(
         code = find(component.implementation, folder)
         ports = ports_of(code)
         timers_of(code)
-        known = [(n, _known(n, port.kind, port.type)) for n, port in ports.items()]
+        known = [(n, _known_of(port)) for n, port in ports.items()]
     except PoiseError as error:
         raise _WrongCode(path, str(error)) from None
     # Reading annotations runs the user's code, and may raise whatever that raises.
@@ -90,6 +92,12 @@ def _coded_ports(
         )
         raise _WrongCode(path, message) from error
     yield from known
+
+
+def _known_of(port: Port) -> KnownPort:
+    known = _known(port.name, port.kind, port.type)
+    is_blocking = port.queue is not None and port.queue.policy == "block"
+    return msgspec.structs.replace(known, waits=known.waits or is_blocking)
 
 
 def _known(name: str, kind: PortKind, type_: Any) -> KnownPort:  # noqa: ANN401, any type

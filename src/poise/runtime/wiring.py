@@ -27,7 +27,7 @@ from poise.wire.codec import WireError
 from poise.wire.local import LocalPipe, LocalServer
 from poise.wire.messages import ConnectorKind, ConnectorSpec, ConnectorStatus, End
 from poise.wire.pipe import Pipe, Server
-from poise.wire.remote import RemotePipe, RemoteServer, open_session
+from poise.wire.remote import RemotePipe, RemoteServer, keep_memory, open_session
 from poise.wire.socket_path import socket_path
 
 _ADDRESS = re.compile(r"[\w-]+(\.[\w-]+)*")
@@ -78,9 +78,10 @@ class Transports:
         path = socket_path(FilePath(self._place.socket).parent, container)
         return LocalPipe(key, str(path))
 
-    def remote_pipe(self, key: str, limit: float) -> Pipe:
+    def remote_pipe(self, key: str, limit: float, *, calls: bool = True) -> Pipe:
         """Return a pipe to a container of any computer."""
-        return RemotePipe(self._zenoh(), f"{self._place.prefix}/pipe/{key}", limit)
+        full = f"{self._place.prefix}/pipe/{key}"
+        return RemotePipe(self._zenoh(), full, limit, calls=calls)
 
     def local_server(self) -> Server:
         """Return where pipes from this computer end."""
@@ -104,7 +105,7 @@ class Transports:
         if kind not in self._hears_grants:
             self._hears_grants.add(kind)
             key = GRANTS if kind == "local" else f"{GRANTS}/{self._address(kind)}"
-            self.server(kind).open(key, self._credits.handle)
+            self.server(kind).open(key, self._credits.handle, calls=False)
         return self._credits.open(self._address(kind))
 
     def grant_pipe(self, kind: ConnectorKind, address: str) -> Pipe:
@@ -120,7 +121,7 @@ class Transports:
         if kind == "local":
             path = FilePath(self._place.socket).with_name(address)
             return LocalPipe(GRANTS, str(path))
-        return self.remote_pipe(f"{GRANTS}/{address}", _GRANT_LIMIT)
+        return self.remote_pipe(f"{GRANTS}/{address}", _GRANT_LIMIT, calls=False)
 
     def close(self) -> None:
         """Close all that was opened."""
@@ -137,6 +138,7 @@ class Transports:
 
     def _zenoh(self) -> zenoh.Session:
         if self._session is None:
+            keep_memory()
             with first():  # zenoh's threads only carry
                 self._session = open_session(
                     listen=[f"tcp/{self._place.address}:0"], connect=self._place.agents
@@ -291,7 +293,8 @@ class Wiring:
         else:
             credit = self._transports.credit(spec.kind)
             credit.on_grant = outlet.room
-            ends.path = WiredPath(self._pipe(spec), port, spec.limit, credit)
+            pipe = self._pipe(spec, calls=port.kind == "requires")
+            ends.path = WiredPath(pipe, port, spec.limit, credit)
         ends.outlet = outlet
         ends.counts = outlet.counts
         outlet.add(spec.key, ends.path)
@@ -315,13 +318,14 @@ class Wiring:
             at_once=spec.kind == "remote",
         )
         server = self._transports.server(spec.kind)
-        server.open(spec.key, handler, ends.counts.refuse, feed.most)
+        calls = port.kind == "provides"
+        server.open(spec.key, handler, ends.counts.refuse, feed.most, calls=calls)
         ends.closing.callback(server.shut, spec.key)
 
-    def _pipe(self, spec: ConnectorSpec) -> Pipe:
+    def _pipe(self, spec: ConnectorSpec, *, calls: bool) -> Pipe:
         if spec.kind == "local":
             return self._transports.local_pipe(spec.key, spec.address)
-        return self._transports.remote_pipe(spec.key, spec.limit)
+        return self._transports.remote_pipe(spec.key, spec.limit, calls=calls)
 
 
 def _ends_here(spec: ConnectorSpec, runners: Runners) -> list[tuple[str, int]]:

@@ -248,6 +248,8 @@ class LocalServer:
         handler: Handler,
         refused: Refused = ignore,
         most: int = MOST_UNREAD,  # noqa: ARG002, the socket keeps what is not read
+        *,
+        calls: bool = True,  # noqa: ARG002, it costs nothing to take them
     ) -> None:
         """Receive the frames of `connector` from now on."""
         self._refused[connector] = refused

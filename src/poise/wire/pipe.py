@@ -84,8 +84,10 @@ class Server(Protocol):
         handler: Handler,
         refused: Refused = ignore,
         most: int = MOST_UNREAD,
+        *,
+        calls: bool = True,
     ) -> None:
-        """Receive the frames of `connector` from now on.
+        """Receive the frames of `connector` from now on; only messages without `calls`.
 
         What is no frame is logged, answered with an error, and told to `refused`.
         While the handler is busy with one message at least the last `most` are kept;

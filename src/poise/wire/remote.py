@@ -10,6 +10,8 @@ and whatever it waits for, keeps zenoh from bringing answers or other messages.
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import json
 import logging
 import re
@@ -45,6 +47,9 @@ _CALLERS = 8
 caller gave up some."""
 _WAITING = 64
 """Calls that may wait, per connector; of more, the oldest are given up."""
+
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+"""What `mallopt` calls them."""
 
 
 def open_session(
@@ -108,17 +113,35 @@ def open_session(
         raise RunError(f"cannot listen on {', '.join(listen)}: {why}") from None
 
 
-class RemotePipe:
-    """The sending end of a connector."""
+def keep_memory() -> None:
+    """Let this process keep memory that was freed for the next large message.
 
-    def __init__(self, session: zenoh.Session, key: str, limit: float) -> None:
+    The GNU C library gives blocks of 128 KB and more back to the kernel at once, and
+    every page of the next one is cleared and mapped anew: with six copies of a message
+    on its way there and back that took longer than all the rest. Up to 64 MiB stay with
+    the process now. Other C libraries are left as they are.
+    """
+    with contextlib.suppress(OSError, AttributeError):
+        library = ctypes.CDLL(None)
+        library.mallopt(_MMAP_THRESHOLD, 32 << 20)
+        library.mallopt(_TRIM_THRESHOLD, 64 << 20)
+
+
+class RemotePipe:
+    """The sending end of a connector; only for messages without `calls`."""
+
+    def __init__(
+        self, session: zenoh.Session, key: str, limit: float, *, calls: bool = True
+    ) -> None:
         self._key = key
         self._changed = threading.Lock()
         self._num_calls = 0
         self._is_closed = False
-        self._querier = session.declare_querier(
-            f"{key}/call", timeout=limit, express=True
-        )
+        self._querier: zenoh.Querier | None = None
+        if calls:
+            self._querier = session.declare_querier(
+                f"{key}/call", timeout=limit, express=True
+            )
         self._publisher = session.declare_publisher(
             f"{key}/message",
             congestion_control=zenoh.CongestionControl.BLOCK,
@@ -127,7 +150,8 @@ class RemotePipe:
 
     def is_ready(self) -> bool:
         """Return whether the receiving end was declared and its computer is linked."""
-        return _matches(self._querier) and _matches(self._publisher)
+        querier = self._querier
+        return (querier is None or _matches(querier)) and _matches(self._publisher)
 
     def request(self, pieces: Pieces, limit: float) -> Frame:
         """Send a call and wait for its answer (`poise.wire.pipe.Pipe.request`)."""
@@ -143,6 +167,8 @@ class RemotePipe:
                 self._undeclare_if_done()
 
     def _request(self, pieces: Pieces, limit: float) -> Frame:
+        if self._querier is None:
+            raise Unavailable(f"{self._key} is for messages only")
         started = time.monotonic()
         for reply in self._querier.get(payload=b"".join(pieces)):
             if reply.ok is not None:
@@ -171,7 +197,7 @@ class RemotePipe:
     def _undeclare_if_done(self) -> None:
         # zenoh drops the answers to a querier that is undeclared
         if self._is_closed and not self._num_calls:
-            _undeclare(self._querier, self._publisher)
+            _undeclare(*filter(None, (self._querier, self._publisher)))
 
 
 class RemoteServer:
@@ -189,19 +215,29 @@ class RemoteServer:
         handler: Handler,
         refused: Refused = ignore,
         most: int = MOST_UNREAD,
+        *,
+        calls: bool = True,
     ) -> None:
-        """Receive the frames of `connector` from now on."""
+        """Receive the frames of `connector` from now on; only messages without `calls`.
+
+        What waits for a ring wakes ten times a second, to look for signals.
+        """
         handle = partial(_handle, connector, handler, refused)
         key = f"{self._prefix}/{connector}"
-        # a call that falls out of its ring is Unavailable to its caller
-        calls = self._under_way[connector] = UnderWay()
-        queries = self._session.declare_queryable(f"{key}/call", RingChannel(_WAITING))
-        Workers(iter(queries), partial(_answer, connector, handle, calls), _CALLERS)
+        under_way = self._under_way[connector] = UnderWay()
+        declared = self._declared[connector] = list[Any]()
+        if calls:
+            # a call that falls out of its ring is Unavailable to its caller
+            waiting: RingChannel[zenoh.Query] = RingChannel(_WAITING)
+            queries = self._session.declare_queryable(f"{key}/call", waiting)
+            answer = partial(_answer, connector, handle, under_way)
+            Workers(iter(queries), answer, _CALLERS)
+            declared.append(queries)
         samples = self._session.declare_subscriber(f"{key}/message", RingChannel(most))
         threading.Thread(
             target=_hear, args=(samples, handle), name="messages", daemon=True
         ).start()
-        self._declared[connector] = [queries, samples]
+        declared.append(samples)
 
     def shut(self, connector: str) -> None:
         """Receive no more of them, and answer those that came."""

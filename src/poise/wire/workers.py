@@ -14,7 +14,7 @@ class Workers(Generic[T]):
 
     Another is started when all are busy, so that one that waits in a call does not keep
     others, such as those of the same chain, from coming in. The thread that takes an
-    item works on it: a hand-over to another thread would cost 60 us.
+    item works on it: a hand-over to another thread costs more than the work itself.
     """
 
     def __init__(

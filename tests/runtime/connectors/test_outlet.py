@@ -15,6 +15,7 @@ from poise.errors import RunError, Timeout, Unavailable
 from poise.runtime.connectors.interface import Method
 from poise.runtime.connectors.outlet import Facade, Outlet
 from poise.runtime.ports import Port
+from poise.runtime.turn import Turn, new_chain
 
 LONG = 20.0
 
@@ -205,6 +206,31 @@ def test_a_publisher_waits_for_room_and_asks_for_it(
         outlet.room()
         sent.result(LONG)
     assert (old.went, outlet.counts.drops) == ([1], 0)
+
+
+def test_a_reentrant_publisher_lets_others_in_while_it_waits(old: FakePath) -> None:
+    turn = Turn("a")
+    turn.open()
+    port = Port("notes", "publishes", Note)
+    outlet = Outlet("a.notes-b.notes", port, None, LONG, turn)
+    outlet.add("old", old)
+    old.room = 0
+
+    def publish() -> None:
+        turn.enter(new_chain(), LONG)
+        outlet.send(1)
+        turn.leave()  # it has the turn again, or this raises
+
+    with ThreadPoolExecutor() as pool:
+        sent = pool.submit(publish)
+        assert old.asked.wait(LONG)
+        turn.enter(new_chain(), LONG)
+        turn.leave()
+        assert old.went == []
+        old.room = 1
+        outlet.room()
+        sent.result(LONG)
+    assert old.went == [1]
 
 
 def test_without_room_a_message_is_dropped_after_the_limit_and_counted(

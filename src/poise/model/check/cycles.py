@@ -1,4 +1,7 @@
-"""Calls that go round: two chains that cross there would lock each other up."""
+"""Calls that go round: two chains that cross there would lock each other up.
+
+A topic whose subscriber makes its publisher wait counts as a call.
+"""
 
 from __future__ import annotations
 
@@ -39,9 +42,10 @@ def _calls(robot: Robot, ports: Ports, reentrant: AbstractSet[str]) -> _Graph:
     graph: _Graph = {}
     for path, _, connector in connectors(robot):
         source, target = connector.between
-        port = ports.get(source.component, {}).get(source.port)
+        known = [ports.get(end.component, {}).get(end.port) for end in (source, target)]
+        waits = any(port is not None and port.waits for port in known)
         ends = {source.component, target.component}
-        if port is not None and port.waits and reentrant.isdisjoint(ends):
+        if waits and reentrant.isdisjoint(ends):
             graph.setdefault(source.component, []).append((path, connector))
     return graph
 
@@ -74,6 +78,7 @@ def _message(cycle: list[Connector]) -> str:
     return (
         f"calls go round: {', '.join(map(str, cycle))}. Two that cross there wait for "
         f"each other. Make the methods called over {closing} one-way (`@oneway`), or "
-        "publish a topic instead; or let one of these components be re-entrant "
-        f"(`reentrant = True` in its class): {', '.join(callers)}"
+        "publish a topic that keeps the last (`subscribed(keep=n)`); or let one of "
+        "these components be re-entrant (`reentrant = True` in its class): "
+        f"{', '.join(callers)}"
     )

@@ -20,7 +20,7 @@ class KnownPort(Struct, frozen=True):
     """A port of which the kind and type are known.
 
     `type` is for people; two ports fit when their `meaning` is equal. `waits`: a caller
-    waits there for answers.
+    waits there for answers, or whoever publishes to it for room.
     """
 
     name: str

@@ -146,8 +146,15 @@ class Outlet:
     def send(self, value: object, method: Method | None = None) -> None:
         """Send a message or one-way call, or hold it; what cannot go out is counted.
 
-        Waits while the target has no room, up to the limit.
+        Waits while the target has no room, up to the limit; a re-entrant source lets
+        others in meanwhile.
         """
+        if self._turn is None or self._has_room():
+            self._send(value, method)
+        else:
+            stepping_out(self._turn, self._send)(value, method)
+
+    def _send(self, value: object, method: Method | None) -> None:
         began = time.monotonic()
         with self._changed:
             if not self._has_room() and not self._wait_for_room(began + self._limit):
