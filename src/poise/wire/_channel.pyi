@@ -1,13 +1,15 @@
-"""Bytes between containers of one computer; the code is in ``wire/native``."""
+"""Frames between containers of one computer; the code is in ``wire/native``."""
 
 from poise.wire.codec import Bytes
+from poise.wire.frame import Frame
 
 class Channel:
-    """Pieces of bytes over a connected stream socket, each behind a head.
+    """Frames over a connected stream socket, each behind the head of a link.
 
     It waits without Python's lock. One thread at a time may use it in each direction,
     and none once the socket was closed. `file` is the socket's descriptor; deadlines
-    are moments of the monotonic clock [s], and infinity is none.
+    are moments of the monotonic clock [s], and infinity is none; a frame has at most
+    `largest` bytes.
 
     All methods raise
     ----------------
@@ -15,24 +17,37 @@ class Channel:
         The deadline came first. Part of the bytes may have crossed.
     Unavailable
         The other end is gone.
+    WireError
+        The frame is too large, or it is none.
     """
 
     def __init__(self, file: int) -> None: ...
     def send(
-        self, pieces: list[Bytes], deadline: float, block: int = 0, used: int = 0
+        self,
+        pieces: list[Bytes],
+        deadline: float,
+        largest: int,
+        block: int = 0,
+        used: int = 0,
     ) -> None:
         """Send a head and all of `pieces`; `used` crosses when `block` is not 0."""
 
-    def receive(
-        self, deadline: float, largest: int
-    ) -> tuple[int, int, int, bytes | None]:
-        """Return length, `block` and `used` of the next head, and the bytes behind it.
+    def receive(self, deadline: float, largest: int) -> Frame | tuple[int, int, bytes]:
+        """Return the next frame.
 
-        None instead of more than `largest` bytes.
+        Behind a head with a block: `block`, `used` and the frame's bytes.
         """
+
+    def ask(
+        self, pieces: list[Bytes], deadline: float, largest: int
+    ) -> Frame | tuple[int, int, bytes] | None:
+        """Send and receive; None when the other end was gone before it had all."""
 
     def take(self, size: int, deadline: float) -> bytes:
         """Return the next `size` bytes, without a head."""
+
+def parse(data: Bytes, buffers: memoryview | None = None) -> Frame:
+    """Return the frame in `data`: see `poise.wire.frame.parse`."""
 
 def fill(target: object, start: int, pieces: list[Bytes]) -> None:
     """Copy pieces into writable memory from `start` on, without Python's lock.

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from functools import cache
+from functools import cache, lru_cache
 from math import prod
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_args
 
@@ -166,18 +166,27 @@ def _encode_array(buffers: list[memoryview], value: Any) -> Any:  # noqa: ANN401
 
     if not isinstance(value, np.ndarray):
         return _plain(value)
-    array = np.ascontiguousarray(value)
-    if not _DTYPE.fullmatch(array.dtype.str):
+    array = value if value.flags.c_contiguous else np.ascontiguousarray(value)
+    name = array.dtype.str
+    if _dtype(name) is None:
         raise WireError(
             f"an array of {array.dtype} cannot cross a connector; use one of numbers, "
             "or a Message with one for each field"
         )
     offset = sum(b.nbytes + padding(b.nbytes) for b in buffers)
     buffers.append(array.reshape(-1).view(np.uint8).data)
-    header = (array.dtype.str, value.shape, offset)
-    return msgspec.msgpack.Ext(_ARRAY, msgspec.msgpack.encode(header))
+    return msgspec.msgpack.Ext(_ARRAY, _encode_header((name, value.shape, offset)))
 
 
+@lru_cache(maxsize=64)
+def _dtype(name: str) -> np.dtype[Any] | None:
+    """Return what arrays of a type hold, by its name; None when it may not cross."""
+    import numpy as np  # noqa: PLC0415, only where users' arrays are
+
+    return np.dtype(name) if _DTYPE.fullmatch(name) else None
+
+
+_encode_header = msgspec.msgpack.Encoder().encode
 _array_header = msgspec.msgpack.Decoder(tuple[str, tuple[int, ...], int]).decode
 
 
@@ -187,9 +196,9 @@ def _decode_array(buffers: memoryview, code: int, data: memoryview) -> np.ndarra
     if code != _ARRAY:
         raise ValueError(f"unknown extension {code}")
     dtype_name, shape, offset = _array_header(data)
-    if not _DTYPE.fullmatch(dtype_name) or min(shape, default=0) < 0 or offset < 0:
+    dtype = _dtype(dtype_name)
+    if dtype is None or min(shape, default=0) < 0 or offset < 0:
         raise ValueError(f"refused array {dtype_name} {shape} at {offset}")
-    dtype = np.dtype(dtype_name)
     size = prod(shape) * dtype.itemsize
     if offset + size > buffers.nbytes:
         raise ValueError(f"array of {size} B at {offset} in {buffers.nbytes} B")
@@ -204,13 +213,19 @@ def _check(type_: Any, value: Any) -> Any:  # noqa: ANN401, msgspec's hook
 
     if not isinstance(value, np.ndarray):
         raise TypeError(f"a {type(value).__qualname__}, not an array")
-    for argument in get_args(type_):
-        for wanted in get_args(argument):
-            if not isinstance(wanted, type) or not issubclass(wanted, np.generic):
-                continue  # NDArray[Any]
-            if not issubclass(value.dtype.type, wanted):
-                raise TypeError(f"array of {value.dtype}, not {wanted.__name__}")
+    for wanted in _declared(type_):
+        if not issubclass(value.dtype.type, wanted):
+            raise TypeError(f"array of {value.dtype}, not {wanted.__name__}")
     return value
+
+
+@cache
+def _declared(type_: Any) -> tuple[type, ...]:  # noqa: ANN401, any type
+    """Return what ``NDArray[...]`` declares its arrays to hold; () when anything."""
+    import numpy as np  # noqa: PLC0415, only where users' arrays are
+
+    held = [wanted for part in get_args(type_) for wanted in get_args(part)]
+    return tuple(w for w in held if isinstance(w, type) and issubclass(w, np.generic))
 
 
 def _has_arrays(type_: Any) -> bool:  # noqa: ANN401, any type

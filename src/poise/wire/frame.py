@@ -20,14 +20,12 @@ from typing import Any
 
 from msgspec import Struct
 
-from poise.wire.codec import Bytes, Codec, WireError, padding
+from poise.wire import _channel
+from poise.wire.codec import Bytes, Codec, padding
 
 VERSION = 1
 _HEAD = struct.Struct("<BBHIQQ")
 _ZEROS = bytes(16)
-_NO_BUFFERS = memoryview(b"")
-_SMALL = 1 << 12
-"""A body of fewer bytes is copied more quickly than looked at [bytes]."""
 _INLINE = 2
 """Head and body; then come what aligns the buffers, and they."""
 
@@ -49,11 +47,13 @@ class Kind(IntEnum):
 
 FAILURE: Codec[tuple[str, str, str]] = Codec(tuple[str, str, str])
 """What an answer of the kind ERROR holds: type, message and traceback."""
-_KINDS = {int(kind): kind for kind in Kind}  # quicker than to call Kind
 
 
 class Frame(Struct, frozen=True):
-    """A received frame; nothing else writes to its body and its buffers."""
+    """A received frame; nothing else writes to its body and its buffers.
+
+    `size` is what `size_of` said of it where it was sent [bytes].
+    """
 
     kind: Kind
     tag: int
@@ -61,11 +61,7 @@ class Frame(Struct, frozen=True):
     chain: int
     body: Bytes
     buffers: memoryview
-
-    @property
-    def size(self) -> int:
-        """What `size_of` said of it where it was sent [bytes]."""
-        return _HEAD.size + len(self.body) + self.buffers.nbytes
+    size: int
 
     def value(self, codec: Codec[Any]) -> Any:  # noqa: ANN401, what the codec decodes
         """Return the decoded value; WireError when it is not of the codec's type."""
@@ -104,11 +100,6 @@ def size_of(pieces: list[Bytes]) -> int:
     return sum(map(len, pieces)) - len(pieces[_INLINE])
 
 
-def is_failure(pieces: list[Bytes]) -> bool:
-    """Return whether a frame tells that a call failed."""
-    return pieces[0][1] == Kind.ERROR
-
-
 def parse(data: Bytes, buffers: memoryview | None = None) -> Frame:
     """Return the frame in `data`; its buffers lie behind the body, or in `buffers`.
 
@@ -117,22 +108,4 @@ def parse(data: Bytes, buffers: memoryview | None = None) -> Frame:
     WireError
         When the bytes are cut short, or from a protocol version that is not ours.
     """
-    size = len(data)
-    if size < _HEAD.size:
-        raise WireError(f"a frame of {size} B is cut short")
-    version, number_of_kind, tag, length, number, chain = _HEAD.unpack_from(data)
-    if version != VERSION:
-        raise WireError(f"protocol version {version}, but this is version {VERSION}")
-    end = _HEAD.size + length
-    if end > size:
-        raise WireError(f"a frame of {size} B is cut short: {end} B announced")
-    kind = _KINDS.get(number_of_kind)
-    if kind is None:
-        raise WireError(f"unknown kind of frame: {number_of_kind}")
-    if end == size <= _SMALL:
-        body: Bytes = data[_HEAD.size :]
-        return Frame(kind, tag, number, chain, body, buffers or _NO_BUFFERS)
-    view = memoryview(data)
-    if buffers is None:
-        buffers = view[end + padding(end) :]
-    return Frame(kind, tag, number, chain, view[_HEAD.size : end], buffers)
+    return _channel.parse(data, buffers)

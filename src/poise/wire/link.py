@@ -88,13 +88,27 @@ class Link:
         Unavailable
             The other end is gone, and has not got the frame.
         """
-        size = sum(map(len, pieces))
-        if size > LARGEST:
-            raise WireError(f"a frame of {size} B; {LARGEST} B is the largest")
-        if len(pieces) > _INLINE and size >= THRESHOLD:
-            self._send_buffers(pieces, deadline)
+        if len(pieces) > _INLINE:
+            self._send_arrays(pieces, deadline)
         else:
-            self._channel.send(pieces, deadline)
+            self._channel.send(pieces, deadline, LARGEST)
+
+    def ask(self, pieces: Pieces, deadline: float) -> Frame | None:
+        """Send a call and return its answer.
+
+        None when the other end was gone before, and has not got the call. Raises what
+        `send` and `receive` do.
+        """
+        if len(pieces) <= _INLINE:
+            got = self._channel.ask(pieces, deadline, LARGEST)
+            if got is None or type(got) is Frame:
+                return got
+            return self._with_block(got, deadline)
+        try:
+            self._send_arrays(pieces, deadline)
+        except Unavailable:
+            return None
+        return self.receive(deadline)
 
     def receive(self, deadline: float = math.inf) -> Frame:
         """Return the next frame.
@@ -108,26 +122,34 @@ class Link:
         WireError
             What came is no frame; the link must be closed.
         """
-        while True:
-            length, block, used, data = self._channel.receive(deadline, LARGEST)
-            if data is None:
-                raise WireError(f"a frame of {length} B; {LARGEST} B is the largest")
-            if not block:
-                return parse(data)
+        got = self._channel.receive(deadline, LARGEST)
+        return got if type(got) is Frame else self._with_block(got, deadline)
+
+    def _with_block(
+        self, got: tuple[int, int, bytes] | Frame, deadline: float
+    ) -> Frame:
+        """Return the frame that has its arrays in a block, or comes after a new one."""
+        while not isinstance(got, Frame):
+            block, used, data = got
             if not block & _NEW:
                 return parse(data, self._lender(block).lend(used))
             self._accept(block ^ _NEW, used)
+            got = self._channel.receive(deadline, LARGEST)
+        return got
 
-    def _send_buffers(self, pieces: Pieces, deadline: float) -> None:
+    def _send_arrays(self, pieces: Pieces, deadline: float) -> None:
         buffers = pieces[_INLINE + 1 :]
         size = sum(map(len, buffers))
+        if size > LARGEST:
+            raise WireError(f"arrays of {size} B; {LARGEST} B is the largest")
         block = self._block(size, deadline) if size >= THRESHOLD else None
         if block is None:
-            self._channel.send(pieces, deadline)
+            self._channel.send(pieces, deadline, LARGEST)
             return
         block.fill(buffers)
         try:
-            self._channel.send(pieces[:_INLINE], deadline, block.number, size)
+            inline = pieces[:_INLINE]
+            self._channel.send(inline, deadline, LARGEST, block.number, size)
         except BaseException:
             # also when a signal's handler raises: else the block were lost for good
             block.take_back()
@@ -140,7 +162,8 @@ class Link:
         return block
 
     def _introduce(self, block: Block, deadline: float) -> None:
-        self._channel.send([], deadline, block.number | _NEW, block.capacity)
+        number = block.number | _NEW
+        self._channel.send([], deadline, LARGEST, number, block.capacity)
         if self._channel.take(1, deadline) != _READY:
             raise Unavailable("the other end takes no shared memory")
         try:

@@ -61,22 +61,26 @@ class _Spare:
     def __init__(self) -> None:
         self._recent: list[Link] = []
         self._older: list[Link] = []
+        self._is_closed = False
 
     def __iter__(self) -> Iterator[Link]:
         return iter([*self._recent, *self._older])
 
-    def __len__(self) -> int:
-        return len(self._recent)
-
     def take(self) -> Link | None:
         """Return the one that was used last."""
-        with contextlib.suppress(IndexError):
+        try:
             return self._recent.pop() if self._recent else self._older.pop()
-        return None
+        except IndexError:  # also when another thread was quicker
+            return None
 
     def give_back(self, link: Link) -> None:
-        """Keep one more."""
+        """Keep one more, or close it."""
+        if len(self._recent) >= _SPARE:
+            link.close()
+            return
         self._recent.append(link)
+        if self._is_closed:  # perhaps just now
+            self.close()
 
     def close_older(self) -> None:
         """Close those that nobody used since the last time."""
@@ -84,7 +88,8 @@ class _Spare:
         self._older, self._recent = self._recent, []
 
     def close(self) -> None:
-        """Close all."""
+        """Close all, and what is given back from now on."""
+        self._is_closed = True
         _close_all(self._recent)
         _close_all(self._older)
 
@@ -120,7 +125,7 @@ class LocalPipe:
         if any(link.is_idle() for link in [*self._calls, *self._messages]):
             return True
         try:
-            self._give_back(self._connect(0, now + _ACCEPT_LIMIT))
+            self._calls.give_back(self._connect(0, now + _ACCEPT_LIMIT))
         except CallError:
             return False
         return True
@@ -130,16 +135,22 @@ class LocalPipe:
         if self._is_closed:
             raise Closed(f"{self._connector} is closed")
         deadline = time.monotonic() + limit
-        link = self._send(self._calls, 0, pieces, deadline)
-        try:
-            answer = link.receive(deadline)
-        except BaseException:
-            # also when a signal's handler raises: the answer may still come, and
-            # the next call must not take it for its own
-            link.close()
-            raise
-        self._give_back(link)
-        return answer
+        while True:
+            found = self._calls.take()
+            link = found or self._connect(0, deadline)
+            try:
+                answer = link.ask(pieces, deadline)
+            except BaseException:
+                # also when a signal's handler raises: the answer may still come, and
+                # the next call must not take it for its own
+                link.close()
+                raise
+            if answer is not None:
+                self._calls.give_back(link)
+                return answer
+            link.close()  # the receiver had done so while it was idle
+            if found is None:
+                raise Unavailable(f"{self._connector}: {self._address} went away")
 
     def push(self, pieces: Pieces, limit: float) -> None:
         """Send a message; all use one link, which keeps their order."""
@@ -147,11 +158,7 @@ class LocalPipe:
         if not self._push_lock.acquire(timeout=limit):
             raise Timeout(f"{self._connector}: others send since {limit:g} s")
         try:
-            link = self._send(self._messages, _MESSAGES, pieces, deadline)
-            if self._is_closed:
-                link.close()
-            else:
-                self._messages.give_back(link)
+            self._messages.give_back(self._send(pieces, deadline))
         finally:
             self._push_lock.release()
 
@@ -162,11 +169,11 @@ class LocalPipe:
             self._messages.close()
         self._calls.close()
 
-    def _send(self, spare: _Spare, use: int, pieces: Pieces, deadline: float) -> Link:
-        """Send over a spare link or else a new one, and return it."""
+    def _send(self, pieces: Pieces, deadline: float) -> Link:
+        """Send a message over the link for them or else a new one, and return it."""
         while True:
-            found = spare.take()
-            link = found or self._connect(use, deadline)
+            found = self._messages.take()
+            link = found or self._connect(_MESSAGES, deadline)
             try:
                 link.send(pieces, deadline)
             except Unavailable:
@@ -180,14 +187,6 @@ class LocalPipe:
                 raise
             else:
                 return link
-
-    def _give_back(self, link: Link) -> None:
-        if len(self._calls) >= _SPARE:
-            link.close()
-            return
-        self._calls.give_back(link)
-        if self._is_closed:  # perhaps just now
-            self._calls.close()
 
     def _connect(self, use: int, deadline: float) -> Link:
         connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -359,16 +358,12 @@ class LocalServer:
         answer = handler(received)
         del received  # its shared memory may be used again
         if answer is not None:
-            _answer(link, answer)
+            deadline = time.monotonic() + _ANSWER_LIMIT
+            try:
+                link.send(answer, deadline)
+            except WireError as error:  # it is too large
+                link.send(_refusal(error), deadline)
         return True
-
-
-def _answer(link: Link, answer: Pieces) -> None:
-    deadline = time.monotonic() + _ANSWER_LIMIT
-    try:
-        link.send(answer, deadline)
-    except WireError as error:  # it is too large
-        link.send(_refusal(error), deadline)
 
 
 def _refusal(error: WireError) -> Pieces:

@@ -85,10 +85,14 @@ class Pool:
 
         None when the receiver has not given back enough of them.
         """
+        found = None
+        for block in self._blocks.values():
+            fits_better = found is None or block.capacity < found.capacity
+            if block.capacity >= size and fits_better and block.is_free():
+                found = block
+        if found is not None:
+            return found, False
         free = [block for block in self._blocks.values() if block.is_free()]
-        fitting = [block for block in free if block.capacity >= size]
-        if fitting:
-            return min(fitting, key=_capacity), False
         capacity = max(THRESHOLD, 1 << (size - 1).bit_length())
         self._make_room(capacity, sorted(free, key=_capacity))
         used = sum(map(_capacity, self._blocks.values()))

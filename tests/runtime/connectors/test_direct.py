@@ -229,13 +229,13 @@ def test_knows_the_cpu_time_of_long_calls(turn: Turn, counts: Counts) -> None:
 def test_knows_about_the_cpu_time_of_bursts(turn: Turn, counts: Counts) -> None:
     call = direct_call(sum, turn, LONG, counts)
     numbers = list(range(100))
-    began = time.thread_time()
+    began, wall_began = time.thread_time(), time.monotonic()
     for _ in range(200_000):
         call(numbers)
-    used = time.thread_time() - began
+    used, wall = time.thread_time() - began, time.monotonic() - wall_began
     # the loop and the reading of clocks are the caller's own; one call in many is
-    # measured, and a busy machine blurs that
-    assert 0.2 * used < counts.cpu < 2 * used
+    # measured, and what a busy machine takes from the others counts as theirs
+    assert 0.2 * used < counts.cpu < wall
 
 
 def test_does_not_take_waiting_for_cpu_time(turn: Turn, counts: Counts) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NoReturn
 
 from poise.errors import CalleeError, CallError, Timeout
 from poise.runtime.connectors.credits import Credit, Grants
@@ -18,12 +18,16 @@ from poise.runtime.ports import Port
 from poise.runtime.turn import Retired, current_chain, join_chain
 from poise.wire import frame
 from poise.wire.codec import Codec, WireError, codec
-from poise.wire.frame import Frame, Kind, is_failure, segments, size_of
+from poise.wire.frame import Frame, Kind, segments, size_of
 from poise.wire.pipe import Closed, Handler, Pieces, Pipe
 
 log = logging.getLogger(__name__)
 
 _NOTHING: Codec[None] = Codec(type(None))
+
+# looking a member up costs as much as a call
+_CALL, _RESULT, _MARK, _MOVED = Kind.CALL, Kind.RESULT, Kind.MARK, Kind.MOVED
+_ERROR = Kind.ERROR
 
 
 class WiredPath:
@@ -70,32 +74,37 @@ class WiredPath:
 
     def mark(self, number: int) -> None:
         """Send a mark."""
-        pieces = segments(_NOTHING, None, Kind.MARK, number=number)
+        pieces = segments(_NOTHING, None, _MARK, number=number)
         self._pipe.push(pieces, self._limit)
 
     def function(self, method: Method, outlet: Outlet) -> Callable[..., Any]:
         """Return a function that calls a method in another container."""
-        pipe, limit, counts = self._pipe, self._limit, outlet.counts
+        request, limit, counts = self._pipe.request, self._limit, outlet.counts
         name = outlet.name
         bind, arguments, tag = method.bind, method.arguments, method.tag
+        decode = method.result.decode
 
         def call(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401, the method's own
             started = time.monotonic()
             chain = current_chain()
             values = bind(*args, **kwargs)
-            pieces = segments(arguments, values, Kind.CALL, tag=tag, chain=chain)
+            pieces = segments(arguments, values, _CALL, tag=tag, chain=chain)
             answer = None
             try:
                 with away(chain, limit, name):
-                    answer = _ask(pipe, pieces, limit)
-                if answer is not None:
-                    result = _result(answer, method)
+                    answer = request(pieces, limit)
+                if answer.kind is _RESULT:
+                    result = decode(answer.body, answer.buffers)
+                elif answer.kind is not _MOVED:
+                    _raise_failure(answer)
+            except Closed:
+                pass
             except (CallError, WireError):
                 came = answer.size if answer is not None else 0
                 took = time.monotonic() - started
                 counts.add_call(took, size_of(pieces), came, failed=True)
                 raise
-            if answer is None:
+            if answer is None or answer.kind is _MOVED:  # it was not run
                 deadline = started + limit
                 return outlet.again(self, method.name, args, kwargs, deadline)
             took = time.monotonic() - started
@@ -122,15 +131,15 @@ def receiving(
     counts = feed.counts
     take = feed.run_or_put if at_once else feed.put
     known = methods(port.type) if port.kind == "provides" else {}
+    answers = {tag: _answering(target, m, limit) for tag, m in known.items()}
     tag, coder = message_tag(port.type), codec(port.type) if not known else _NOTHING
 
     def handle(received: Frame) -> Pieces | None:
-        if received.kind is Kind.MARK:
+        if received.kind is _MARK:
             target.note_mark(connector, received.number)
             return None
-        method = known.get(received.tag)
-        if received.kind is Kind.CALL:
-            return serve(received, method)
+        if received.kind is _CALL:
+            return serve(received)
         try:
             if received.kind is Kind.ASK:
                 grants.asked(received)
@@ -138,6 +147,7 @@ def receiving(
             counts.add_message(0, received.size)
             grants.came(received)
             wanted = coder if received.tag == tag and not known else None
+            method = known.get(received.tag)
             value = received.value(wanted or _known(method, port).arguments)
             take((received.tag, value))
         except WireError as error:
@@ -145,15 +155,16 @@ def receiving(
             log.warning("connector %s: refused: %s", connector, error)
         return None
 
-    def serve(received: Frame, method: Method | None) -> Pieces:
+    def serve(received: Frame) -> Pieces:
         began, cpu = time.monotonic(), time.thread_time()
+        run = answers.get(received.tag)
         try:
-            answer = _answer(target, _known(method, port), limit, received)
+            answer = run(received) if run else _refuse(port)
         except WireError as error:
             log.warning("connector %s: refused: %s", connector, error)
             answer = _failure(error)
         counts.add_cpu(time.thread_time() - cpu)
-        took, failed = time.monotonic() - began, is_failure(answer)
+        took, failed = time.monotonic() - began, answer[0][1] == _ERROR
         counts.add_call(took, size_of(answer), received.size, failed)
         return answer
 
@@ -174,56 +185,45 @@ def entry_codec(port: Port, tag: int) -> Codec[Any]:
 
 
 def _known(method: Method | None, port: Port) -> Method:
-    if method is None:
-        raise WireError(
-            f"port '{port.name}' ({port.type.__qualname__}) takes nothing with this "
-            "tag: its ends were built from different versions"
-        )
-    return method
+    return _refuse(port) if method is None else method
 
 
-def _answer(target: Target, method: Method, limit: float, received: Frame) -> Pieces:
-    arguments = received.value(method.arguments)
-    try:
-        with visit(received.chain, limit):
-            join_chain(received.chain)
-            return _run(target, method, arguments, limit, received.chain)
-    except Timeout as error:
-        return _failure(error)
+def _refuse(port: Port) -> NoReturn:
+    raise WireError(
+        f"port '{port.name}' ({port.type.__qualname__}) takes nothing with this "
+        "tag: its ends were built from different versions"
+    )
 
 
-def _run(
-    target: Target,
-    method: Method,
-    arguments: tuple[Any, ...],
-    limit: float,
-    chain: int,
-) -> Pieces:
-    try:
-        target.turn.enter(chain, limit)
-    except Retired:
-        return segments(_NOTHING, None, Kind.MOVED)
-    try:
-        result = getattr(target.component, method.name)(*arguments)
-        return segments(method.result, result, Kind.RESULT, tag=method.tag)
-    except Exception as error:  # noqa: BLE001, the callee may raise anything; it crosses
-        return _failure(callee_error(error))
-    finally:
-        target.turn.leave()
+def _answering(
+    target: Target, method: Method, limit: float
+) -> Callable[[Frame], Pieces]:
+    """Return what answers the calls of a method; it raises WireError alone."""
+    turn, run = target.turn, getattr(target.component, method.name)
+    arguments, result, tag = method.arguments, method.result, method.tag
+
+    def answer(received: Frame) -> Pieces:
+        values = arguments.decode(received.body, received.buffers)
+        chain = received.chain
+        try:
+            with visit(chain, limit):
+                join_chain(chain)
+                turn.enter(chain, limit)
+                try:
+                    return segments(result, run(*values), _RESULT, tag=tag)
+                except Exception as error:  # noqa: BLE001, the callee may raise anything; it crosses
+                    return _failure(callee_error(error))
+                finally:
+                    turn.leave()
+        except Timeout as error:
+            return _failure(error)
+        except Retired:
+            return segments(_NOTHING, None, _MOVED)
+
+    return answer
 
 
-def _ask(pipe: Pipe, pieces: Pieces, limit: float) -> Frame | None:
-    """Return the answer to a call; None when its target moved and did not run it."""
-    try:
-        answer = pipe.request(pieces, limit)
-    except Closed:
-        return None
-    return None if answer.kind is Kind.MOVED else answer
-
-
-def _result(answer: Frame, method: Method) -> Any:  # noqa: ANN401, the method's own
-    if answer.kind is Kind.RESULT:
-        return answer.value(method.result)
+def _raise_failure(answer: Frame) -> NoReturn:
     type_name, message, text = answer.value(frame.FAILURE)
     if not text and type_name == "Timeout":
         raise Timeout(message)

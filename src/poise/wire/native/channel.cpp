@@ -2,7 +2,6 @@
 
 #include <poll.h>
 #include <sys/socket.h>
-#include <sys/time.h>
 
 #include <algorithm>
 #include <cerrno>
@@ -38,69 +37,46 @@ void drop(std::vector<iovec>& pieces, std::size_t count) {
 
 }  // namespace
 
-Channel::Channel(int file)
-    : file_(file),
-      ahead_(ahead_size),
-      receiving_{SO_RCVTIMEO, POLLIN},
-      sending_{SO_SNDTIMEO, POLLOUT} {}
-
-// Make sure that the next system call ends about when the deadline is there. The kernel
-// keeps a limit that it was told, which spares most calls a poll before them.
-Outcome Channel::wait(Side& side, double deadline, int& flags) {
-  if (!std::isfinite(deadline)) return side.limit == 0.0 ? Outcome::done : tell_limit(side, 0.0);
+// Sleep until the socket is ready. Reading waits here and not in `recv`, because that is
+// woken in vain when the other end takes what was sent.
+Outcome Channel::wait(short event, double deadline) {
   const double left = deadline - now();
   if (left <= 0.0) return Outcome::late;
-  if (side.limit < 0.5 * left) return tell_limit(side, left);
-  if (side.limit <= 1.1 * left) return Outcome::done;
-  flags |= MSG_DONTWAIT;
-  pollfd waiting{file_, side.events, 0};
-  const double milliseconds = std::ceil(std::min(1e3 * left, 1e9));
-  const int ready = poll(&waiting, 1, static_cast<int>(milliseconds));
+  const double milliseconds = std::ceil(1e3 * std::min(left, 1e6));
+  pollfd waiting{file_, event, 0};
+  const int ready = poll(&waiting, 1, std::isfinite(deadline) ? static_cast<int>(milliseconds) : -1);
   if (ready == 0) return Outcome::late;
   return ready < 0 ? failed() : Outcome::done;
 }
 
-Outcome Channel::tell_limit(Side& side, double limit) {
-  timeval told{};
-  told.tv_sec = static_cast<time_t>(std::min(limit, 1e8));
-  told.tv_usec = static_cast<suseconds_t>((limit - std::floor(limit)) * 1e6);
-  if (limit > 0.0 && told.tv_sec == 0 && told.tv_usec == 0) told.tv_usec = 1;  // 0 is for ever
-  if (setsockopt(file_, SOL_SOCKET, side.option, &told, sizeof told) != 0) return Outcome::gone;
-  side.limit = limit;
-  return Outcome::done;
-}
-
 Outcome Channel::send(std::vector<iovec>& pieces, double deadline) {
   while (!pieces.empty()) {
-    int flags = MSG_NOSIGNAL;
-    const Outcome waited = wait(sending_, deadline, flags);
-    if (waited != Outcome::done) return waited;
     msghdr message{};
     message.msg_iov = pieces.data();
     message.msg_iovlen = std::min<std::size_t>(pieces.size(), IOV_MAX);
-    const ssize_t sent = sendmsg(file_, &message, flags);
+    const ssize_t sent = sendmsg(file_, &message, MSG_NOSIGNAL | MSG_DONTWAIT);
     if (sent >= 0) {
       drop(pieces, static_cast<std::size_t>(sent));
-    } else if (const Outcome outcome = failed(); outcome != Outcome::done) {
-      return outcome;
+      continue;
     }
+    Outcome outcome = failed();
+    if (outcome == Outcome::done) outcome = wait(POLLOUT, deadline);
+    if (outcome != Outcome::done) return outcome;
   }
   return Outcome::done;
 }
 
 Outcome Channel::receive_head(Head& head, double deadline) {
-  constexpr std::size_t plain = sizeof head.length + sizeof head.block;
-  Outcome outcome = fetch(plain, deadline);
+  Outcome outcome = fetch(Head::plain, deadline);
   if (outcome != Outcome::done) return outcome;
-  const char* bytes = ahead_.data() + start_;
-  std::memcpy(&head.length, bytes, sizeof head.length);
-  std::memcpy(&head.block, bytes + sizeof head.length, sizeof head.block);
-  std::size_t size = plain;
+  head.used = 0;
+  std::memcpy(static_cast<void*>(&head), ahead_.data() + start_, Head::plain);
+  std::size_t size = Head::plain;
   if (head.block != 0) {
-    size += sizeof head.used;
+    size = Head::with_block;
     outcome = fetch(size, deadline);
     if (outcome != Outcome::done) return outcome;
-    std::memcpy(&head.used, ahead_.data() + start_ + plain, sizeof head.used);
+    std::memcpy(static_cast<void*>(&head), ahead_.data() + start_, size);
   }
   start_ += size;
   return Outcome::done;
@@ -142,10 +118,9 @@ Outcome Channel::fetch(std::size_t count, double deadline) {
 
 Outcome Channel::read(char* target, std::size_t size, double deadline, std::size_t& got) {
   while (true) {
-    int flags = 0;
-    const Outcome waited = wait(receiving_, deadline, flags);
-    if (waited != Outcome::done) return waited;
-    const ssize_t count = recv(file_, target, size, flags);
+    Outcome outcome = wait(POLLIN, deadline);
+    if (outcome != Outcome::done) return outcome;
+    const ssize_t count = recv(file_, target, size, MSG_DONTWAIT);
     if (count > 0) {
       got = static_cast<std::size_t>(count);
       return Outcome::done;
@@ -154,7 +129,7 @@ Outcome Channel::read(char* target, std::size_t size, double deadline, std::size
       errno = 0;
       return Outcome::gone;
     }
-    const Outcome outcome = failed();
+    outcome = failed();
     if (outcome != Outcome::done) return outcome;
   }
 }

@@ -22,21 +22,26 @@ enum class Outcome {
   interrupted,  // by a signal: look at it, and go on
 };
 
+// As it lies on the wire; little endian, as every computer that runs Poise.
 struct Head {
+  static constexpr std::size_t plain = 8;  // without `used`
+  static constexpr std::size_t with_block = 16;
+
   std::uint32_t length = 0;
   std::uint32_t block = 0;
   std::uint64_t used = 0;
 };
+static_assert(sizeof(Head) == Head::with_block);
 
 class Channel {
  public:
-  explicit Channel(int file);
+  explicit Channel(int file) : file_(file), ahead_(ahead_size) {}
 
   // Send all of `pieces` before `deadline` [s, of the monotonic clock], and take off what
   // was sent.
   Outcome send(std::vector<iovec>& pieces, double deadline);
 
-  // Have a head; call `take` for what follows it.
+  // Have a head; call `take` or `skip` for what follows it.
   Outcome receive_head(Head& head, double deadline);
 
   // Copy the next bytes to `target`, moving it on, until `left` is 0.
@@ -45,27 +50,24 @@ class Channel {
   // How many bytes are here already, behind the last head.
   std::size_t num_ahead() const { return end_ - start_; }
 
+  // The next bytes, so many of those that are here already; until the next step.
+  const char* skip(std::size_t count) {
+    const char* bytes = ahead_.data() + start_;
+    start_ += count;
+    return bytes;
+  }
+
  private:
   // So many bytes are asked for at once: nearly every frame comes in one system call.
   static constexpr std::size_t ahead_size = 1 << 13;
 
   Outcome fetch(std::size_t count, double deadline);
   Outcome read(char* target, std::size_t size, double deadline, std::size_t& got);
-
-  // One direction, and the time limit that the kernel was told for it.
-  struct Side {
-    int option;
-    short events;
-    double limit = 0.0;  // [s]; 0: the kernel waits for ever
-  };
-
-  Outcome wait(Side& side, double deadline, int& flags);
-  Outcome tell_limit(Side& side, double limit);
+  Outcome wait(short event, double deadline);
 
   int file_;
   std::vector<char> ahead_;
   std::size_t start_ = 0, end_ = 0;
-  Side receiving_, sending_;
 };
 
 }  // namespace poise

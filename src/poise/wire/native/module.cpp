@@ -1,10 +1,10 @@
 // What Python sees; src/poise/wire/_channel.pyi describes it.
 #include <nanobind/nanobind.h>
 
+#include <algorithm>
+#include <array>
 #include <cerrno>
-#include <cmath>
 #include <cstring>
-#include <limits>
 
 #include "channel.h"
 
@@ -77,16 +77,103 @@ class Pieces {
   std::size_t size_ = 0;
 };
 
-void send(Channel& channel, nb::list list, double deadline, std::uint32_t block,
-          std::uint64_t used) {
+[[noreturn]] void raise_wire_error(const nb::object& text) {
+  raise("poise.wire.codec", "WireError", text);
+}
+
+void refuse_too_large(std::size_t size, std::size_t largest) {
+  if (size > largest)
+    raise_wire_error(nb::str("a frame of {} B; {} B is the largest").format(size, largest));
+}
+
+// What `poise.wire.frame` calls things; never given back.
+struct Names {
+  Names() {
+    const auto module = nb::module_::import_("poise.wire.frame");
+    frame = nb::object(module.attr("Frame")).release().ptr();
+    version = nb::cast<int>(module.attr("VERSION"));
+    for (nb::handle kind : nb::object(module.attr("Kind")))
+      kinds.at(nb::cast<std::size_t>(kind)) = nb::borrow(kind).release().ptr();
+    no_buffers = PyMemoryView_FromObject(nb::bytes("", 0).ptr());
+  }
+  PyObject* frame;
+  PyObject* no_buffers;
+  std::array<PyObject*, 256> kinds{};
+  int version;
+};
+
+const Names& names() {
+  static const Names* found = new Names();
+  return *found;
+}
+
+constexpr std::size_t frame_head = 24;
+constexpr std::size_t alignment = 16;
+// A body of fewer bytes is copied more quickly than looked at.
+constexpr std::size_t small = 1 << 12;
+
+struct FrameHead {
+  std::uint8_t version, kind;
+  std::uint16_t tag;
+  std::uint32_t length;
+  std::uint64_t number, chain;
+};
+static_assert(sizeof(FrameHead) == frame_head);
+
+FrameHead check_head(const char* data, std::size_t size) {
+  FrameHead head;
+  if (size < frame_head) raise_wire_error(nb::str("a frame of {} B is cut short").format(size));
+  std::memcpy(&head, data, sizeof head);
+  if (head.version != names().version)
+    raise_wire_error(nb::str("protocol version {}, but this is version {}")
+                         .format(static_cast<int>(head.version), names().version));
+  const std::size_t end = frame_head + head.length;
+  if (end > size)
+    raise_wire_error(nb::str("a frame of {} B is cut short: {} B announced").format(size, end));
+  if (!names().kinds[head.kind])
+    raise_wire_error(nb::str("unknown kind of frame: {}").format(static_cast<int>(head.kind)));
+  return head;
+}
+
+nb::object make_frame(const FrameHead& head, nb::object body, nb::object buffers) {
+  const std::size_t size = frame_head + head.length + nb::len(buffers);
+  return nb::borrow(names().frame)(nb::borrow(names().kinds[head.kind]), head.tag, head.number,
+                                   head.chain, std::move(body), std::move(buffers), size);
+}
+
+// A frame whose bytes are no longer needed afterwards.
+nb::object parse_small(const char* data, std::size_t size, const nb::object& buffers) {
+  const FrameHead head = check_head(data, size);
+  return make_frame(head, nb::bytes(data + frame_head, head.length), buffers);
+}
+
+nb::object part(const nb::object& view, std::size_t start, std::size_t end) {
+  auto* found = PySequence_GetSlice(view.ptr(), static_cast<Py_ssize_t>(start),
+                                    static_cast<Py_ssize_t>(end));
+  if (!found) throw nb::python_error();
+  return nb::steal(found).attr("toreadonly")();
+}
+
+nb::object parse(nb::object data, nb::object buffers) {
+  const auto view = nb::steal(PyMemoryView_FromObject(data.ptr()));
+  if (!view.is_valid()) throw nb::python_error();
+  const Py_buffer* bytes = PyMemoryView_GET_BUFFER(view.ptr());
+  const auto size = static_cast<std::size_t>(bytes->len);
+  const FrameHead head = check_head(static_cast<const char*>(bytes->buf), size);
+  const std::size_t end = frame_head + head.length;
+  if (buffers.is_none()) {
+    const std::size_t start = (end + alignment - 1) / alignment * alignment;
+    buffers = part(view, std::min(size, start), size);
+  }
+  return make_frame(head, part(view, frame_head, end), buffers);
+}
+
+void send(Channel& channel, nb::list list, double deadline, std::size_t largest,
+          std::uint32_t block, std::uint64_t used) {
   Pieces pieces(list);
-  if (pieces.size() > std::numeric_limits<std::uint32_t>::max())
-    throw nb::value_error("more than 4 GiB in one frame");
-  struct {
-    std::uint32_t length, block;
-    std::uint64_t used;
-  } head{static_cast<std::uint32_t>(pieces.size()), block, used};
-  auto& all = pieces.behind(&head, block ? 16 : 8);
+  refuse_too_large(pieces.size(), largest);
+  Head head{static_cast<std::uint32_t>(pieces.size()), block, used};
+  auto& all = pieces.behind(&head, block ? Head::with_block : Head::plain);
   run([&] { return channel.send(all, deadline); }, not_taken);
 }
 
@@ -103,11 +190,47 @@ nb::bytes take(Channel& channel, std::size_t size, double deadline) {
   return data;
 }
 
-nb::tuple receive(Channel& channel, double deadline, std::size_t largest) {
+// The frame behind a head, or what Python is to look at.
+nb::object rest_of(Channel& channel, const Head& head, double deadline, std::size_t largest) {
+  refuse_too_large(head.length, largest);
+  if (head.block)
+    return nb::make_tuple(head.block, head.used, take(channel, head.length, deadline));
+  if (head.length <= std::min(small, channel.num_ahead())) {
+    const char* data = channel.skip(head.length);
+    // else there are arrays, whose memory is to be kept
+    if (head.length == frame_head + check_head(data, head.length).length)
+      return parse_small(data, head.length, nb::borrow(names().no_buffers));
+    return parse(nb::bytes(data, head.length), nb::none());
+  }
+  return parse(take(channel, head.length, deadline), nb::none());
+}
+
+nb::object receive(Channel& channel, double deadline, std::size_t largest) {
   Head head;
   run([&] { return channel.receive_head(head, deadline); }, not_come);
-  if (head.length > largest) return nb::make_tuple(head.length, head.block, head.used, nb::none());
-  return nb::make_tuple(head.length, head.block, head.used, take(channel, head.length, deadline));
+  return rest_of(channel, head, deadline, largest);
+}
+
+// Both in one step, for one thread; None when the other end has not got the call.
+nb::object ask(Channel& channel, nb::list list, double deadline, std::size_t largest) {
+  Pieces pieces(list);
+  refuse_too_large(pieces.size(), largest);
+  Head head{static_cast<std::uint32_t>(pieces.size()), 0, 0};
+  auto& all = pieces.behind(&head, Head::plain);
+  bool is_sent = false, is_gone = false;
+  run(
+      [&] {
+        if (!is_sent) {
+          const Outcome outcome = channel.send(all, deadline);
+          is_gone = outcome == Outcome::gone;
+          if (outcome != Outcome::done) return is_gone ? Outcome::done : outcome;
+          is_sent = true;
+        }
+        return channel.receive_head(head, deadline);
+      },
+      "no answer came in time");
+  if (is_gone) return nb::none();
+  return rest_of(channel, head, deadline, largest);
 }
 
 // Copy pieces into memory, end to end, without Python's lock.
@@ -137,9 +260,11 @@ NB_MODULE(_channel, module) {
 
   nb::class_<Channel>(module, "Channel")
       .def(nb::init<int>(), nb::arg("file"))
-      .def("send", &send, nb::arg("pieces"), nb::arg("deadline"), nb::arg("block") = 0,
-           nb::arg("used") = 0)
+      .def("send", &send, nb::arg("pieces"), nb::arg("deadline"), nb::arg("largest"),
+           nb::arg("block") = 0, nb::arg("used") = 0)
       .def("receive", &receive, nb::arg("deadline"), nb::arg("largest"))
+      .def("ask", &ask, nb::arg("pieces"), nb::arg("deadline"), nb::arg("largest"))
       .def("take", &take, nb::arg("size"), nb::arg("deadline"));
+  module.def("parse", &parse, nb::arg("data"), nb::arg("buffers") = nb::none());
   module.def("fill", &fill, nb::arg("target"), nb::arg("start"), nb::arg("pieces"));
 }
