@@ -35,7 +35,7 @@ sanitize: setup
 	@cp build/sanitize/_core*.so build/sanitize/site/poise/plan
 	@LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" ASAN_OPTIONS=detect_leaks=0 \
 	  PYTHONPATH=build/sanitize/site:$(SITE) $(BIN)/python -S -m pytest -q --timeout 600 \
-	  tests/plan/test_engine.py tests/plan/test_core_boundary.py
+	  tests/plan/test_engine.py tests/plan/test_cut.py tests/plan/test_core_boundary.py
 
 clean:
 	rm -rf .venv build .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

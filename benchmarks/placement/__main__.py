@@ -16,7 +16,16 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from benchmarks.placement import growth, plot, proof, public, quality, speed, tight
+from benchmarks.placement import (
+    cut,
+    growth,
+    plot,
+    proof,
+    public,
+    quality,
+    speed,
+    tight,
+)
 
 
 def main() -> None:
@@ -34,6 +43,9 @@ def main() -> None:
         if arguments.only and name not in arguments.only.split(","):
             continue
         report[name] = section(quick=quick)
+    for name, nodes in (("cut-1k", 1_000), ("cut-10k", 10_000), ("cut-100k", 100_000)):
+        if name in arguments.only.split(",") if arguments.only else not quick:
+            report[name] = cut.run(nodes)
     if arguments.gqap:
         report["public"] = public.run(Path(arguments.gqap), quick=quick)
     if arguments.json:
@@ -59,7 +71,10 @@ def machine() -> str:
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--quick", action="store_true", help="fewer and smaller")
-    parser.add_argument("--only", help="sections: speed,proof,quality,tight,growth")
+    parser.add_argument(
+        "--only",
+        help="sections: speed,proof,quality,tight,growth,cut-1k,cut-10k,cut-100k",
+    )
     parser.add_argument("--gqap", help="folder of public instances")
     parser.add_argument("--json", help="write all numbers to this file")
     parser.add_argument("--plot", help="write the plot of growth to this SVG file")

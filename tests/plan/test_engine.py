@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from benchmarks.random_robots import random_robot
 from poise.model.robot import Spread
-from poise.plan import Problem, objective
+from poise.plan import Link, Problem, objective
 from poise.plan.engine import Engine
 from poise.plan.greedy import greedy
 from poise.plan.limits import violations
@@ -129,6 +129,20 @@ def test_a_seed_and_a_step_limit_give_one_placement(spread: Spread) -> None:
     engine = Engine(tabulate(random_robot(3, 40, 4, spread=spread)))
     runs = [engine.search([], steps=20_000, seed=7).placed for _ in range(2)]
     assert runs[0] == runs[1]
+
+
+def test_links_that_carry_everything_change_nothing() -> None:
+    robot = random_robot(1, 50, 4)
+    names = [h.name for h in robot.computers]
+    busy = tuple(replace(c, traffic=1.0) for c in robot.connectors)
+    links = tuple(
+        Link(between=pair, bandwidth=1e6) for pair in itertools.combinations(names, 2)
+    )
+    linked = replace(robot, connectors=busy, links=links)
+    free = Engine(tabulate(robot)).search([], steps=50_000, seed=1)
+    assert (
+        Engine(tabulate(linked)).search([], steps=50_000, seed=1).placed == free.placed
+    )
 
 
 def test_an_unfinished_proof_still_gives_a_bound() -> None:

@@ -141,14 +141,15 @@ class Level {
 }  // namespace
 
 void refine(const Problem& p, Placement& placed, Stop& stop) {
-  if (p.m < 2 || !p.bandwidth.empty()) return;
+  if (p.m < 2) return;
   Level level(p, placed);
   Placement best = placed;
   double least = terms(p, placed).total();
   for (int i = 0; i < kMostPasses && !stop.stopped(); ++i) {
     const std::int64_t moved = level.pass(stop);
     const double total = terms(p, placed).total();
-    if (total < least) {
+    // Moves are weighed without the links: what overfills one is not kept.
+    if (total < least && (p.bandwidth.empty() || feasible(p, placed))) {
       least = total;
       best = placed;
     }

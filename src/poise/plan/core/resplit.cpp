@@ -46,8 +46,12 @@ bool Resplit::run(State& state, int a, int b, int most_nodes, Stop& stop) {
   for (int d = 0; d < count_; ++d) {
     if (best_[d] != now_[d]) (now_[d] == 0 ? out : back).push_back(units_[d]);
   }
+  const double excess = state.excess();
   state.apply(out, back, a, b);
-  return true;
+  // The tree knows nothing of links: what overfills one is taken back.
+  if (p_.bandwidth.empty() || state.excess() <= excess) return true;
+  state.apply(back, out, a, b);
+  return false;
 }
 
 // Gather the units of both computers; false when there is nothing to share out.

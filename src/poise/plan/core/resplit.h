@@ -16,9 +16,8 @@ class Resplit {
  public:
   explicit Resplit(const Problem& problem);
 
-  static bool takes(const Problem& problem) { return problem.bandwidth.empty(); }
-
-  // Whether `state` was improved. Limits that are broken now count as infinitely bad.
+  // Whether `state` was improved. Limits that are broken now count as infinitely bad; what
+  // the links carry is looked at only in the end.
   bool run(State& state, int a, int b, int most_nodes, Stop& stop);
 
  private:

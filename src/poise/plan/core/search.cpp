@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "cut/cut.h"
 #include "fleet.h"
 #include "fluid.h"
 #include "pack.h"
@@ -53,21 +54,17 @@ void Search::run(const Placement& start) {
   for (cool(length, kHeats[0]); !found() && !stop_.look(); cool(length, kHeats[0])) {
     length += length / 2;
   }
-  if (Resplit::takes(p_) && p_.n < kFewUnits * p_.m) {
+  if (p_.n < kFewUnits * p_.m) {
     start_over(start, std::max(length, stop_.steps_left() / kShortShare));
     return;
   }
-  if (Resplit::takes(p_)) {
-    length = std::max(64 * static_cast<std::int64_t>(p_.n),
-                      stop_.steps_left() / kCoolingShare);
-    if (p_.n >= kManyUnits) length = 64 * static_cast<std::int64_t>(p_.n);
-  }
+  length = std::max(64 * static_cast<std::int64_t>(p_.n),
+                    stop_.steps_left() / kCoolingShare);
+  if (p_.n >= kManyUnits) length = 64 * static_cast<std::int64_t>(p_.n);
   for (int round = 0; !stop_.look(); ++round) {
-    const std::int64_t left = stop_.steps_left();
-    if (round > 0) state_.reset(found() ? best_ : state_.placed());
-    cool(left < 2 * length && !Resplit::takes(p_) ? left : length, kHeats[round % 4]);
-    if (Resplit::takes(p_) && found()) climb(kPatience);
-    else length += length / 2;
+    if (round > 0) state_.reset(best_);
+    cool(length, kHeats[round % 4]);
+    climb(kPatience);
   }
 }
 
@@ -93,7 +90,8 @@ Outcome search(const Problem& p, const Placement& known, Stop& stop, std::uint64
   Outcome out;
   Random random(seed ^ 0x9e3779b97f4a7c15U);
   Placement start = known;
-  if (p.n >= kManyUnits) {
+  if (cut::takes(p)) start = cut::solve(p, known, stop, random);
+  if (p.n >= kManyUnits && !stop.stopped()) {
     Placement joined = multilevel(p, stop, random);
     const bool better = !joined.empty() &&
                         (start.empty() || terms(p, joined).total() < terms(p, start).total());

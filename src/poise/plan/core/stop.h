@@ -1,6 +1,7 @@
 // When a solver must stop: by clock, by count, or because the user says so.
 #pragma once
 
+#include <algorithm>
 #include <chrono>
 #include <cstdint>
 #include <functional>
@@ -45,6 +46,12 @@ class Stop {
   double seconds() const { return seconds_; }
   double elapsed() const {
     return std::chrono::duration<double>(Clock::now() - start_).count();
+  }
+
+  // Which part of the time or the steps is used up, whichever is more.
+  double spent() const {
+    const double steps = static_cast<double>(steps_) / static_cast<double>(limit_);
+    return seconds_ < 1e9 ? std::max(steps, elapsed() / seconds_) : steps;
   }
 
   // How many of the coming steps fit, at the pace so far; for choosing a chain's length.

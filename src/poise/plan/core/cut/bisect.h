@@ -1,0 +1,13 @@
+// A first division into blocks, by halves of halves.
+#pragma once
+
+#include "refine.h"
+
+namespace poise::cut {
+
+// Divide a graph into as many blocks as there are limits. What it finds may break limits
+// by a little, when weights are coarse.
+Blocks bisect(const Graph& graph, const std::vector<double>& limit, Stop& stop,
+              Random& random);
+
+}  // namespace poise::cut
