@@ -46,7 +46,7 @@ ANYTHING = st.one_of(
 )
 
 
-@settings(max_examples=600, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=600, suppress_health_check=[HealthCheck.too_slow])
 @given(st.dictionaries(st.sampled_from(sorted(GOOD)), ANYTHING, max_size=3), ANYTHING)
 def test_nothing_crashes_the_interpreter(wrong: dict[str, Any], known: object) -> None:
     try:

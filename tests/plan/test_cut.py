@@ -75,7 +75,7 @@ def test_finds_clusters_again() -> None:
     assert cut(engine, engine.search([], steps=200_000)) <= clusters
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=25, suppress_health_check=[HealthCheck.too_slow])
 @given(
     kind=st.sampled_from(["grid", "cube", "geometric", "scale-free", "robots"]),
     blocks=st.integers(2, 12),

@@ -18,12 +18,8 @@ from poise.plan.limits import violations
 from poise.plan.tables import Placed, Tables, tabulate
 from tests.plan.plan_problems import problems
 
-MANY = settings(
-    max_examples=400, deadline=None, suppress_health_check=[HealthCheck.too_slow]
-)
-FEW = settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow]
-)
+MANY = settings(max_examples=400, suppress_health_check=[HealthCheck.too_slow])
+FEW = settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
 
 
 def solvable(tables: Tables) -> bool:

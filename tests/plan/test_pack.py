@@ -12,9 +12,7 @@ from poise.plan.limits import violations
 from poise.plan.tables import Placed, Tables, tabulate
 from tests.plan.plan_problems import problems
 
-MANY = settings(
-    max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow]
-)
+MANY = settings(max_examples=300, suppress_health_check=[HealthCheck.too_slow])
 
 
 def keeps_limits(tables: Tables, placed: Placed) -> bool:
