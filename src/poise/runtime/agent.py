@@ -30,7 +30,7 @@ from poise.runtime.children import STOP_LIMIT, BackOff, Child, End
 from poise.runtime.collector import Collector
 from poise.runtime.ledger import new_memory
 from poise.runtime.orders import Orders
-from poise.runtime.priority import go_first
+from poise.runtime.priority import as_usual, go_first
 from poise.runtime.requests import Requests, answer
 from poise.runtime.round_trips import RoundTrips
 from poise.runtime.waker import Waker, wait_readable
@@ -157,7 +157,8 @@ class Agent:
             )
             try:
                 if setup.sample_every:
-                    collector.start()
+                    with as_usual():
+                        collector.start()
                 clocks.start()
                 self._clocks = clocks.known
                 self._serve(publisher)
