@@ -192,7 +192,7 @@ def predictions(lengths: Lengths) -> dict[str, object]:
         "prediction_error": max(map(abs, errors.values())),
         "prediction_errors": errors,
         "measured_cores": ran.cores,
-        "trot_alarms": [name for name, _ in alarms],
+        "trot_alarms": {name: msgspec.to_builtins(drift) for name, drift in alarms},
         "trot_void": ran.void,
     }
 
