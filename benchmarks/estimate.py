@@ -65,7 +65,7 @@ class Lengths(msgspec.Struct, frozen=True):
     steady: float
 
 
-QUICK = Lengths((0.05, 0.9), 3.0, 6.0, 3.0, 0.0)
+QUICK = Lengths((0.05, 0.9), 2.5, 5.0, 3.0, 0.0)
 FULL = Lengths((0.05, 0.1, 0.2, 0.4, 0.6, 0.9), 15.0, 40.0, 30.0, 600.0)
 
 
