@@ -8,6 +8,8 @@ from poise.model.robot import Architecture, Component, Computer, Connector, End,
 
 FOLDER = str(Path(__file__).parents[1])
 TOGETHER = 24
+LIGHT_RATE = 5.0
+"""How often a light component does next to nothing [1/s]."""
 _MIB = 2.0**20
 _MODULE = "synthetic.workers"
 
@@ -28,13 +30,14 @@ def alone(cpu: float, dearer_at: float = float("inf")) -> Robot:
     )
 
 
-def together() -> Robot:
-    """Return a robot with 24 components that use 80 % of a core, in four containers.
+def together(share: float = 1.0) -> Robot:
+    """Return a robot with 24 components in four containers.
 
-    In each six: two workers, and two callers of whose one calls a server and feeds a
-    sink.
+    In each six: three workers, and a caller that calls a server and feeds a sink. They
+    use 70 % of a core, times `share`.
     """
-    return _robot(tuple(_group(number) for number in range(TOGETHER // 6)))
+    groups = range(TOGETHER // 6)
+    return _robot(tuple(_group(number, share) for number in groups))
 
 
 def truths(robot: Robot) -> dict[str, float]:
@@ -44,29 +47,38 @@ def truths(robot: Robot) -> dict[str, float]:
 
 def light(num: int) -> Robot:
     """Return a robot with `num` nearly idle components, ten in each container."""
+    return _many("Light", num // 10, 10)
+
+
+def silent(containers: int) -> Robot:
+    """Return a robot with so many containers of six components that do nothing."""
+    return _many("Silent", containers, 6)
+
+
+def _many(class_: str, containers: int, in_each: int) -> Robot:
     return _robot(
         tuple(
             Architecture(
                 name=f"group{k}",
                 function=f"group{k}",
                 components=tuple(
-                    _component(f"light{k}_{i}", "Light", {"cpu": 0.0})
-                    for i in range(10)
+                    _component(f"part{k}_{i}", class_, {"cpu": 0.0})
+                    for i in range(in_each)
                 ),
             )
-            for k in range(num // 10)
+            for k in range(containers)
         )
     )
 
 
-def _group(k: int) -> Architecture:
+def _group(k: int, share: float) -> Architecture:
     parts = (
-        _component(f"small{k}", "Worker", {"cpu": 0.01, "memory": 4 * _MIB}),
-        _component(f"large{k}", "Worker", {"cpu": 0.06, "memory": 16 * _MIB}),
-        _component(f"caller{k}", "Caller", {"cpu": 0.02, "size": 8192}),
-        _component(f"server{k}", "Server", {"cpu": 0.05}),
-        _component(f"sink{k}", "Sink", {"cpu": 0.03}),
-        _component(f"tiny{k}", "Worker", {"cpu": 0.005, "memory": _MIB}),
+        _component(f"small{k}", "Worker", {"cpu": 0.01 * share, "memory": 4 * _MIB}),
+        _component(f"large{k}", "Worker", {"cpu": 0.06 * share, "memory": 16 * _MIB}),
+        _component(f"caller{k}", "Caller", {"cpu": 0.02 * share, "size": 8192}),
+        _component(f"server{k}", "Server", {"cpu": 0.05 * share}),
+        _component(f"sink{k}", "Sink", {"cpu": 0.03 * share}),
+        _component(f"tiny{k}", "Worker", {"cpu": 0.005 * share, "memory": _MIB}),
     )
     return Architecture(
         name=f"group{k}",

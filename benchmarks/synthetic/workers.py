@@ -105,3 +105,7 @@ class Light(Component):
     @every(0.2)
     def cycle(self) -> None:
         """Only be there."""
+
+
+class Silent(Component):
+    """Does nothing at all."""

@@ -157,23 +157,29 @@ def events(component: model.Component, built: Any) -> list[tuple[float, Any]]:
     return found + [(1 / t.period, getattr(built, t.name)) for t in timers]
 
 
-def cpu_time(call: Callable[[], object], repeats: int = 3) -> float:
-    """Return the CPU time of a call [s]; the first one, which warms up, is not in."""
+def cpu_time(call: Callable[[], object]) -> float:
+    """Return the mean CPU time of a call [s]; the first, which warms up, is not in.
+
+    Of short calls there are many, for each varies by a third.
+    """
     call()
     before = time.thread_time()
-    for _ in range(repeats):
+    used, repeats = 0.0, 0
+    while repeats < 3 or (used < 0.03 and repeats < 100):
         call()
-    return (time.thread_time() - before) / repeats
+        repeats += 1
+        used = time.thread_time() - before
+    return used / repeats
 
 
 @pytest.mark.parametrize("name", COMPONENTS)
 def test_uses_the_cpu_that_was_profiled(name: str) -> None:
-    """To 15 %: CPU time does not count what else runs."""
+    """To 10 %, or to what the container's threads use beside the component's code."""
     component = COMPONENTS[name]
     built = started(component).component
     used = sum(rate * cpu_time(call) for rate, call in events(component, built))
     profiled = PROFILE.components[name].cpu.mean
-    assert used == pytest.approx(profiled, rel=0.15, abs=0.0075)
+    assert used == pytest.approx(profiled, rel=0.1, abs=0.004)
 
 
 @pytest.mark.parametrize("name", COMPONENTS)
@@ -195,7 +201,7 @@ def test_uses_the_memory_that_it_declares(name: str) -> None:
 
 @pytest.mark.parametrize("connector", CONNECTORS, ids=str)
 def test_messages_are_as_large_as_declared(connector: model.Connector) -> None:
-    """Encoded, to a half: paths are shorter, and lists emptier, than here."""
+    """To a half of the larger: paths and lists are not as long as here."""
     end = connector.between[1]
     port = ports_of(implementation_of(COMPONENTS[end.component]))[end.port]
     if port.kind == "subscribes":
@@ -204,7 +210,8 @@ def test_messages_are_as_large_as_declared(connector: model.Connector) -> None:
         (method,) = methods_of(port.type)
         arguments, answer = CALLS[method]
         size = encoded(answer) + sum(encoded(argument) for argument in arguments)
-    assert size == pytest.approx(connector.message, rel=0.5, abs=60)
+    margin = max(60.0, 0.5 * max(size, connector.message))
+    assert size == pytest.approx(connector.message, abs=margin)
 
 
 def encoded(value: Any) -> int:

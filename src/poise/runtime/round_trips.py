@@ -100,13 +100,19 @@ class RoundTrips:
             return found
 
     def _main(self) -> None:
-        asked = 0
-        while not self._ended.wait(EVERY if asked >= _AT_FIRST else _EVERY_AT_FIRST):
+        asked = answered = 0
+        while not self._ended.wait(self._pause(answered or asked)):
             self._ask()
-            asked += bool(self._offsets)
+            asked += 1
+            answered += bool(self._offsets)
             self._known = self._now_known()
             self._table.write(self._known)
         self._table.close()
+
+    @staticmethod
+    def _pause(rounds: int) -> float:
+        """Return how long to wait [s]; who is alone soon asks seldom."""
+        return EVERY if rounds >= _AT_FIRST else _EVERY_AT_FIRST
 
     def _ask(self) -> None:
         sent = self._clock.now()

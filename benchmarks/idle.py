@@ -1,0 +1,120 @@
+"""What Poise costs a computer that has nothing to do: ``python -m benchmarks.idle``.
+
+How long an agent takes until it is there, and a container until its components are
+active; what both use when nothing happens, samples and reports included; and what they
+hold of the memory (proportional set size: shared pages are divided by their users).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+
+from benchmarks.synthetic import robots
+from poise.cli.computers import computers_of
+from poise.clock import SystemClock
+from poise.manage.fleet import Fleet
+from poise.manage.journal import Journal
+from poise.manage.run import Run
+from poise.model.robot import Robot
+from poise.runtime.collector import proportional_memory
+from poise.wire.messages import AgentStatus
+
+CONTAINERS = 4
+SETTLE = 1.0
+LIMIT = 30.0
+MIB = 2.0**20
+
+
+def parent(pid: int) -> int:
+    """Return the process that started another."""
+    stat = Path(f"/proc/{pid}/stat").read_text()
+    return int(stat.rpartition(")")[2].split()[1])
+
+
+def own_cpu(status: AgentStatus) -> float:
+    """Return the CPU time of an agent and of what it keeps for containers [s]."""
+    return status.cpu - sum(container.cpu for container in status.containers)
+
+
+def measure(robot: Robot, seconds: float) -> Mapping[str, float]:
+    """Start a robot, leave it alone for `seconds`, and tell what that cost."""
+    placement = {c.name: robot.computers[0].name for c in robot.components()}
+    journal = Journal(":memory:")
+    with ExitStack() as stack:
+        stack.callback(journal.close)
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        began = time.monotonic()
+        computers = stack.enter_context(
+            computers_of(robot, folder / "computers", lambda _: None)
+        )
+        fleet = stack.enter_context(
+            Fleet(robot.name, computers.endpoints, SystemClock(), lambda _: None)
+        )
+        fleet.wait_alive(computers.endpoints, LIMIT, computers.raise_if_ended)
+        agent_there = time.monotonic()
+        run = Run(robot, placement, fleet, journal, str(folder))
+        stack.callback(run.stop)
+        run.start()
+        active = time.monotonic()
+        run.watch(SETTLE)
+        (before,) = fleet.statuses().values()
+        time.sleep(seconds)
+        (after,) = fleet.statuses().values()
+        lasted = after.uptime - before.uptime
+        pids = [container.pid for container in after.containers]
+        zygote = parent(pids[0])
+        return {
+            "agent_start_s": agent_there - began,
+            "start_s": active - agent_there,
+            "agent_cores": (own_cpu(after) - own_cpu(before)) / lasted,
+            "all_cores": (after.cpu - before.cpu) / lasted,
+            "agent_mib": proportional_memory(parent(zygote)) / MIB,
+            "zygote_mib": proportional_memory(zygote) / MIB,
+            "container_mib": statistics.mean(map(proportional_memory, pids)) / MIB,
+        }
+
+
+def main() -> None:
+    """Measure all, and print it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--quick", action="store_true", help="under a minute")
+    options = parser.parse_args()
+    seconds = 8.0 if options.quick else 30.0
+    # the components' module is imported from the benchmarks' folder
+    sys.path.insert(0, robots.FOLDER)
+    one = measure(robots.silent(1), seconds)
+    many = measure(robots.silent(CONTAINERS), seconds)
+    found = {
+        "agent until it is there [s]": one["agent_start_s"],
+        "a container with six components, until they are active [s]": one["start_s"],
+        f"{CONTAINERS} containers, together [s]": many["start_s"],
+        "agent of a container that does nothing [cores]": one["agent_cores"],
+        f"agent of {CONTAINERS} containers that do nothing [cores]": many[
+            "agent_cores"
+        ],
+        "a container that does nothing [cores]": (
+            many["all_cores"] - many["agent_cores"]
+        )
+        / CONTAINERS,
+        "agent [MiB]": many["agent_mib"],
+        "zygote [MiB]": many["zygote_mib"],
+        f"each of {CONTAINERS} containers [MiB]": many["container_mib"],
+    }
+    if options.json:
+        print(json.dumps(found, indent=2))
+        return
+    for name, value in found.items():
+        print(f"{name:60} {value:.4f}")
+
+
+if __name__ == "__main__":
+    main()
