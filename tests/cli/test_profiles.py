@@ -62,7 +62,7 @@ def test_says_where_demands_are_from_and_what_is_missing(robot: Robot) -> None:
     write(robot, measured(robot))
     found = profiled(robot)
     assert found.says == (
-        "demands from profile.yaml, measured today on 'a'",
+        "demands from profile.yaml, measured by `poise profile` on 'a', today",
         "overheads are MB/s: `poise calibrate` measures what connectors cost",
         "no demand is known of: ear",
     )

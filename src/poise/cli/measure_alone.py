@@ -52,10 +52,12 @@ def measure_alone(
             _watch(up, seconds, tick)
             samples = recording.take()
             void = up.computers.end(stand.computer)
+            working = up.run.fleet.statuses()
             up.run.reach("inactive", ACTIVE_LIMIT)
             return Observed(
                 measured=measure(samples),
                 statuses=up.run.fleet.statuses(),
+                working=working,
                 void=void,
             )
     finally:

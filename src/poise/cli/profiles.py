@@ -61,9 +61,8 @@ def profiled(robot: Robot) -> Profiled:
             f"{robot.profile} is the profile of robot '{profile.robot}', not of "
             f"'{robot.name}'"
         )
-    says = [
-        f"demands from {robot.profile}, measured {profile.at} on '{profile.computer}'"
-    ]
+    source = f"{robot.profile}, measured by `poise profile` on '{profile.computer}'"
+    says = [f"demands from {source}, {profile.at}"]
     says.append(
         "overheads from what connectors cost here"
         if profile.costs

@@ -31,12 +31,15 @@ class Observed(Struct, frozen=True, kw_only=True):
     ----------
     statuses
         What the agents said last, when everything was deactivated.
+    working
+        What they said last before that: a command that is deactivated has ended.
     void
         Why it says nothing; empty when it does.
     """
 
     measured: Measured
     statuses: Mapping[str, AgentStatus]
+    working: Mapping[str, AgentStatus] = {}
     void: str = ""
 
 
@@ -94,6 +97,7 @@ def figures(subject: Subject, runs: Sequence[Observed], apart: Observed) -> Figu
     memory = _memory(typical, apart, names, subject.empty)
     states = {s.name: s for s in _components(apart.statuses)}
     timed = {s.name: s for s in _components(typical.statuses)}
+    timed |= {s.name: s for s in _components(typical.working)}
     found = {}
     for name in names:
         own, base = memory[name]

@@ -19,6 +19,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -54,6 +55,7 @@ class Command:
         self._error = ""
         self._process: subprocess.Popen[bytes] | None = None
         self._pidfd = -1
+        self._began_within = 0.0
         self.account = Account()
 
     def aim(self, goal: Aim) -> None:
@@ -65,7 +67,9 @@ class Command:
                 self._argv()
                 self._state = "inactive"
             if goal == "active" and self._process is None:
+                began = time.monotonic()
                 self._process = self._start()
+                self._began_within = time.monotonic() - began
                 self._pidfd = os.pidfd_open(self._process.pid)
                 self.account.watch(self._process.pid)
                 self._state = "active"
@@ -109,6 +113,7 @@ class Command:
             state=self._state,
             error=self._error,
             errors=1 if self._error else 0,
+            start=self._began_within,
             cpu=self.account.cpu() if cpu is None else cpu,
         )
 

@@ -1,0 +1,58 @@
+"""Any executable is measured like a component: CPU and memory of its processes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from poise.estimate import profile_file
+
+from .conftest import Poise
+
+ROBOT = """\
+robot: r
+computers: {main: {cpu: 1, memory: 1 GiB}}
+architectures:
+  burning:
+    function: burning
+    components:
+      burner: {command: "python burn.py 20 64"}
+      idler: {command: "sleep 1000"}
+profile: profile.yaml
+"""
+BURN = """
+import sys, time
+
+share, mebibytes = int(sys.argv[1]) / 100, int(sys.argv[2])
+held = b"x" * (mebibytes << 20)
+release = time.monotonic()
+while True:
+    began = time.process_time()
+    while time.process_time() - began < 0.05 * share:
+        pass
+    release = max(release + 0.05, time.monotonic())
+    time.sleep(max(0.0, release - time.monotonic()))
+"""
+
+
+@pytest.mark.slow
+def test_measures_command_line_components(tmp_path: Path, poise: Poise) -> None:
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+    (tmp_path / "burn.py").write_text(BURN)
+    done = poise("profile", "robot.yaml", "--for", "3s", "--warm-up", "1s")
+    assert done.returncode == 0, done.stdout + done.stderr
+    profile = profile_file.read(tmp_path / "profile.yaml")
+    burner, idler = profile.components["burner"], profile.components["idler"]
+    # a machine that is busy may give it less, never more
+    assert 0.05 < burner.cpu.mean < 0.23
+    assert burner.cpu.mean <= burner.cpu.p95 <= burner.cpu.p99 <= burner.cpu.peak
+    assert idler.cpu.mean < 0.02
+    # 64 MiB are its own; Python's own few are its own too, for no other shares them
+    assert 64 * 2**20 < burner.memory < 100 * 2**20
+    assert 0 <= idler.memory < 10 * 2**20
+    assert burner.start > 0
+    changed = BURN.replace("0.05", "0.06")
+    (tmp_path / "burn.py").write_text(changed)
+    shown = poise("profile", "show", "robot.yaml")
+    assert "changed since it was measured: burner" in shown.stdout
