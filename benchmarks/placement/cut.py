@@ -20,7 +20,7 @@ from benchmarks.placement.table import show
 from poise.plan._core import Core
 
 SECONDS = 1.0
-LONGEST = 30.0
+LONGEST = 10.0
 """After how long [s] a single call is given up."""
 BLOCKS = (2, 8, 64)
 EXCESS = 0.03
