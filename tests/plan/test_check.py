@@ -93,6 +93,16 @@ def test_refuses_a_lopsided_distance() -> None:
         plan.solve(problem)
 
 
+def test_refuses_a_distance_of_a_computer_to_itself() -> None:
+    problem = Problem(
+        components=(Component(name="a"),),
+        computers=(Computer(name="one"), Computer(name="two")),
+        distance=((0.0, 1.0), (1.0, 0.5)),
+    )
+    with pytest.raises(RobotError, match="'two' to itself is 0"):
+        plan.solve(problem)
+
+
 @pytest.mark.parametrize(
     "text",
     ["", "[]", "{", '{"components": [{}]}', '{"componets": []}', '{"cost": 1e999}'],

@@ -69,6 +69,7 @@ def test_nothing_crashes_the_interpreter(wrong: dict[str, Any], known: object) -
         ({"allowed": [-1]}, "allowed has the index -1"),
         ({"overhead": [float("nan")]}, "overhead has the value"),
         ({"distance": [0.0, 1.0, 2.0, 0.0]}, "not symmetric"),
+        ({"distance": [0.0, 1.0, 1.0, 0.5]}, "to itself is not 0"),
         ({"offsets": [0, 9]}, "allowed has 1 entries"),
         ({"n": -1}, "too many units"),
         ({"demand": array("f", [1.0, 1.0])}, "demand has the wrong type"),

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from benchmarks.random_robots import random_robot
 from poise.model.robot import Spread
-from poise.plan import Link, Problem, objective
+from poise.plan import Connector, Link, Problem, objective
 from poise.plan.engine import Engine
 from poise.plan.greedy import greedy
 from poise.plan.limits import violations
@@ -85,6 +85,62 @@ def test_branch_and_bound_finds_the_optimum(problem: Problem) -> None:
     assert total(tables, answer.placed) == pytest.approx(best, rel=1e-9, abs=1e-9)
     if tables.n:
         assert answer.bound == pytest.approx(best, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("spread", ["range", "variance"])
+@pytest.mark.parametrize("pinned", [0.0, 0.2])
+def test_the_proof_on_two_computers_is_the_least_of_all(
+    spread: Spread, pinned: float
+) -> None:
+    for seed in range(12):
+        robot = random_robot(
+            seed,
+            9,
+            2,
+            spread=spread,
+            degree=1 + seed % 5,
+            pinned=pinned,
+            uneven=seed % 2 > 0,
+        )
+        if seed % 3 == 0:
+            parts = robot.components
+            robot = replace(
+                robot, cost=tuple((0.02 * (i % 3), 0.0) for i in range(len(parts)))
+            )
+        tables = tabulate(robot)
+        answer = Engine(tables).exact([])
+        best = optimum(tables)
+        assert answer.proven
+        if best == math.inf:
+            assert not answer.placed
+            continue
+        assert keeps_limits(tables, answer.placed)
+        assert total(tables, answer.placed) == pytest.approx(best, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("spread", ["range", "variance"])
+@pytest.mark.parametrize("degree", [2, 3, 12])
+def test_every_proof_on_two_computers_finds_the_same(
+    spread: Spread, degree: int
+) -> None:
+    """A link that limits nothing takes the general tree; many ties that by pulls."""
+    for seed in range(6):
+        robot = random_robot(seed, 20, 2, spread=spread, degree=degree)
+        if degree > 8:
+            robot = replace(robot, connectors=_all_to_all(robot, seed))
+        link = Link(between=("computer0", "computer1"), bandwidth=math.inf)
+        linked = replace(robot, links=(link,))
+        answers = [Engine(tabulate(p)).exact([]) for p in (robot, linked)]
+        assert all(answer.proven for answer in answers)
+        assert [bool(answer.placed) for answer in answers] in ([True] * 2, [False] * 2)
+        assert answers[0].bound == pytest.approx(answers[1].bound, rel=1e-9)
+
+
+def _all_to_all(robot: Problem, seed: int) -> tuple[Connector, ...]:
+    random = Random(seed)
+    names = [c.name for c in robot.components]
+    pairs = itertools.combinations(names, 2)
+    return tuple(Connector(between=p, overhead=random.random()) for p in pairs)
 
 
 @FEW

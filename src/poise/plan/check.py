@@ -139,8 +139,11 @@ def _metric(problem: Problem) -> Iterator[str]:
     table = problem.distance
     for a, row in enumerate(table):
         for b, value in enumerate(row[: a + 1]):
-            names = f"{problem.computers[a].name!r} and {problem.computers[b].name!r}"
-            if value < 0:
+            one, other = problem.computers[a].name, problem.computers[b].name
+            names = f"{one!r} and {other!r}"
+            if a == b and value != 0:
+                yield f"distance of {one!r} to itself is {value}, must be 0"
+            elif value < 0:
                 yield f"distance between {names} is {value}, must be >= 0"
             if value != table[b][a]:
                 yield f"distance between {names} is {value} one way, {table[b][a]} back"

@@ -38,7 +38,7 @@ class Engine:
     def __init__(self, tables: Tables) -> None:
         self.tables = tables
         allowed = tables.allowed
-        self._core = _core.Core(
+        self.core = _core.Core(
             tables.n,
             tables.m,
             tables.r,
@@ -63,8 +63,8 @@ class Engine:
             tables.share,
             tables.variance,
         )
-        self.greedy = self._core.greedy
-        self.provable: bool = self._core.provable
+        self.greedy = self.core.greedy
+        self.provable: bool = self.core.provable
 
     def must_be_provable(self) -> None:
         """Raise a UsageError when the problem is too large for `exact`."""
@@ -78,7 +78,7 @@ class Engine:
         self, known: Placed, seconds: float = 1e9, steps: int = UNLIMITED
     ) -> Answer:
         """Search for the optimum and its proof, starting from a known placement."""
-        return _answer(self._core.exact(known, seconds, steps))
+        return _answer(self.core.exact(known, seconds, steps))
 
     def search(
         self,
@@ -88,19 +88,19 @@ class Engine:
         seed: int = 0,
     ) -> Answer:
         """Search until time or steps are used up; never worse than `known`."""
-        return _answer(self._core.search(known, seconds, steps, seed))
+        return _answer(self.core.search(known, seconds, steps, seed))
 
     def total(self, placed: Placed) -> float:
         """Return F of a placement, recomputed from nothing."""
-        return sum(self._core.terms(placed))
+        return sum(self.core.terms(placed))
 
     def feasible(self, placed: Placed) -> bool:
         """Return whether a complete placement keeps every limit."""
-        return self._core.feasible(placed)
+        return self.core.feasible(placed)
 
     def bound(self) -> float:
         """Return a number that no placement's F is below."""
-        return self._core.bound()
+        return self.core.bound()
 
 
 def _answer(raw: tuple[list[int], float, bool, str, int]) -> Answer:

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "exact_frontier.h"
 #include "exact_tree.h"
 #include "exact_two.h"
 
@@ -11,14 +12,17 @@ namespace {
 // The tree for M computers: knowing their number, the compiler unrolls every loop over
 // them, which makes small problems twice as fast. M = 0 takes any number.
 template <int M>
-class TreeOf final : public Exact::Tree {
+class TreeOf final : public OrderedTree {
  public:
-  using Tree::Tree;
+  using OrderedTree::OrderedTree;
 
  private:
   int m() const { return M > 0 ? M : m_; }
 
-  void descend() override { open(0); }
+  void descend() override {
+    start();
+    open(0);
+  }
 
   void open(int depth) {
     if (depth == n_) return found();
@@ -152,6 +156,10 @@ class TreeOf final : public Exact::Tree {
 };
 
 std::unique_ptr<Exact::Tree> tree_for(const Problem& problem) {
+  if (FrontierTree::takes(problem)) {
+    auto tree = std::make_unique<FrontierTree>(problem);
+    if (tree->narrow()) return tree;
+  }
   if (TwoTree::takes(problem)) return std::make_unique<TwoTree>(problem);
   switch (problem.m) {
     case 2: return std::make_unique<TreeOf<2>>(problem);

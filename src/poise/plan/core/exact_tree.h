@@ -8,13 +8,37 @@
 
 namespace poise {
 
-// The part that does not depend on the number of computers known to the compiler.
+// What every branch and bound keeps: the order of the units and the best placement so far.
 class Exact::Tree {
  public:
   explicit Tree(const Problem& problem);
   virtual ~Tree() = default;
 
   Outcome run(const Placement& known, Stop& stop);
+
+ protected:
+  // Go through the tree from its root; where `stop_` says so, leave it with the least
+  // bound of what was not looked at in `open_bound_`.
+  virtual void descend() = 0;
+
+  void found();
+  void set_best(double objective);
+
+  const Problem& p_;
+  Stop* stop_ = nullptr;
+  int n_, m_, r_;
+  std::vector<std::int32_t> order_;  // depth -> unit
+  std::vector<std::int32_t> at_;     // (n) by depth: its computer
+  bool possible_ = true;             // every unit may run somewhere
+  double best_ = kInfinity, threshold_ = kInfinity, open_bound_ = kInfinity;
+  Placement best_placed_;
+};
+
+// A tree whose units come by their ties and sizes, and what is known of each depth. It
+// does not depend on the number of computers known to the compiler.
+class OrderedTree : public Exact::Tree {
+ public:
+  explicit OrderedTree(const Problem& problem);
 
  protected:
   struct Later {  // a connector to a unit that is deeper in the tree
@@ -26,18 +50,11 @@ class Exact::Tree {
     double bound;
   };
 
-  virtual void descend() = 0;
-
-  void found();
-  void set_best(double objective);
+  void start();
   bool apart_fits(int depth, int computer) const;
   bool send(int depth, int computer, double sign);
 
-  const Problem& p_;
-  Stop* stop_ = nullptr;
-  int n_, m_, r_;
-  std::vector<std::int32_t> order_;     // depth -> unit
-  std::vector<std::int32_t> depth_of_;  // unit -> depth
+  std::vector<std::int32_t> depth_of_;    // unit -> depth
   std::vector<std::size_t> later_start_;  // (n + 1)
   std::vector<Later> later_;
   std::vector<double> need_;   // (n, r) by depth
@@ -48,7 +65,6 @@ class Exact::Tree {
   PairCosts costs_;            // by depth, as shifted
   std::vector<int> twin_;      // (m): the computer before it that is just like it, or -1
   std::vector<char> alike_;    // (r): residue is measured alike on all computers
-  bool possible_ = true;       // every unit may run somewhere
 
   // What changes from node to node.
   std::vector<double> unary_;   // (n, m) by depth: towards placed units, and linear
@@ -58,10 +74,7 @@ class Exact::Tree {
   std::vector<double> traffic_; // (m, m), of a larger and a smaller index
   std::vector<int> units_on_;   // (m)
   std::vector<Branch> branch_;  // (n, m)
-  std::vector<std::int32_t> at_;  // (n) by depth
   double paid_ = 0, least_sum_ = 0;
-  double best_ = kInfinity, threshold_ = kInfinity, open_bound_ = kInfinity;
-  Placement best_placed_;
 
  private:
   void sort_units();
@@ -69,7 +82,6 @@ class Exact::Tree {
   void find_twins();
   void price();
   void measure();
-  void start();
 };
 
 }  // namespace poise

@@ -5,7 +5,7 @@
 
 namespace poise {
 
-TwoTree::TwoTree(const Problem& problem) : Tree(problem) {
+TwoTree::TwoTree(const Problem& problem) : OrderedTree(problem) {
   if (!possible_) return;
   const double far = p_.far(0, 1);
   twins_ = twin_[1] == 0;

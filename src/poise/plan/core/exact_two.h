@@ -1,4 +1,4 @@
-// Branch and bound on two computers: the paper's own case, and the fastest.
+// Branch and bound on two computers where the frontier (exact_frontier.h) is too wide.
 #pragma once
 
 #include "exact_tree.h"
@@ -9,7 +9,7 @@ namespace poise {
 // (1 - x * y). So all that a unit has to pay towards placed ones is one number, its pull
 // towards +1, and the least that all open units must pay is known from the sum of the
 // pulls' sizes. A node of the tree costs a dozen nanoseconds.
-class TwoTree final : public Exact::Tree {
+class TwoTree final : public OrderedTree {
  public:
   static bool takes(const Problem& problem) {
     return problem.m == 2 && problem.bandwidth.empty() && !problem.has_apart();

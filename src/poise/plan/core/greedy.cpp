@@ -32,7 +32,11 @@ POISE_WIDE void shut(double* total, const double* left, const double* floor, int
 
 }  // namespace
 
-Greedy::Greedy(const Problem& problem) : p_(problem), few_(is_few()) {
+Greedy::Greedy(const Problem& problem) : p_(problem) {
+  if (FewGreedy::takes(p_)) {
+    few_ = std::make_unique<FewGreedy>(p_);
+    return;
+  }
   first_share_.resize(p_.capacity.size());
   for (std::size_t e = 0; e < first_share_.size(); ++e) {
     // A computer without the resource must be neither the lowest nor the highest.
@@ -62,7 +66,7 @@ Greedy::Greedy(const Problem& problem) : p_(problem), few_(is_few()) {
 }
 
 bool Greedy::run(Placement& placed) {
-  if (few_) return run_few(placed);
+  if (few_) return few_->run(placed);
   start();
   placed.assign(p_.n, -1);
   for (const std::int32_t unit : p_.order) {

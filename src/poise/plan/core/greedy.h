@@ -1,6 +1,9 @@
 // The paper's greedy: the mirror of ../greedy.py, decision for decision.
 #pragma once
 
+#include <memory>
+
+#include "greedy_few.h"
 #include "problem.h"
 
 namespace poise {
@@ -23,8 +26,6 @@ class Greedy {
     double centre;
   };
 
-  bool is_few() const;
-  bool run_few(Placement& placed);
   void start();
   void weigh(int unit, const Placement& placed);
   void weigh_connectors(int unit, const Placement& placed);
@@ -37,7 +38,7 @@ class Greedy {
   void scan(int resource);
 
   const Problem& p_;
-  const bool few_;
+  std::unique_ptr<FewGreedy> few_;  // which then does it all
   std::vector<double> first_share_;  // (r, m) with nothing placed
   std::vector<double> left_, share_;  // (r, m)
   std::vector<double> total_;         // (m): F with the unit there

@@ -13,6 +13,7 @@
 #include "fluid.h"
 #include "greedy.h"
 #include "search.h"
+#include "state.h"
 
 namespace nb = nanobind;
 using namespace poise;
@@ -140,6 +141,27 @@ class Core {
     });
   }
 
+  // Apply search moves one by one: what each was weighed at, and what is kept after it.
+  nb::list walk(nb::handle known, nb::list moves) {
+    const Placement start = partial(known);
+    check(start, 0);
+    State state(problem_);
+    state.reset(start);
+    nb::list out;
+    for (const nb::handle item : moves) {
+      const nb::tuple move = nb::cast<nb::tuple>(item);
+      if (move.size() != 4) throw std::invalid_argument("a move is (out, back, a, b)");
+      const int a = nb::cast<int>(move[2]), b = nb::cast<int>(move[3]);
+      if (a == b) throw std::invalid_argument("a move joins two computers");
+      const Units there = moving(state, move[0], a), back = moving(state, move[1], b);
+      const Change change = state.weigh(there, back, a, b);
+      state.apply(there, back, a, b);
+      out.append(nb::make_tuple(change.objective, change.excess, state.paid(),
+                                state.balance(), state.excess(), state.feasible()));
+    }
+    return out;
+  }
+
   nb::list multilevel(std::uint64_t seed) {
     Placement placed;
     {
@@ -180,6 +202,20 @@ class Core {
     }
     return nb::make_tuple(listed(out.placed), out.bound, out.proven, named(out.reason),
                           out.steps);
+  }
+
+  Units moving(const State& state, nb::handle from, int computer) {
+    Units units = numbers<std::int32_t>(from, "move");
+    std::vector<char> seen(problem_.n, 0);
+    if (computer < 0 || computer >= problem_.m) throw std::invalid_argument("no computer");
+    for (const std::int32_t unit : units) {
+      const bool known = unit >= 0 && unit < problem_.n && !seen[unit];
+      if (!known || state.at(unit) != computer) {
+        throw std::invalid_argument("a move has the unit " + std::to_string(unit));
+      }
+      seen[unit] = 1;
+    }
+    return units;
   }
 
   // A placement of all units or of none.
@@ -265,6 +301,7 @@ NB_MODULE(_core, module) {
       .def("exact", &Core::exact, nb::arg("known"), nb::arg("seconds"), nb::arg("steps"))
       .def("search", &Core::search, nb::arg("known"), nb::arg("seconds"),
            nb::arg("steps"), nb::arg("seed"))
+      .def("walk", &Core::walk, nb::arg("placed"), nb::arg("moves"))
       .def("multilevel", &Core::multilevel, nb::arg("seed"))
       .def("terms", &Core::terms, nb::arg("placed"))
       .def("feasible", &Core::feasible_, nb::arg("placed"))

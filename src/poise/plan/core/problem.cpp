@@ -74,6 +74,7 @@ void check_values(const Input& in) {
   check_finite({in.communication}, 0, "communication");
   for (const double value : in.bandwidth) demand_that(value >= 0, "bandwidth below 0");
   for (int a = 0; a < in.m && !in.distance.empty(); ++a) {
+    demand_that(in.distance[a * in.m + a] == 0, "distance of a computer to itself is not 0");
     for (int b = 0; b < a; ++b) {
       demand_that(in.distance[a * in.m + b] == in.distance[b * in.m + a],
                   "distance is not symmetric");

@@ -183,7 +183,7 @@ double State::weigh_paid(const Units& out, const Units& back, int a, int b) {
   // Each was weighed as if it moved alone. Two that move together stay together, and two
   // that change places stay apart: undo what was counted for them, for each of the pair.
   const double far = p_.far(a, b);
-  if (count == 2 && !back.empty()) {
+  if (out.size() == 1 && back.size() == 1) {
     for (const Neighbour& other : p_.neighbours(out[0])) {
       if (other.unit == back[0]) paid += 2 * far * other.overhead;
     }
