@@ -48,8 +48,8 @@ def test_measures_command_line_components(tmp_path: Path, poise: Poise) -> None:
     assert 0.05 < burner.cpu.mean < 0.23
     assert burner.cpu.mean <= burner.cpu.p95 <= burner.cpu.p99 <= burner.cpu.peak
     assert idler.cpu.mean < 0.02
-    # 64 MiB are its own; Python's own few are its own too, for no other shares them
-    assert 64 * 2**20 < burner.memory < 100 * 2**20
+    # 64 MiB are its own, and Python's own few, less what it shares with the container
+    assert 60 * 2**20 < burner.memory < 100 * 2**20
     assert 0 <= idler.memory < 10 * 2**20
     assert burner.start > 0
     changed = BURN.replace("0.05", "0.06")

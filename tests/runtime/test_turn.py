@@ -26,7 +26,7 @@ STEPS = st.lists(
         st.tuples(st.sampled_from(["leave", "open", "shut", "retire"])),
         st.tuples(st.just("lend"), CHAINS),
         st.tuples(st.just("step_out"), CHAINS),
-        st.tuples(st.just("step_in"), CHAINS, st.integers(0, 2)),
+        st.tuples(st.just("step_in"), st.integers(1, 3), st.integers(0, 2)),
     ),
     max_size=30,
 )

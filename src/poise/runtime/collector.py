@@ -14,9 +14,8 @@ from poise.runtime._calls import Reader
 
 log = logging.getLogger(__name__)
 
-MEMORY_EVERY = 50
-"""A container's memory is read with every so many-th sample: it costs more than all the
-rest of them."""
+MEMORY_EVERY = 2.0
+"""A container's memory is read about so often [s]: it costs more than all the rest."""
 
 
 class Collector:
@@ -47,6 +46,7 @@ class Collector:
         self._containers = containers
         self._publish = publish
         self._memory: dict[int, int] = {}
+        self._turns = max(1, round(MEMORY_EVERY / every))
         self._count = 0
         self._ended = threading.Event()
         self._encoder = msgspec.msgpack.Encoder()
@@ -88,7 +88,7 @@ class Collector:
         self._count += 1
         before, self._memory = self._memory, {}
         for _, pid, reader in containers:
-            is_due = pid not in before or (pid + self._count) % MEMORY_EVERY == 0
+            is_due = pid not in before or (pid + self._count) % self._turns == 0
             self._memory[pid] = (
                 sum(map(proportional_memory, [pid, *reader.commands()]))
                 if is_due
