@@ -6,6 +6,7 @@ import os
 import threading
 
 import msgspec
+import pytest
 
 from poise.runtime import _calls
 from poise.runtime._calls import Account, Reader
@@ -18,13 +19,14 @@ def decoded(body: bytes) -> AgentSample:
     return msgspec.msgpack.decode(body, type=AgentSample)
 
 
-def test_tells_every_container_with_something_in_it() -> None:
+@pytest.mark.parametrize("every", [0.0, 1.0])
+def test_tells_every_container_with_something_in_it(every: float) -> None:
     memories = [new_memory(), new_memory()]
     accounts = [Account(), Account()]
     readers = [Reader(memory, os.getpid()) for memory in memories]
     accounts[0].enter(_calls.Ledger(memories[0]), "eye", 2)
     here = [("see", 7, readers[0]), ("empty", 8, readers[1])]
-    collector = Collector("a", 1.0, lambda: here, lambda _: None)
+    collector = Collector("a", every, lambda: here, lambda _: None)
     sample = decoded(collector.sample())
     assert sample.computer == "a"
     (container,) = sample.containers

@@ -26,7 +26,7 @@ class Collector:
     computer
         Its name.
     every
-        [s]; > 0.
+        [s]; 0: only when asked by `sample`.
     containers
         Returns name, process number and ledger of the containers that run; called on
         the thread.
@@ -46,7 +46,7 @@ class Collector:
         self._containers = containers
         self._publish = publish
         self._memory: dict[int, int] = {}
-        self._turns = max(1, round(MEMORY_EVERY / every))
+        self._turns = max(1, round(MEMORY_EVERY / every)) if every else 1
         self._count = 0
         self._ended = threading.Event()
         self._encoder = msgspec.msgpack.Encoder()
@@ -55,7 +55,7 @@ class Collector:
         )
 
     def start(self) -> None:
-        """Begin to collect."""
+        """Begin to collect; `every` is greater than 0."""
         self._thread.start()
 
     def stop(self) -> None:
