@@ -40,7 +40,7 @@ while True:
 def test_measures_command_line_components(tmp_path: Path, poise: Poise) -> None:
     (tmp_path / "robot.yaml").write_text(ROBOT)
     (tmp_path / "burn.py").write_text(BURN)
-    done = poise("profile", "robot.yaml", "--for", "3s", "--warm-up", "1s")
+    done = poise("profile", "robot.yaml", "--for", "5s", "--warm-up", "1s")
     assert done.returncode == 0, done.stdout + done.stderr
     profile = profile_file.read(tmp_path / "profile.yaml")
     burner, idler = profile.components["burner"], profile.components["idler"]

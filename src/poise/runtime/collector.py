@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -14,8 +14,9 @@ from poise.runtime._calls import Reader
 
 log = logging.getLogger(__name__)
 
-MEMORY_EVERY = 2.0
-"""A container's memory is read about so often [s]: it costs more than all the rest."""
+_SELDOM = 10
+"""With every so many-th sample the memory of one container is read: that takes the
+kernel a millisecond or two, more than all the rest."""
 
 
 class Collector:
@@ -46,7 +47,6 @@ class Collector:
         self._containers = containers
         self._publish = publish
         self._memory: dict[int, int] = {}
-        self._turns = max(1, round(MEMORY_EVERY / every)) if every else 1
         self._count = 0
         self._ended = threading.Event()
         self._encoder = msgspec.msgpack.Encoder()
@@ -83,12 +83,12 @@ class Collector:
         while not self._ended.wait(self._every):
             self._publish(self.sample())
 
-    def _weigh(self, containers: Iterable[tuple[str, int, Reader]]) -> None:
-        """Read the memory of some containers: of new ones, and of others in turns."""
-        self._count += 1
+    def _weigh(self, containers: Sequence[tuple[str, int, Reader]]) -> None:
+        """Read the memory of new containers, and of the others one after the other."""
+        self._count = (self._count + 1) % max(1, len(containers) * _SELDOM)
         before, self._memory = self._memory, {}
-        for _, pid, reader in containers:
-            is_due = pid not in before or (pid + self._count) % self._turns == 0
+        for place, (_, pid, reader) in enumerate(containers):
+            is_due = pid not in before or self._count == place * _SELDOM
             self._memory[pid] = (
                 sum(map(proportional_memory, [pid, *reader.commands()]))
                 if is_due
