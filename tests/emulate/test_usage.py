@@ -22,9 +22,9 @@ START = Usage(used=10.0, starved=1.0)
         # All of a CPU: 10 % may be missing, 20 % may not.
         (0.92, 0.08, 1.0, 1, False),
         (0.8, 0.2, 1.0, 1, True),
-        # Less than a period is nobody's fault.
-        (0.0, 0.009, 0.5, 1, False),
-        (0.0, 0.02, 0.5, 1, True),
+        # A few turns of others are nobody's fault.
+        (0.01, 0.04, 0.5, 1, False),
+        (0.01, 0.06, 0.5, 1, True),
         # Four cores on two CPUs: more than all of both cannot be promised.
         (1.9, 0.1, 4.0, 2, False),
     ],

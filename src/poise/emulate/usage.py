@@ -9,6 +9,9 @@ from msgspec import Struct
 
 PERIOD = 0.01
 """The period over which the kernel hands out a quota [s]."""
+TURNS = 0.05
+"""Waiting for less than this in a second [s] is a few turns of what else a machine does,
+such as the simulator's, and no busy host."""
 TOLERANCE = 0.1
 """The part of the promised speed that may be missing; measured noise is below it."""
 
@@ -47,8 +50,8 @@ def is_starved(before: Usage, after: Usage, quota: float, cpus: int = 1) -> bool
     CPU and is not throttled, it advances at ``quota / cpus`` of a host CPU's speed or
     faster. It did advance at ``used / (used + starved)``. A run in which that is less,
     by more than `TOLERANCE`, says something about the host and nothing about the
-    robot. Less than one `PERIOD` of waiting is never held against the host: the
-    emulation promises nothing finer.
+    robot. Waiting for less than `TURNS` is never held against the host: it matters
+    only beside next to no work, and the emulation promises nothing finer.
 
     Short starvation vanishes in a long mean: compare windows of a second or less.
 
@@ -64,7 +67,7 @@ def is_starved(before: Usage, after: Usage, quota: float, cpus: int = 1) -> bool
     starved = after.starved - before.starved
     used = after.used - before.used
     promised = min(1.0, quota / cpus) * (1 - TOLERANCE)
-    return starved > PERIOD and used < promised * (used + starved)
+    return starved > TURNS and used < promised * (used + starved)
 
 
 def starved_time(pressure: str, throttled: float, cpus: int) -> float:

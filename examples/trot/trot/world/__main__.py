@@ -144,6 +144,7 @@ def main() -> int:
     except KeyboardInterrupt:
         pass
     finally:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends already
         world.close()
         print(json.dumps(world.result()), flush=True)  # noqa: T201
     return 0
