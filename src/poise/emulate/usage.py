@@ -10,8 +10,8 @@ from msgspec import Struct
 PERIOD = 0.01
 """The period over which the kernel hands out a quota [s]."""
 TURNS = 0.05
-"""Waiting for less than this in a second [s] is a few turns of what else a machine does,
-such as the simulator's, and no busy host."""
+"""Waiting for less than this in a second [s] is a few turns of what else a machine
+does, such as the simulator's, and no busy host."""
 TOLERANCE = 0.1
 """The part of the promised speed that may be missing; measured noise is below it."""
 
