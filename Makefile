@@ -25,7 +25,8 @@ lint: setup
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 
-# The placement core under the address and undefined-behaviour sanitizers.
+# The placement core under the address and undefined-behaviour sanitizers; without pytest's
+# capture, which would swallow what they say.
 SITE := .venv/lib/$(shell $(PYTHON) -c 'import sys; print("python%d.%d" % sys.version_info[:2])')/site-packages
 sanitize: setup
 	@cmake -S . -B build/sanitize -DPOISE_SANITIZE=ON -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python >/dev/null
@@ -34,7 +35,7 @@ sanitize: setup
 	@cp -r $(SITE)/poise src/poise build/sanitize/site
 	@cp build/sanitize/_core*.so build/sanitize/site/poise/plan
 	@LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" ASAN_OPTIONS=detect_leaks=0 \
-	  PYTHONPATH=build/sanitize/site:$(SITE) $(BIN)/python -S -m pytest -q --timeout 600 \
+	  PYTHONPATH=build/sanitize/site:$(SITE) $(BIN)/python -S -m pytest -q -s --timeout 600 \
 	  tests/plan/test_engine.py tests/plan/test_cut.py tests/plan/test_core_boundary.py
 
 clean:

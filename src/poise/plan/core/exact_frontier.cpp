@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 namespace poise {
 namespace {
@@ -56,7 +57,7 @@ bool FrontierTree::sort_units() {
   while (!open.empty()) {
     if (width > 30 || std::uint32_t{1} << width > most_states()) return false;
     std::size_t best = 0;
-    int least = n_ + 1, best_width = 0;
+    int least = std::numeric_limits<int>::max(), best_width = 0;
     for (std::size_t i = 0; i < open.size(); ++i) {
       int next = width + (open_ties[open[i]] > 0);
       for (const Neighbour& other : p_.neighbours(open[i])) {
