@@ -139,7 +139,7 @@ def test_a_handler_of_messages_may_call_others(
 
 def test_messages_keep_their_order(server: RemoteServer, pipe: RemotePipe) -> None:
     receiver = Receiver()
-    server.open("echo", receiver)
+    server.open("echo", receiver, most=500)  # all may wait: pushing is quicker
     wait_until_ready(pipe)
     sent = [str(n) for n in range(500)]
     for text in sent:
