@@ -3,6 +3,7 @@ from msgspec.structs import replace
 
 from poise.cli.stand import EMPTY, OTHERS, stand_of
 from poise.errors import UsageError
+from poise.manage.deployment import Layout
 from poise.model.robot import (
     Architecture,
     Component,
@@ -54,6 +55,17 @@ def test_feeds_from_who_publishes_and_who_is_called() -> None:
     assert stand.feeding == ("see", "remember")
     assert stand.measured == ("mind",)
     assert stand.placement == {"mind": "vision", "eye": OTHERS, "map": OTHERS}
+
+
+@pytest.mark.parametrize("name", [a.name for a in ROBOT.architectures])
+def test_a_stand_can_be_deployed(name: str) -> None:
+    """It has no connector to a component that is not there."""
+    stand = stand_of(ROBOT, name, "main", apart=False)
+    there = {component.name for component in stand.robot.components()}
+    ends = {e.component for c in stand.robot.all_connectors() for e in c.between}
+    assert ends <= there == set(stand.placement)
+    joined = Layout(stand.robot, "folder").connectors(there)
+    assert joined == list(stand.robot.all_connectors())
 
 
 def test_feeds_from_who_feeds_the_feeders() -> None:

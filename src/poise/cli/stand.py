@@ -80,12 +80,17 @@ def stand_of(robot: Robot, architecture: str, computer: str, *, apart: bool) -> 
     stand, elsewhere = made(robot, computer)
     others = feeding if not playing.parts else (*feeding, playing.player())
     beside = {c.name: elsewhere for a in others for c in a.components}
+    there = {*here, *beside}
     placement = _held_by_devices(stand, {**here, **beside}, (chosen, *others))
     return Stand(
         msgspec.structs.replace(
             stand,
             architectures=(chosen, *others),
-            connectors=playing.connectors(robot),
+            connectors=tuple(
+                connector
+                for connector in playing.connectors(robot)
+                if there.issuperset(end.component for end in connector.between)
+            ),
         ),
         computer,
         placement,
