@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import pytest
 
 from poise import Component
-from poise.clock import SystemClock
+from poise.clock import Elapsed, SystemClock
 from poise.runtime.runner import Runner
 from poise.runtime.wiring import Place, Transports, Wiring
 from poise.wire.messages import ComponentSpec, ConnectorKind, ConnectorSpec
@@ -58,12 +58,16 @@ class News:
 
 
 class Pair:
-    """Components ``source`` and ``target``, in one container or in two."""
+    """Components ``source`` and ``target``, in one container or in two.
+
+    `clocks` is how far the one's computer's clock is ahead as the other one knows it.
+    """
 
     def __init__(self, kind: ConnectorKind, folder: Path, agent: str) -> None:
         self.kind = kind
         self.news = News()
         self.transports: dict[str, Transports] = {}
+        self.clocks: dict[str, Elapsed] = {}
         self.runners: dict[tuple[str, int], Runner] = {}
         self._specs: tuple[ConnectorSpec, ...] = ()
         self._closing = ExitStack()
@@ -141,8 +145,10 @@ class Pair:
             kind=self.kind,
             source=source,
             source_port=port,
+            source_computer=source,
             target=target,
             target_port=other,
+            target_computer=target,
             address=target,
             limit=limit,
         )
@@ -155,7 +161,7 @@ class Pair:
             socket=str(socket_path(self._folder, name)),
         )
         transports = self.transports[name] = Transports(place)
-        wiring = Wiring(transports)
+        wiring = Wiring(transports, self.clocks.get)
         self._closing.callback(transports.close)
         self._closing.callback(wiring.close)
         return wiring

@@ -87,7 +87,32 @@ def test_tells_what_a_connector_counts(book: Book) -> None:
     counts.messages, counts.errors, counts.drops = 4, 5, 6
     read = book.reader.read()
     assert read is not None
-    assert read[3] == [("eye.x-mind.x", 3, 4, 10, 20, 5, 6)]
+    assert read[3] == [("eye.x-mind.x", 3, 4, 10, 20, 5, 6, 0, 0.0, 0.0)]
+
+
+def test_tells_how_long_what_came_was_under_way(book: Book) -> None:
+    """A call and a message of whom it is known, and a message of whom it is not."""
+    book.account("eye")
+    counts = book.counts("eye.x-mind.x", None, None)
+    counts.add_call(1.0, 10, 20, 0.5, 0.125)
+    counts.add_message(0, 30, 0.25, 0.25)
+    counts.add_message(0, 30)
+    read = book.reader.read()
+    assert read is not None
+    assert read[3] == [("eye.x-mind.x", 1, 2, 10, 80, 0, 0, 2, 0.75, 0.375)]
+    assert (counts.latency.summary().count, counts.latency_error) == (2, 0.1875)
+    assert counts.size.summary().maximum == 30
+
+
+def test_what_comes_before_it_was_sent_was_not_under_way(book: Book) -> None:
+    """The clocks are known within an error: by that much it may seem so."""
+    book.account("eye")
+    counts = book.counts("eye.x-mind.x", None, None)
+    counts.add_message(0, 1, -0.5, 0.75)
+    assert counts.latency.summary().maximum == 0
+    read = book.reader.read()
+    assert read is not None
+    assert read[3][0][-3:] == (1, 0.0, 0.75)
 
 
 def test_counts_go_on_outside(book: Book) -> None:

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from poise import Component, Message, Provided, Published, Required, oneway, subscribed
+from poise.clock import Elapsed
 from poise.errors import CalleeError, Timeout, Unavailable
 from poise.runtime.connectors.interface import methods
 from poise.runtime.turn import new_chain
@@ -295,6 +296,54 @@ def test_both_ends_count_messages(pair: Pair) -> None:
     assert here.bytes_out == there.bytes_in
     assert (here.bytes_out > 0) is (pair.kind != "direct")
     assert (here.wait.count, there.wait.count) == (3, 3)
+
+
+@pytest.mark.parametrize("pair", ["local"], indirect=True)
+def test_each_end_knows_how_long_what_came_was_under_way(pair: Pair) -> None:
+    source, _ = start(pair, "sums")
+    source.sums.add(1, 2)
+    wait_until(lambda: status(pair, "target").calls == 1)
+    here, there = status(pair, "source"), status(pair, "target")
+    assert (here.latency.count, there.latency.count) == (1, 1)
+    # there, the work and back again are what the caller waited for
+    ways = here.latency.maximum + there.latency.maximum
+    assert 0 < ways < here.delay.maximum
+    assert (here.latency_error, there.latency_error) == (0, 0)
+
+
+@pytest.mark.parametrize("pair", ["remote"], indirect=True)
+def test_between_computers_it_is_told_when_the_clocks_are_known(pair: Pair) -> None:
+    """The target's clock is told to be 100 s ahead, its messages are 100 s older."""
+    source, _ = start(pair, "sums")
+    source.sums.add(1, 2)
+    wait_until(lambda: status(pair, "target").calls == 1)
+    assert status(pair, "source").latency.count == 0
+    pair.clocks |= {"target": Elapsed(100.0, 0.5), "source": Elapsed(-100.0, 0.25)}
+    status(pair, "source"), status(pair, "target")  # which look at them
+    source.sums.add(1, 2)
+    wait_until(lambda: status(pair, "target").calls == 2)
+    here, there = status(pair, "source"), status(pair, "target")
+    assert (here.latency.count, there.latency.count) == (1, 1)
+    assert 100 < here.latency.maximum < 100 + LIMIT
+    assert (here.latency_error, there.latency_error) == (0.5, 0.25)
+    assert there.latency.maximum == 0  # it cannot have come before it was sent
+
+
+@every_kind
+def test_sizes_are_those_of_calls_both_ways_and_of_messages(pair: Pair) -> None:
+    source, target = start(pair, "scan")
+    for length in (1_000, 1_000, 50_000):
+        source.scan.publish(Scan(0, np.zeros(length, np.float32)))
+    target.wait_for(3)
+    for end in ("source", "target"):
+        counted = status(pair, end)
+        size = counted.size
+        if pair.kind == "direct":
+            assert size.count == 0
+            continue
+        assert size.mean * 3 == counted.bytes_out + counted.bytes_in
+        assert size.median == pytest.approx(4_060, rel=0.06)
+        assert 200_000 < size.maximum < 201_000
 
 
 @every_kind

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from poise.wire.codec import ALIGNMENT, WireError, codec
 from poise.wire.frame import Kind
 
 TEXT = codec(str)
+LIMIT = 20.0
 U16, U64 = 2**16 - 1, 2**64 - 1
 
 
@@ -57,16 +59,32 @@ def test_any_bytes_are_a_frame_or_refused(data: bytes) -> None:
     assert len(got.body) + len(got.buffers) <= len(data)
 
 
-@pytest.mark.parametrize("kept", [0, 5, 23, -1])
+@pytest.mark.parametrize("kept", [0, 5, 31, -1])
 def test_a_cut_frame_is_refused(kept: int) -> None:
     with pytest.raises(WireError, match="cut short"):
         frame.parse(packed("something", str)[:kept])
 
 
+def test_a_frame_tells_how_old_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sent 5 s before it was."""
+    monkeypatch.setattr(frame, "monotonic_ns", lambda: time.monotonic_ns() - 5 * 10**9)
+    data = packed("hello", str)
+    assert 5 <= frame.parse(data).age < 5 + LIMIT
+
+
+def test_a_frame_from_a_clock_that_is_ahead_is_younger_than_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(frame, "monotonic_ns", lambda: U64)
+    data = packed("hello", str)
+    age = frame.parse(data).age
+    assert age == pytest.approx(time.monotonic() - U64 * 1e-9)
+
+
 def test_another_version_of_the_protocol_is_refused() -> None:
     data = bytearray(packed("hello", str))
     data[0] = 7
-    with pytest.raises(WireError, match="protocol version 7, but this is version 1"):
+    with pytest.raises(WireError, match="protocol version 7, but this is version 2"):
         frame.parse(data)
 
 

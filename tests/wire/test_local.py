@@ -207,7 +207,7 @@ def test_it_tells_a_newcomer_of_another_version_why(
         stream.send(newcomer, [b"\x07", hello[1:]])
         refusal = frame.parse(stream.receive(newcomer))
     assert refusal.kind is Kind.ERROR
-    assert "protocol version 7, but this is version 1" in refusal.value(TEXT)
+    assert "protocol version 7, but this is version 2" in refusal.value(TEXT)
 
 
 def test_nonsense_ends_its_connection_and_no_other(

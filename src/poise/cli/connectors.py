@@ -1,8 +1,8 @@
-"""What connectors counted, as a table: one row for each direction."""
+"""What connectors counted, as tables: one row for each direction."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from rich.table import Table
 
@@ -10,24 +10,21 @@ from poise.cli.tables import table
 from poise.units import format_bytes, format_seconds
 from poise.wire.messages import ConnectorStatus, Summary
 
+_Cells = Callable[[list[ConnectorStatus]], tuple[str, ...]]
 
-def connector_table(ends: Iterable[ConnectorStatus]) -> Table:
-    """Return what went over connectors: calls or messages, bytes, and how long it took.
+
+def connector_tables(ends: Iterable[ConnectorStatus]) -> list[Table]:
+    """Return what went over connectors, how long it took, and how large it was.
 
     While a component moves, its connectors have a target more: their numbers are added.
     """
-    rows = table(
-        *("connector", "kind", "end", "count", "out", "in"),
-        *("errors", "drops", "median", "p99"),
-    )
-    before = ""
-    for (name, _), same in sorted(_grouped(ends).items()):
-        kind = same[0].kind
-        is_joined = all(end.ready for end in same)
-        head = (name, kind if is_joined else f"{kind}, not joined")
-        rows.add_row(*(head if name != before else ("", "")), *_cells(same))
-        before = name
-    return rows
+    grouped = dict(sorted(_grouped(ends).items()))
+    counts = table("connector", "kind", "end", "count", "out", "in", "errors", "drops")
+    times = table("connector", "end", "took", "p99", "one way", "p99")
+    sizes = table("connector", "end", "size", "p99", "largest")
+    for rows, cells in ((counts, _counts), (times, _times), (sizes, _sizes)):
+        _fill(rows, grouped, cells)
+    return [rows for rows in (counts, times, sizes) if rows.row_count]
 
 
 def _grouped(
@@ -39,22 +36,57 @@ def _grouped(
     return found
 
 
-def _cells(same: list[ConnectorStatus]) -> tuple[str, ...]:
-    if same[0].end != "target":  # it has a path more, and the same numbers
-        same = same[:1]
+def _fill(
+    rows: Table, grouped: dict[tuple[str, str], list[ConnectorStatus]], cells: _Cells
+) -> None:
+    before = ""
+    for (name, _), same in grouped.items():
+        # a source that has a path more tells the same numbers twice
+        found = cells(same if same[0].end == "target" else same[:1])
+        if found:
+            rows.add_row(name if name != before else "", *found)
+            before = name
+
+
+def _counts(same: list[ConnectorStatus]) -> tuple[str, ...]:
+    kind = same[0].kind if all(end.ready for end in same) else "not joined"
     sizes = [sum(e.bytes_out for e in same), sum(e.bytes_in for e in same)]
-    times = max((_times(e) for e in same), key=lambda summary: summary.count)
     return (
+        kind,
         same[0].end,
         str(sum(e.calls + e.messages for e in same) or ""),
         *(format_bytes(size) if size else "" for size in sizes),
         str(sum(e.errors for e in same) or ""),
         str(sum(e.drops for e in same) or ""),
-        format_seconds(times.median) if times.count else "",
-        format_seconds(times.p99) if times.count else "",
     )
 
 
-def _times(end: ConnectorStatus) -> Summary:
+def _times(same: list[ConnectorStatus]) -> tuple[str, ...]:
     """Return how long calls took, or messages waited, whichever there are more of."""
-    return max(end.delay, end.wait, key=lambda summary: summary.count)
+    took = _most(s for e in same for s in (e.delay, e.wait))
+    busiest = max(same, key=lambda end: end.latency.count)
+    way, error = busiest.latency, busiest.latency_error
+    if not took.count and not way.count:
+        return ()
+    median, p99 = _pair(way)
+    if error:
+        median += f" ± {format_seconds(error)}"
+    return (same[0].end, *_pair(took), median, p99)
+
+
+def _sizes(same: list[ConnectorStatus]) -> tuple[str, ...]:
+    size = _most(end.size for end in same)
+    if not size.count:
+        return ()
+    found = size.median, size.p99, size.maximum
+    return (same[0].end, *map(format_bytes, found))
+
+
+def _pair(times: Summary) -> tuple[str, str]:
+    if not times.count:
+        return "", ""
+    return format_seconds(times.median), format_seconds(times.p99)
+
+
+def _most(summaries: Iterable[Summary]) -> Summary:
+    return max(summaries, key=lambda summary: summary.count)

@@ -6,7 +6,7 @@ from rich.console import Console
 from rich.table import Table
 
 from poise.cli.clocks import clock_table
-from poise.cli.connectors import connector_table
+from poise.cli.connectors import connector_tables
 from poise.cli.tables import table
 from poise.manage.report import ComponentReport, RunReport
 from poise.units import format_seconds
@@ -22,8 +22,8 @@ def show_run(report: RunReport, console: Console) -> None:
             _add_component(rows, component)
     console.print(rows)
     _show_measures(report, console)
-    if report.connectors:
-        console.print(connector_table(report.connectors))
+    for rows in connector_tables(report.connectors):
+        console.print(rows)
     clocks = clock_table(report.clocks)
     if clocks.row_count:
         console.print(clocks)

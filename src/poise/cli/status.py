@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from poise.cli.clocks import clock_table
-from poise.cli.connectors import connector_table
+from poise.cli.connectors import connector_tables
 from poise.cli.move import AsJson, Robot
 from poise.cli.tables import table
 from poise.manage.desk import AskStatus, RobotStatus, ask
@@ -34,7 +34,8 @@ def status_command(robot: Robot = None, as_json: AsJson = False) -> None:
     for name in answer.lost:
         console.print(f"[red]computer '{name}' is lost[/]")
     console.print(_components(answer))
-    console.print(connector_table(connectors_of(answer.computers)))
+    for rows in connector_tables(connectors_of(answer.computers)):
+        console.print(rows)
     clocks = clock_table(clocks_of(answer.computers))
     if clocks.row_count:
         console.print(clocks)

@@ -7,8 +7,11 @@ from rich.table import Table
 
 
 def table(*columns: str) -> Table:
-    """Return an empty table; long words are broken over lines rather than cut."""
+    """Return an empty table; long words are broken over lines rather than cut.
+
+    The first column gives way to the others.
+    """
     made = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
-    for title in columns:
-        made.add_column(title, overflow="fold")
+    for place, title in enumerate(columns):
+        made.add_column(title, overflow="fold", no_wrap=place > 0)
     return made

@@ -149,9 +149,11 @@ class Layout:
             source=source.component,
             source_epoch=source.epoch,
             source_port=first.port,
+            source_computer=source.computer,
             target=target.component,
             target_epoch=target.epoch,
             target_port=second.port,
+            target_computer=target.computer,
             address=container if kind == "local" else "",
             limit=connector.limit,
         )

@@ -31,9 +31,15 @@ COUNTERS = {
     "poise_connector_errors_total": "Calls that failed, and what was refused",
     "poise_connector_drops_total": "Messages that an end of a connector gave up",
 }
-_TIMED = {
+SUMMARIES = {
     "poise_connector_delay_seconds": "Calls: there and back, or until the answer",
     "poise_connector_wait_seconds": "Messages: until they went out, or were taken",
+    "poise_connector_latency_seconds": "From the other end to this one",
+    "poise_connector_size_bytes": "Calls, both ways, and messages over a wire",
+}
+ERRORS = {
+    "poise_connector_latency_error_seconds": "How far latencies are off at most, in "
+    "the mean: so much is not known of the other computer's clock",
 }
 _ESCAPED = str.maketrans({"\\": r"\\", '"': r"\"", "\n": r"\n"})
 
@@ -42,7 +48,8 @@ def to_prometheus(estimates: Estimates, statuses: Statuses) -> str:
     """Return estimates and counts in Prometheus' text format, version 0.0.4."""
     lines = _family(GAUGES, "gauge", gauges(estimates))
     lines += _family(COUNTERS, "counter", counters(statuses))
-    lines += _family(_TIMED, "summary", _timed(statuses))
+    lines += _family(SUMMARIES, "summary", summaries(statuses))
+    lines += _family(ERRORS, "gauge", errors(statuses))
     return "\n".join(lines) + "\n"
 
 
@@ -85,14 +92,28 @@ def counters(statuses: Statuses) -> Iterator[Sample]:
             )
 
 
-def _timed(statuses: Statuses) -> Iterator[Sample]:
+def summaries(statuses: Statuses) -> Iterator[Sample]:
+    """Yield how long things took at every end of every connector, and their sizes."""
     for labels, end in _ends(statuses):
-        for name, times in zip(_TIMED, (end.delay, end.wait), strict=True):
-            if times.count:
-                yield name, {**labels, "quantile": "0.5"}, times.median
-                yield name, {**labels, "quantile": "0.99"}, times.p99
-                yield f"{name}_sum", labels, times.mean * times.count
-                yield f"{name}_count", labels, times.count
+        found = end.delay, end.wait, end.latency, end.size
+        for name, summary in zip(SUMMARIES, found, strict=True):
+            if summary.count:
+                for quantile, value in (
+                    ("0.5", summary.median),
+                    ("0.99", summary.p99),
+                    ("1", summary.maximum),
+                ):
+                    yield name, {**labels, "quantile": quantile}, value
+                yield f"{name}_sum", labels, summary.mean * summary.count
+                yield f"{name}_count", labels, summary.count
+
+
+def errors(statuses: Statuses) -> Iterator[Sample]:
+    """Yield how far latencies between computers are off at most."""
+    (name,) = ERRORS
+    for labels, end in _ends(statuses):
+        if end.latency.count:
+            yield name, labels, end.latency_error
 
 
 def gauges(estimates: Estimates) -> Iterator[Sample]:

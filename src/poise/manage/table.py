@@ -38,6 +38,9 @@ COLUMNS: dict[Which, tuple[str, ...]] = {
         "bytes_in",
         "errors",
         "drops",
+        "arrivals",
+        "latency_s",
+        "latency_error_s",
     ),
 }
 """Of each table; counters are totals since the component or connector began."""
@@ -62,6 +65,9 @@ def rows(samples: Iterable[AgentSample], which: Which) -> Iterator[tuple[Value, 
                         end.bytes_in,
                         end.errors,
                         end.drops,
+                        end.arrivals,
+                        end.latency,
+                        end.latency_error,
                     )
                 continue
             for each in container.components:

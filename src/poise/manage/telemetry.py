@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 from opentelemetry.exporter.otlp.proto.http.metric_exporter import OTLPMetricExporter
 from opentelemetry.metrics import CallbackOptions, Observation
@@ -11,14 +11,24 @@ from opentelemetry.sdk.metrics.export import PeriodicExportingMetricReader
 from opentelemetry.sdk.resources import Resource
 
 from poise.manage.estimates import Estimates
-from poise.manage.metrics import COUNTERS, GAUGES, Sample, counters, gauges
+from poise.manage.metrics import (
+    COUNTERS,
+    ERRORS,
+    GAUGES,
+    SUMMARIES,
+    Sample,
+    counters,
+    errors,
+    gauges,
+    summaries,
+)
 from poise.manage.report import Statuses
 
 EVERY = 5.0
 """Metrics go out so often [s]."""
 _LIMIT = 2.0
 _PATH = "/v1/metrics"
-_UNITS = {"cores": "{core}", "share": "1", "bytes": "By"}
+_UNITS = {"cores": "{core}", "share": "1", "bytes": "By", "seconds": "s"}
 
 Read = Callable[[], Iterable[Sample]]
 
@@ -63,9 +73,16 @@ class Telemetry:
             shutdown_on_exit=False,
         )
         meter = self._provider.get_meter("poise")
-        for name, says in GAUGES.items():
-            read = _reader(name, lambda: gauges(estimates))
-            meter.create_observable_gauge(name, [read], _unit(name), says)
+        shown: tuple[tuple[Mapping[str, str], Read], ...] = (
+            (GAUGES, lambda: gauges(estimates)),
+            # quantiles come from the connectors' ends: here they are gauges
+            (SUMMARIES, lambda: summaries(statuses())),
+            (ERRORS, lambda: errors(statuses())),
+        )
+        for names, read_all in shown:
+            for name, says in names.items():
+                read = _reader(name, read_all)
+                meter.create_observable_gauge(name, [read], _unit(name), says)
         for name, says in COUNTERS.items():
             read = _reader(name, lambda: counters(statuses()))
             meter.create_observable_counter(name, [read], _unit(name), says)

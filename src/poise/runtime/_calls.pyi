@@ -142,7 +142,7 @@ class Reader:
             float,
             float,
             list[tuple[str, int, float, float, int, int]],
-            list[tuple[str, int, int, int, int, int, int]],
+            list[tuple[str, int, int, int, int, int, int, int, float, float]],
         ]
         | None
     ):
@@ -221,6 +221,12 @@ class Counts:
     wait
         Of messages [s]: where they begin, until they went out; where they end, from
         their arrival until the component took them.
+    size
+        Of what went over a wire, calls both ways [bytes].
+    latency
+        Of what came over a wire: since it was sent [s].
+    latency_error
+        How far those are off at most, in the mean [s].
     """
 
     calls: int
@@ -235,17 +241,34 @@ class Counts:
     def delay(self) -> Histogram: ...
     @property
     def wait(self) -> Histogram: ...
+    @property
+    def size(self) -> Histogram: ...
+    @property
+    def latency(self) -> Histogram: ...
+    @property
+    def latency_error(self) -> float: ...
     def add_call(
         self,
         seconds: float,
         bytes_out: int = 0,
         bytes_in: int = 0,
+        latency: float = ...,
+        error: float = 0.0,
         failed: bool = False,
     ) -> None:
-        """Count a call at once, whatever other threads count."""
+        """Count a call at once, whatever other threads count.
 
-    def add_message(self, bytes_out: int = 0, bytes_in: int = 0) -> None:
-        """Count a message at once, whatever other threads count."""
+        `latency` is no number while nobody knows it.
+        """
+
+    def add_message(
+        self,
+        bytes_out: int = 0,
+        bytes_in: int = 0,
+        latency: float = ...,
+        error: float = 0.0,
+    ) -> None:
+        """Count a message at once, as `add_call` does."""
 
     @property
     def cpu(self) -> float:

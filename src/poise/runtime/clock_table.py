@@ -86,12 +86,18 @@ class ComputerClock(SystemClock):
         """Return how long ago a stamp was, with what is known of its clock."""
         if stamp.computer == self._computer:
             return super().since(stamp)
-        known = self._known().get(stamp.computer)
+        ahead = self.ahead(stamp.computer)
+        if ahead is None:
+            return None
+        return Elapsed(self.now() + ahead.value - stamp.at, ahead.error)
+
+    def ahead(self, computer: str) -> Elapsed | None:
+        """Return how far another computer's clock is ahead [s]; None: nobody knows."""
+        known = self._known().get(computer)
         if known is None:
             return None
-        now = self.now()
-        error = known.error + DRIFT * max(0.0, now - known.at)
-        return Elapsed(now + known.offset - stamp.at, error)
+        error = known.error + DRIFT * max(0.0, self.now() - known.at)
+        return Elapsed(known.offset, error)
 
     def _known(self) -> Mapping[str, ClockStatus]:
         if self._page is None and not self._open():

@@ -19,7 +19,6 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import FrameType
 
-from poise.clock import ComponentClock
 from poise.errors import RunError, Timeout, Unavailable
 from poise.runtime.clock_table import ComputerClock
 from poise.runtime.command import Command
@@ -73,11 +72,9 @@ class Container:
     ) -> None:
         self._name = name
         self._agent = agent
-        self._clock: ComponentClock = ComputerClock(
-            place.computer, Path(place.socket).parent
-        )
+        self._clock = ComputerClock(place.computer, Path(place.socket).parent)
         self._transports = Transports(place)
-        self._wiring = Wiring(self._transports)
+        self._wiring = Wiring(self._transports, self._clock.ahead)
         self._runners: dict[Incarnation, Runner] = {}
         self._commands: dict[Incarnation, Command] = {}
         self._hanging: list[Runner] = []

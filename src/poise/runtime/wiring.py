@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
 from contextlib import ExitStack
 from functools import partial
@@ -14,10 +14,12 @@ from pathlib import Path as FilePath
 import zenoh
 from msgspec import Struct
 
+from poise.clock import Elapsed
 from poise.errors import RobotError, RunError, UsageError
 from poise.runtime.connectors.counts import Counts
 from poise.runtime.connectors.credits import GRANTS, Credit, Credits, Grants
 from poise.runtime.connectors.direct import DirectPath
+from poise.runtime.connectors.far_clock import FarClock, nobody_knows
 from poise.runtime.connectors.outlet import Outlet, Path
 from poise.runtime.connectors.wired import WiredPath, receiving
 from poise.runtime.ports import Port
@@ -158,6 +160,7 @@ class OpenEnds:
         self.path: Path | None = None
         self.outlet: Outlet | None = None
         self.counts: Counts = Counts()
+        self.far = FarClock()
 
     def is_ready(self) -> bool:
         """Return whether the other end is there, so far as this one can know."""
@@ -165,6 +168,7 @@ class OpenEnds:
 
     def status(self) -> ConnectorStatus:
         """Return what was counted, and whether the other end is there."""
+        self.far.look()
         end: End = "target" if self.outlet is None else "source"
         if self.spec.kind == "direct":
             end = "both"
@@ -174,10 +178,21 @@ class OpenEnds:
 
 
 class Wiring:
-    """The connectors of a container."""
+    """The connectors of a container.
 
-    def __init__(self, transports: Transports) -> None:
+    Parameters
+    ----------
+    ahead
+        Returns how far another computer's clock is ahead, if that is known.
+    """
+
+    def __init__(
+        self,
+        transports: Transports,
+        ahead: Callable[[str], Elapsed | None] = nobody_knows,
+    ) -> None:
         self._transports = transports
+        self._ahead = ahead
         self._open: dict[str, OpenEnds] = {}
 
     def apply(
@@ -272,6 +287,9 @@ class Wiring:
         ends = OpenEnds(spec)
         source = runners.get((spec.source, spec.source_epoch))
         target = runners.get((spec.target, spec.target_epoch))
+        if spec.kind == "remote":
+            far = spec.source_computer if source is None else spec.target_computer
+            ends.far = FarClock(partial(self._ahead, far))
         with ExitStack() as undo:
             undo.callback(ends.closing.close)
             if source is not None:
@@ -294,7 +312,7 @@ class Wiring:
             credit = self._transports.credit(spec.kind)
             credit.on_grant = outlet.room
             pipe = self._pipe(spec, calls=port.kind == "requires")
-            ends.path = WiredPath(pipe, port, spec.limit, credit)
+            ends.path = WiredPath(pipe, port, spec.limit, credit, ends.far)
         ends.outlet = outlet
         ends.counts = outlet.counts
         outlet.add(spec.key, ends.path)
@@ -308,12 +326,12 @@ class Wiring:
         grants = Grants(feed, ends.counts, open_pipe)
         ends.closing.callback(grants.close)
         handler = receiving(
-            spec.name,
+            spec,
             target.ends,
             port,
-            spec.limit,
             feed,
             grants,
+            ends.far,
             # a socket that is not read would keep its publisher waiting
             at_once=spec.kind == "remote",
         )

@@ -2,20 +2,21 @@
 
 ::
 
-    version u8, kind u8, tag u16, body length u32, number u64, chain u64,
+    version u8, kind u8, tag u16, body length u32, number u64, chain u64, sent u64,
     body, padding, buffers
 
 Little endian. `tag` says which method or message type this is, by a checksum of its
 name and types. `number` tells one mark from another, and counts messages and one-way
 calls. `chain` is the call chain that a call belongs to, or the life of the path that a
-message came over (`poise.runtime.connectors.credits`). The buffers may lie in shared
-memory instead.
+message came over (`poise.runtime.connectors.credits`). `sent` is the time on the
+sender's monotonic clock [ns]. The buffers may lie in shared memory instead.
 """
 
 from __future__ import annotations
 
 import struct
 from enum import IntEnum
+from time import monotonic_ns
 from typing import Any
 
 from msgspec import Struct
@@ -23,8 +24,8 @@ from msgspec import Struct
 from poise.wire import _channel
 from poise.wire.codec import Bytes, Codec, padding
 
-VERSION = 1
-_HEAD = struct.Struct("<BBHIQQ")
+VERSION = 2
+_HEAD = struct.Struct("<BBHIQQQ")
 _ZEROS = bytes(16)
 _INLINE = 2
 """Head and body; then come what aligns the buffers, and they."""
@@ -52,7 +53,13 @@ FAILURE: Codec[tuple[str, str, str]] = Codec(tuple[str, str, str])
 class Frame(Struct, frozen=True):
     """A received frame; nothing else writes to its body and its buffers.
 
-    `size` is what `size_of` said of it where it was sent [bytes].
+    Parameters
+    ----------
+    size
+        What `size_of` said of it where it was sent [bytes].
+    age
+        The time when it was parsed here less the time when it was sent there [s], each
+        on its own computer's clock: how old it was, if that is one computer.
     """
 
     kind: Kind
@@ -62,6 +69,7 @@ class Frame(Struct, frozen=True):
     body: Bytes
     buffers: memoryview
     size: int
+    age: float
 
     def value(self, codec: Codec[Any]) -> Any:  # noqa: ANN401, what the codec decodes
         """Return the decoded value; WireError when it is not of the codec's type."""
@@ -79,7 +87,7 @@ def segments(
 ) -> list[Bytes]:
     """Return the pieces of a frame, to be sent one after the other without a copy."""
     body, buffers = codec.encode(value)
-    head = _HEAD.pack(VERSION, kind, tag, len(body), number, chain)
+    head = _HEAD.pack(VERSION, kind, tag, len(body), number, chain, monotonic_ns())
     pieces: list[Bytes] = [head, body]
     if buffers:
         pieces.append(_ZEROS[: padding(_HEAD.size + len(body))])

@@ -69,6 +69,8 @@ class ConnectorSpec(Struct, frozen=True, kw_only=True):
         Unique in the robot, and the same whatever moves.
     source_epoch, target_epoch
         Which incarnations of the two components it joins.
+    source_computer, target_computer
+        Where they are.
     address
         The target's container, for the kind ``local``.
     limit
@@ -85,9 +87,11 @@ class ConnectorSpec(Struct, frozen=True, kw_only=True):
     source: str
     source_epoch: int = 0
     source_port: str
+    source_computer: str = ""
     target: str
     target_epoch: int = 0
     target_port: str
+    target_computer: str = ""
     address: str = ""
     limit: float = 1.0
 
@@ -339,6 +343,14 @@ class ConnectorStatus(Struct, frozen=True, kw_only=True):
     wait
         Of messages [s]: at the source until they went out, elsewhere from their arrival
         until the component took them.
+    size
+        Of calls, both ways, and of messages, over a wire [bytes].
+    latency
+        From the other end to this one [s]: at the target how long calls and messages
+        were under way, at the source answers. Over a wire only.
+    latency_error
+        How far that is off at most, in the mean [s]: nobody knows better how far other
+        computers' clocks are ahead. 0 on one computer.
     """
 
     name: str
@@ -353,6 +365,9 @@ class ConnectorStatus(Struct, frozen=True, kw_only=True):
     drops: int = 0
     delay: Summary = Summary()
     wait: Summary = Summary()
+    size: Summary = Summary()
+    latency: Summary = Summary()
+    latency_error: float = 0.0
 
 
 class ComponentStatus(Struct, frozen=True, kw_only=True):

@@ -37,7 +37,14 @@ class ComponentSample(Struct, frozen=True, array_like=True):
 class ConnectorSample(Struct, frozen=True, array_like=True):
     """The counters of one end of a connector.
 
-    `bytes_out` left this end over a wire, `bytes_in` came to it.
+    Parameters
+    ----------
+    bytes_out, bytes_in
+        What left this end over a wire, and what came to it.
+    arrivals
+        How many came of whom it is known how long they were under way.
+    latency, latency_error
+        How long those were so, in all, and how far that is off at most [s].
     """
 
     name: str
@@ -47,6 +54,9 @@ class ConnectorSample(Struct, frozen=True, array_like=True):
     bytes_in: int
     errors: int
     drops: int
+    arrivals: int = 0
+    latency: float = 0.0
+    latency_error: float = 0.0
 
 
 class ContainerSample(Struct, frozen=True, array_like=True):

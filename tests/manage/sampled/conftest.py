@@ -39,7 +39,18 @@ def steady() -> Sampler:
             ComponentSample("eye", 0, 0.1 * at, 0.0, jobs, jobs),
             ComponentSample("mind", 0, 0.2 * at, 0.0, jobs, jobs),
         )
-        connector = ConnectorSample("eye.x-mind.x", 0, jobs, 0, 500 * jobs, 0, 0)
+        connector = ConnectorSample(
+            "eye.x-mind.x",
+            0,
+            jobs,
+            0,
+            500 * jobs,
+            0,
+            0,
+            jobs,
+            0.002 * jobs,
+            1e-4 * jobs,
+        )
         container = ContainerSample(
             "see", 7, at, 0.32 * at, 9_000_000, components, (connector,)
         )

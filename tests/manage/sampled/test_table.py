@@ -33,6 +33,9 @@ def test_a_row_for_every_end_of_a_connector(steady: Sampler, tmp_path: Path) -> 
     (row,) = as_rows(path)
     assert row["connector"] == "eye.x-mind.x"
     assert (row["messages"], row["bytes_out"], row["errors"]) == ("10", "0", "0")
+    assert (row["arrivals"], row["latency_s"], row["latency_error_s"]) == (
+        *("10", "0.02", "0.001"),
+    )
 
 
 @pytest.mark.parametrize("which", ["components", "connectors"])

@@ -12,7 +12,7 @@ import pytest
 
 from poise.manage.estimates import Estimates
 from poise.model.robot import Robot
-from poise.wire.messages import AgentStatus, ConnectorStatus, ContainerStatus
+from poise.wire.messages import AgentStatus, ConnectorStatus, ContainerStatus, Summary
 
 from .conftest import Sampler
 
@@ -26,7 +26,14 @@ from poise.manage.telemetry import Telemetry
 
 LIMIT = 20.0
 ENDS = ConnectorStatus(
-    name="eye.x-mind.x", kind="local", end="source", ready=True, messages=7, bytes_out=9
+    name="eye.x-mind.x",
+    kind="local",
+    end="source",
+    ready=True,
+    messages=7,
+    bytes_out=9,
+    latency=Summary(7, 0.002, 0.001, 0.004, 0.005),
+    latency_error=0.0003,
 )
 STATUSES = {
     "a": AgentStatus(
@@ -130,6 +137,14 @@ def test_a_collector_gets_what_prometheus_gets(
     assert found["poise_connector_bytes_total"] == {
         ("a", "eye.x-mind.x", "out", "source"): 9,
         ("a", "eye.x-mind.x", "in", "source"): 0,
+    }
+    assert found["poise_connector_latency_seconds"] == {
+        ("0.5", "a", "eye.x-mind.x", "source"): 0.001,
+        ("0.99", "a", "eye.x-mind.x", "source"): 0.004,
+        ("1", "a", "eye.x-mind.x", "source"): 0.005,
+    }
+    assert found["poise_connector_latency_error_seconds"] == {
+        ("a", "eye.x-mind.x", "source"): 0.0003
     }
     attributes = collector.requests[0].resource_metrics[0].resource.attributes
     names = {each.key: each.value.string_value for each in attributes}

@@ -31,4 +31,7 @@ class Counts(_calls.Counts):
             drops=self.drops,
             delay=self.delay.summary(),
             wait=self.wait.summary(),
+            size=self.size.summary(),
+            latency=self.latency.summary(),
+            latency_error=self.latency_error,
         )

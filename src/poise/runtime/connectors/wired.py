@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 from poise.errors import CalleeError, CallError, Timeout
 from poise.runtime.connectors.credits import Credit, Grants
 from poise.runtime.connectors.direct import Target, callee_error
+from poise.runtime.connectors.far_clock import FarClock
 from poise.runtime.connectors.interface import Method, message_tag, methods
 from poise.runtime.connectors.outlet import Outlet
 from poise.runtime.connectors.visits import away, visit
@@ -19,6 +20,7 @@ from poise.runtime.turn import Retired, current_chain, join_chain
 from poise.wire import frame
 from poise.wire.codec import Codec, WireError, codec
 from poise.wire.frame import Frame, Kind, segments, size_of
+from poise.wire.messages import ConnectorSpec
 from poise.wire.pipe import Closed, Handler, Pieces, Pipe
 
 log = logging.getLogger(__name__)
@@ -33,8 +35,11 @@ _ERROR = Kind.ERROR
 class WiredPath:
     """A way to a component in another container."""
 
-    def __init__(self, pipe: Pipe, port: Port, limit: float, credit: Credit) -> None:
+    def __init__(
+        self, pipe: Pipe, port: Port, limit: float, credit: Credit, far: FarClock
+    ) -> None:
         self._pipe = pipe
+        self._far = far
         self._limit = limit
         self._credit = credit
         self._is_topic = port.kind == "publishes"
@@ -80,7 +85,7 @@ class WiredPath:
     def function(self, method: Method, outlet: Outlet) -> Callable[..., Any]:
         """Return a function that calls a method in another container."""
         request, limit, counts = self._pipe.request, self._limit, outlet.counts
-        name = outlet.name
+        name, far = outlet.name, self._far
         bind, arguments, tag = method.bind, method.arguments, method.tag
         decode = method.result.decode
 
@@ -108,19 +113,21 @@ class WiredPath:
                 deadline = started + limit
                 return outlet.again(self, method.name, args, kwargs, deadline)
             took = time.monotonic() - started
-            counts.add_call(took, size_of(pieces), answer.size)
+            latency = answer.age + far.ahead
+            size = size_of(pieces)
+            counts.add_call(took, size, answer.size, latency, far.error)
             return result
 
         return call
 
 
 def receiving(
-    connector: str,
+    spec: ConnectorSpec,
     target: Target,
     port: Port,
-    limit: float,
     feed: Feed,
     grants: Grants,
+    far: FarClock,
     *,
     at_once: bool,
 ) -> Handler:
@@ -128,10 +135,10 @@ def receiving(
 
     `at_once`: a thread that brings messages may work on them, too.
     """
-    counts = feed.counts
+    connector, counts = spec.name, feed.counts
     take = feed.run_or_put if at_once else feed.put
     known = methods(port.type) if port.kind == "provides" else {}
-    answers = {tag: _answering(target, m, limit) for tag, m in known.items()}
+    answers = {tag: _answering(target, m, spec.limit) for tag, m in known.items()}
     tag, coder = message_tag(port.type), codec(port.type) if not known else _NOTHING
 
     def handle(received: Frame) -> Pieces | None:
@@ -144,7 +151,8 @@ def receiving(
             if received.kind is Kind.ASK:
                 grants.asked(received)
                 return None
-            counts.add_message(0, received.size)
+            latency = received.age + far.ahead
+            counts.add_message(0, received.size, latency, far.error)
             grants.came(received)
             wanted = coder if received.tag == tag and not known else None
             method = known.get(received.tag)
@@ -165,7 +173,8 @@ def receiving(
             answer = _failure(error)
         counts.add_cpu(time.thread_time() - cpu)
         took, failed = time.monotonic() - began, answer[0][1] == _ERROR
-        counts.add_call(took, size_of(answer), received.size, failed)
+        size, latency = size_of(answer), received.age + far.ahead
+        counts.add_call(took, size, received.size, latency, far.error, failed)
         return answer
 
     return handle

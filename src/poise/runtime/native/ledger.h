@@ -33,6 +33,9 @@ struct Tally {
   Shared<std::uint64_t> bytes_in;   // that came to this end over a wire
   Shared<std::uint64_t> errors;
   Shared<std::uint64_t> drops;
+  Shared<std::uint64_t> arrivals;       // whose latency is known
+  Shared<std::uint64_t> latency;        // of these, in all [ns]
+  Shared<std::uint64_t> latency_error;  // of these, in all [ns]
   CpuShare cpu;  // of the callee's code, and of what it called
 };
 

@@ -5,6 +5,8 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include <limits>
+
 #include "account.h"
 #include "direct_call.h"
 #include "reader.h"
@@ -12,6 +14,8 @@
 
 namespace nb = nanobind;
 using namespace poise;
+
+constexpr double unknown = std::numeric_limits<double>::quiet_NaN();
 
 static void check(const Turn& turn, Entry entry, double limit, const char* action) {
   if (entry == Entry::entered || entry == Entry::late) return;
@@ -107,10 +111,19 @@ NB_MODULE(_calls, module) {
   def_number<&Tally::drops>(counts, "drops");
   counts.def_ro("delay", &Counts::delay)
       .def_ro("wait", &Counts::wait)
+      .def_ro("size", &Counts::size)
+      .def_ro("latency", &Counts::latency)
       .def("add_call", &Counts::add_call, nb::arg("seconds"), nb::arg("bytes_out") = 0,
-           nb::arg("bytes_in") = 0, nb::arg("failed") = false)
+           nb::arg("bytes_in") = 0, nb::arg("latency") = unknown, nb::arg("error") = 0.0,
+           nb::arg("failed") = false)
       .def("add_message", &Counts::add_message, nb::arg("bytes_out") = 0,
-           nb::arg("bytes_in") = 0)
+           nb::arg("bytes_in") = 0, nb::arg("latency") = unknown, nb::arg("error") = 0.0)
+      .def_prop_ro("latency_error",
+                   [](Counts& counts) {
+                     const auto num = static_cast<double>(counts.tally().arrivals.get());
+                     const auto sum = static_cast<double>(counts.tally().latency_error.get());
+                     return num > 0.0 ? 1e-9 * sum / num : 0.0;
+                   })
       .def_prop_ro("cpu", [](Counts& counts) { return counts.tally().cpu.seconds(); })
       .def(
           "add_cpu",

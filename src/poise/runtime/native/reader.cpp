@@ -116,7 +116,9 @@ nb::tuple Reader::connector_sample(std::size_t index) const {
   const Tally& tally = pages_[index].tally;
   return nb::make_tuple(known_[index].name, tally.calls.get(), tally.messages.get(),
                         tally.bytes_out.get(), tally.bytes_in.get(), tally.errors.get(),
-                        tally.drops.get());
+                        tally.drops.get(), tally.arrivals.get(),
+                        1e-9 * static_cast<double>(tally.latency.get()),
+                        1e-9 * static_cast<double>(tally.latency_error.get()));
 }
 
 }  // namespace poise

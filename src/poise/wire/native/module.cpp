@@ -5,6 +5,7 @@
 #include <array>
 #include <cerrno>
 #include <cstring>
+#include <ctime>
 
 #include "channel.h"
 
@@ -107,7 +108,7 @@ const Names& names() {
   return *found;
 }
 
-constexpr std::size_t frame_head = 24;
+constexpr std::size_t frame_head = 32;
 constexpr std::size_t alignment = 16;
 // A body of fewer bytes is copied more quickly than looked at.
 constexpr std::size_t small = 1 << 12;
@@ -116,7 +117,7 @@ struct FrameHead {
   std::uint8_t version, kind;
   std::uint16_t tag;
   std::uint32_t length;
-  std::uint64_t number, chain;
+  std::uint64_t number, chain, sent;
 };
 static_assert(sizeof(FrameHead) == frame_head);
 
@@ -135,10 +136,18 @@ FrameHead check_head(const char* data, std::size_t size) {
   return head;
 }
 
+std::int64_t monotonic_now() {  // [ns]
+  timespec moment{};
+  clock_gettime(CLOCK_MONOTONIC, &moment);
+  return moment.tv_sec * std::int64_t{1'000'000'000} + moment.tv_nsec;
+}
+
 nb::object make_frame(const FrameHead& head, nb::object body, nb::object buffers) {
   const std::size_t size = frame_head + head.length + nb::len(buffers);
+  // clocks of two computers may differ by anything: no signed number overflows
+  const double age = 1e-9 * (static_cast<double>(monotonic_now()) - static_cast<double>(head.sent));
   return nb::borrow(names().frame)(nb::borrow(names().kinds[head.kind]), head.tag, head.number,
-                                   head.chain, std::move(body), std::move(buffers), size);
+                                   head.chain, std::move(body), std::move(buffers), size, age);
 }
 
 // A frame whose bytes are no longer needed afterwards.
