@@ -1,7 +1,7 @@
 import pytest
 
 from poise.cli.calibration_costs import costs_of
-from poise.cli.calibration_robots import EMPTY, PAIRS, Pair
+from poise.cli.calibration_robots import EMPTY, PAIRS, TICKING, Pair
 from poise.errors import RunError
 from poise.wire.samples import AgentSample, ConnectorSample, ContainerSample
 
@@ -9,6 +9,8 @@ PER_BYTE = {"direct": 0.0, "local": 1e-9, "remote": 1e-8}
 FIXED = {"direct": 20e-6, "local": 100e-6, "remote": 200e-6}
 IDLE = 0.003
 """What a container uses that does nothing [cores]."""
+STEP = 90e-6
+"""The CPU time of a step in which nothing is done [s]; each use is in a step."""
 
 
 def spent(pair: Pair, end: str) -> float:
@@ -20,12 +22,15 @@ def spent(pair: Pair, end: str) -> float:
 
 def sample(at: float, uses: int, *, there: str = "there") -> list[AgentSample]:
     """Return what the pairs' computers tell at a moment, after so many uses each."""
-    here = [container(EMPTY, at, IDLE * at, EMPTY, 0)]
+    here = [
+        container(EMPTY, at, IDLE * at, EMPTY, 0),
+        container(TICKING, at, IDLE * at + uses * STEP, EMPTY, 0),
+    ]
     other: list[ContainerSample] = []
     for pair in PAIRS:
         for name in pair.containers:
             end = "target" if name.endswith("target") else "source"
-            cpu = IDLE * at + uses * spent(pair, end)
+            cpu = IDLE * at + uses * (spent(pair, end) + STEP * (end == "source"))
             told = container(name, at, cpu, pair.how, uses)
             is_there = pair.kind == "remote" and end == "target"
             (other if is_there else here).append(told)

@@ -106,6 +106,30 @@ def test_finds_a_component_that_never_was_as_profiled() -> None:
     assert drift.after == pytest.approx(0.1, rel=0.1)
 
 
+def test_phases_that_the_profile_knows_are_no_drift() -> None:
+    """Jobs of 4 ms, later of 5.5 ms: never a quarter off 4.75 % of a core."""
+    running, load = RunningEstimate(expected=0.0475), Load(10, 0.004)
+    found = drifts(running, load, 20)
+    load.cost = 0.0055
+    assert found + drifts(running, load, 20) == []
+
+
+def test_little_is_no_drift_whatever_its_share_is() -> None:
+    """From 1 % of a core to 1.8 %."""
+    running, load = RunningEstimate(expected=0.01), Load(10, 0.001)
+    drifts(running, load, 20)
+    load.cost = 0.0018
+    assert drifts(running, load, 20) == []
+    load.cost = 0.0025
+    assert drifts(running, load, 5)
+
+
+def test_what_repeated_measurements_lay_apart_is_no_drift() -> None:
+    running, load = RunningEstimate(expected=0.1, repeat=0.06), Load(10, 0.014)
+    assert drifts(running, load, 30) == []
+    assert drifts(RunningEstimate(expected=0.1), Load(10, 0.014), 30)
+
+
 def test_counts_the_jobs_that_a_starved_component_did_not_get_to() -> None:
     """It is given CPU for half its jobs: 5 %, where it needs 10 %."""
     running, load = RunningEstimate(), Load(10, 0.01)

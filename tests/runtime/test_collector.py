@@ -10,7 +10,7 @@ import pytest
 
 from poise.runtime import _calls
 from poise.runtime._calls import Account, Reader
-from poise.runtime.collector import Collector, proportional_memory
+from poise.runtime.collector import Collector, proportional_memory, resident_memory
 from poise.runtime.ledger import new_memory
 from poise.wire.samples import AgentSample
 
@@ -63,3 +63,36 @@ def test_tells_again_and_again() -> None:
 def test_reads_the_memory_of_processes() -> None:
     assert proportional_memory(os.getpid()) > 1e6
     assert proportional_memory(1 << 30) == 0
+    assert resident_memory(os.getpid()) >= proportional_memory(os.getpid())
+    assert resident_memory(1 << 30) == 0
+
+
+def test_memory_is_weighed_again_when_there_is_more_or_less_of_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With one container it is due at each tenth sample, and each tenth time anyway."""
+    held, weighed = [1000], list[int]()
+
+    def weigh(_: int) -> int:
+        weighed.append(held[0])
+        return held[0] // 2
+
+    monkeypatch.setattr("poise.runtime.collector.resident_memory", lambda _: held[0])
+    monkeypatch.setattr("poise.runtime.collector.proportional_memory", weigh)
+    memory, account = new_memory(), Account()
+    account.enter(_calls.Ledger(memory), "eye", 0)
+    here = [("see", os.getpid(), Reader(memory, os.getpid()))]
+    collector = Collector("a", 0, lambda: here, lambda _: None)
+
+    def told() -> int:
+        return decoded(collector.sample()).containers[0].memory
+
+    for _ in range(30):
+        assert told() == 500
+    assert weighed == [1000]
+    held[0] = 3000
+    assert [told() for _ in range(10)][-1] == 1500
+    for _ in range(110):
+        told()
+    assert weighed == [1000, 3000, 3000]
+    os.close(memory)

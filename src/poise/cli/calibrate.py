@@ -17,6 +17,7 @@ from poise.cli.calibration_robots import pairs, yardsticks
 from poise.cli.launch import Up, Watching, checked, running
 from poise.cli.options import parse_option
 from poise.cli.profiles import read_profile, store_of
+from poise.cli.tables import table
 from poise.errors import RunError, UsageError
 from poise.estimate import profile_file
 from poise.estimate.profile import KindCosts
@@ -81,14 +82,14 @@ def _speeds(robot: Robot, reference: str, seconds: float) -> Table:
         }
     if reference not in scores:
         raise RunError(f"'{reference}' was too busy to be measured; try again")
-    table = Table("computer", "loops per CPU second", "speed measured", "in the file")
+    rows = table("computer", "loops per CPU second", "speed measured", "in the file")
     unit = scores[reference] / robot.computer(reference).speed
     for computer in robot.computers:
         score = scores.get(computer.name, 0.0)
         emulated = computer.address is None
         measured = "emulated" if emulated else f"{score / unit:.2f}"
-        table.add_row(computer.name, f"{score:.0f}", measured, f"{computer.speed:g}")
-    return table
+        rows.add_row(computer.name, f"{score:.0f}", measured, f"{computer.speed:g}")
+    return rows
 
 
 def _costs(robot: Robot, seconds: float) -> dict[str, KindCosts]:
@@ -112,19 +113,19 @@ def _speed(computer: Computer) -> float:
 
 
 def _cost_table(costs: Mapping[str, KindCosts]) -> Table:
-    table = Table("connector", "end", "per call", "per message", "per kB")
+    rows = table("connector", "end", "per call", "per message", "per kB")
     for kind, both in costs.items():
         for end, cost in (("source", both.source), ("target", both.target)):
             if kind == "direct" and end == "target":
                 continue  # in the same process as the source
-            table.add_row(
+            rows.add_row(
                 kind,
                 "both" if kind == "direct" else end,
                 f"{cost.call * 1e6:.0f} µs",
                 f"{cost.message * 1e6:.0f} µs",
                 f"{cost.byte * 1e9:.2f} µs",
             )
-    return table
+    return rows
 
 
 def _watch(up: Up, seconds: float) -> None:

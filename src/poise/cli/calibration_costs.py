@@ -1,4 +1,10 @@
-"""From what pairs that talk used to what a kind of connector costs. Pure."""
+"""From what pairs that talk used to what a kind of connector costs. Pure.
+
+A call costs what its pair uses more than two containers of the same kind that are
+silent: the source's has the same steps, the target's does nothing. So the steps and
+what containers use anyway cancel out, and what is left is the call: encoding it, waking
+the other end, and all that is cold by then, for whoever talks in steps talks so.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +12,7 @@ from collections.abc import Iterable, Mapping
 
 from msgspec import Struct
 
-from poise.cli.calibration_robots import EMPTY, KINDS, PAIRS, SIZES, Pair
+from poise.cli.calibration_robots import EMPTY, KINDS, PAIRS, SIZES, TICKING, Pair
 from poise.errors import RunError
 from poise.estimate.profile import Costs, KindCosts
 from poise.wire.samples import AgentSample, ContainerSample
@@ -52,7 +58,7 @@ def _uses(
             first.setdefault(container.name, container)
             last[container.name] = container
             where[container.name] = sample.computer
-    for name in (EMPTY, *(name for pair in PAIRS for name in pair.containers)):
+    for name in (EMPTY, TICKING, *(name for pair in PAIRS for name in pair.containers)):
         if name not in last or last[name].at <= first[name].at:
             raise RunError(f"container '{name}' told nothing; try again")
     used = {
@@ -68,8 +74,8 @@ def _uses(
         if count <= 0:
             raise RunError(f"the pair '{pair.name}' did not talk; try again")
         spent = [
-            max(0.0, used[name] - used[EMPTY]) * seconds / count * speeds[where[name]]
-            for name in pair.containers
+            max(0.0, used[name] - used[silent]) * seconds / count * speeds[where[name]]
+            for name, silent in zip(pair.containers, (TICKING, EMPTY), strict=False)
         ]
         found[pair] = Use(spent[0], sum(spent[1:]))
     return found, set(where.values())

@@ -42,6 +42,9 @@ PAIRS = tuple(
     for size in SIZES
 )
 EMPTY = "empty"
+"""A container that does nothing, as that of a target to which nobody talks."""
+TICKING = "ticking"
+"""One whose component does nothing in its steps, as a source that is silent."""
 
 
 def yardsticks(robot: Robot) -> tuple[Robot, dict[str, str]]:
@@ -65,9 +68,15 @@ def pairs(robot: Robot, here: str, there: str) -> tuple[Robot, dict[str, str]]:
     for pair in PAIRS:
         placement[f"{pair.name}-source"] = here
         placement[f"{pair.name}-target"] = there if pair.kind == "remote" else here
-    placement[EMPTY] = here
-    empty = Component(name=EMPTY, implementation="poise.runtime.component:Component")
-    architectures.append(Architecture(name=EMPTY, function=EMPTY, components=(empty,)))
+    for name, implementation in (
+        (EMPTY, "poise.runtime.component:Component"),
+        (TICKING, f"{_MODULE}:Ticker"),
+    ):
+        placement[name] = here
+        silent = Component(name=name, implementation=implementation)
+        architectures.append(
+            Architecture(name=name, function=name, components=(silent,))
+        )
     return _bare(robot, tuple(architectures)), placement
 
 

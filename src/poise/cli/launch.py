@@ -183,7 +183,8 @@ class Up(Struct, frozen=True):
 class Watching(Struct, frozen=True):
     """Who takes samples of what components use, how often [s]; and snapshots' sizes.
 
-    `take` is called on a thread of its own and must not block.
+    `take` is called on a thread of its own and must not block, and only while all
+    components are at work: who starts or ends uses next to nothing.
     """
 
     take: Callable[[AgentSample], object] | None = None
@@ -215,18 +216,44 @@ def running(
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="poise-")))
         look = watching or Watching()
+        gate = _Gate(look.take or _forget)
         computers = stack.enter_context(
             computers_of(robot, folder / "computers", say, look.every)
         )
         world = stack.enter_context(world_of(robot, folder))
         fleet = stack.enter_context(
-            Fleet(robot.name, computers.endpoints, SystemClock(), look.take)
+            Fleet(
+                robot.name,
+                computers.endpoints,
+                SystemClock(),
+                gate.take if look.take else None,
+            )
         )
         fleet.wait_alive(computers.endpoints, AGENT_LIMIT, computers.raise_if_ended)
         run = Run(robot, placement, fleet, journal, str(folder), weigh=look.weigh)
         say(f"starting {len(placement)} components")
         stack.enter_context(_started(run))
+        stack.enter_context(gate)
         yield Up(run, computers, world)
+
+
+class _Gate:
+    """Lets samples through while its `with` lasts."""
+
+    def __init__(self, take: Callable[[AgentSample], object]) -> None:
+        self._take = take
+        self._is_open = False
+
+    def __enter__(self) -> None:
+        self._is_open = True
+
+    def __exit__(self, *_: object) -> None:
+        self._is_open = False
+
+    def take(self, sample: AgentSample) -> None:
+        """Hand a sample on, or let it go."""
+        if self._is_open:
+            self._take(sample)
 
 
 def _check_runnable(robot: Robot, placed: Iterable[str]) -> None:
@@ -256,3 +283,7 @@ def _started(run: Run) -> Iterator[None]:
             run.stop()
         raise
     run.stop()
+
+
+def _forget(_: AgentSample) -> None:
+    """Keep nothing."""

@@ -18,12 +18,14 @@ def show(problem: plan.Problem, result: plan.Result, console: Console) -> None:
         console.print(f"[bold red]no placement[/]: {result.reason}", highlight=False)
         return
     resources = problem.resources
-    table = Table("computer", "components", *resources)
+    rows = Table("computer", "components")
+    for resource in resources:
+        rows.add_column(resource, no_wrap=True)
     for computer in problem.computers:
         names = [c for c, h in result.placement.items() if h == computer.name]
         bars = [bar(problem, result, computer, resource) for resource in resources]
-        table.add_row(computer.name, ", ".join(names), *bars)
-    console.print(table)
+        rows.add_row(computer.name, ", ".join(names), *bars)
+    console.print(rows)
     if result.reason:
         console.print(f"[bold red]not feasible[/]: {result.reason}", highlight=False)
     if result.aside:

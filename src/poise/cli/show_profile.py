@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from rich.console import Console
 from rich.table import Table
 
+from poise.cli.tables import table
 from poise.estimate.predict import overheads
-from poise.estimate.profile import ComponentProfile, Profile
+from poise.estimate.profile import ComponentProfile, ConnectorProfile, Profile
 from poise.estimate.rule import cpu_demand, memory_demand
 from poise.manage.profiling import AGREE_CORES, AGREE_SHARE
 from poise.model.robot import Robot
-from poise.units import format_bytes, format_rate, format_seconds
+from poise.units import format_bytes, format_seconds
 
-_MOST_EARLIER = 4
+_MOST_EARLIER = 2
 
 
 def show_profile(robot: Robot, profile: Profile, console: Console) -> None:
@@ -23,9 +24,20 @@ def show_profile(robot: Robot, profile: Profile, console: Console) -> None:
         f"robot '{profile.robot}' on '{profile.computer}' (speed {profile.speed:g}), "
         f"{profile.at}, Poise {profile.poise}, {profile.seconds:g} s each time"
     )
-    console.print(_components(robot, profile))
-    console.print(_timers(profile))
+    found = {
+        component.name: profile.components[component.name]
+        for component in robot.components()
+        if component.name in profile.components
+    }
+    console.print(_cpu(found))
+    console.print(_needs(found))
+    console.print(_timers(found))
     console.print(_connectors(robot, profile))
+    unit = "hundredths of a core" if profile.costs else "MB/s"
+    console.print(f"overhead in {unit}, while the ends are apart")
+    for name, each in found.items():
+        if not each.stable:
+            console.print(f"[yellow]unstable: {name} ± {each.repeat / 2:.1%}[/]")
 
 
 def history_table(now: Profile, earlier: Sequence[Profile]) -> Table:
@@ -39,9 +51,10 @@ def history_table(now: Profile, earlier: Sequence[Profile]) -> Table:
     others = [
         each for each in earlier if each.computer == now.computer and each.at != now.at
     ][:_MOST_EARLIER]
-    table = Table("component")
+    rows = table("component")
     for each in (now, *others):
-        table.add_column(f"{each.at.removesuffix('+00:00')}\nPoise {each.poise}")
+        title = f"{each.at.removesuffix('+00:00')}\nPoise {each.poise}"
+        rows.add_column(title, overflow="fold")
     for name, found in now.components.items():
         cells = [_brief(found)]
         newer = found
@@ -49,8 +62,8 @@ def history_table(now: Profile, earlier: Sequence[Profile]) -> Table:
             older = each.components.get(name)
             cells.append(_compared(older, newer) if older else "")
             newer = older or newer
-        table.add_row(name, *cells)
-    return table
+        rows.add_row(name, *cells)
+    return rows
 
 
 def _brief(found: ComponentProfile) -> str:
@@ -68,62 +81,59 @@ def _compared(older: ComponentProfile, newer: ComponentProfile) -> str:
     return text
 
 
-def _components(robot: Robot, profile: Profile) -> Table:
-    table = Table(
-        "component", "mean", "p95", "p99", "peak", "sustained", "memory", "snapshot"
-    )
-    table.add_column("start")
-    table.add_column("demand: CPU, memory")
-    table.add_column("")
-    for component in robot.components():
-        found = profile.components.get(component.name)
-        if found is not None:
-            table.add_row(component.name, *_row(found))
-    return table
+def _cpu(found: Mapping[str, ComponentProfile]) -> Table:
+    rows = table("CPU of component", "mean", "p95", "p99", "peak", "sustained")
+    for name, each in found.items():
+        cpu = each.cpu
+        error = f" ± {cpu.error:.1%}" if cpu.error is not None else ""
+        shares = (f"{s:.1%}" for s in (cpu.p95, cpu.p99, cpu.peak, cpu.sustained))
+        rows.add_row(name, f"{cpu.mean:.2%}{error}", *shares)
+    return rows
 
 
-def _row(found: ComponentProfile) -> list[str]:
-    cpu = found.cpu
-    shares = [f"{each:.1%}" for each in (cpu.p95, cpu.p99, cpu.peak, cpu.sustained)]
-    error = f" ± {cpu.error:.1%}" if cpu.error is not None else ""
-    return [
-        f"{cpu.mean:.2%}{error}",
-        *shares,
-        format_bytes(found.memory),
-        format_bytes(found.state) if found.state else "",
-        format_seconds(found.start),
-        f"{cpu_demand(found):.2%}, {format_bytes(memory_demand(found))}",
-        "" if found.stable else f"[yellow]unstable: ± {found.repeat / 2:.1%}[/]",
-    ]
+def _needs(found: Mapping[str, ComponentProfile]) -> Table:
+    rows = table("component", "memory", "snapshot", "start", "demand: CPU", "memory")
+    for name, each in found.items():
+        rows.add_row(
+            name,
+            format_bytes(each.memory),
+            format_bytes(each.state) if each.state else "",
+            format_seconds(each.start),
+            f"{cpu_demand(each):.2%}",
+            format_bytes(memory_demand(each)),
+        )
+    return rows
 
 
-def _timers(profile: Profile) -> Table:
-    table = Table("timer", "period", "median", "p99", "longest", "missed")
-    for name, component in profile.components.items():
-        for timer, found in component.timers.items():
-            table.add_row(
+def _timers(found: Mapping[str, ComponentProfile]) -> Table:
+    rows = table("timer", "period", "median", "p99", "longest", "missed")
+    for name, component in found.items():
+        for timer, each in component.timers.items():
+            rows.add_row(
                 f"{name}.{timer}",
-                format_seconds(found.period),
-                format_seconds(found.median),
-                format_seconds(found.p99),
-                format_seconds(found.maximum),
-                f"{found.missed:.1%}",
+                format_seconds(each.period),
+                format_seconds(each.median),
+                format_seconds(each.p99),
+                format_seconds(each.maximum),
+                f"{each.missed:.1%}",
             )
-    return table
+    return rows
 
 
 def _connectors(robot: Robot, profile: Profile) -> Table:
-    unit = "0.01 cores" if profile.costs else "MB/s"
-    table = Table("connector", "calls", "messages", "size", "traffic")
-    table.add_column(f"overhead [{unit}]".replace("[", r"\["))
+    rows = table("connector", "a second", "size", "p99", "largest", "overhead")
     relative = overheads(robot, profile)
-    for name, found in profile.connectors.items():
-        table.add_row(
+    for name, each in profile.connectors.items():
+        sizes = each.median or each.size, each.p99, each.largest
+        rows.add_row(
             name,
-            format_rate(found.calls) if found.calls else "",
-            format_rate(found.messages) if found.messages else "",
-            format_bytes(found.size),
-            f"{format_bytes(found.traffic)}/s",
+            _rates(each),
+            *(format_bytes(size) if size else "" for size in sizes),
             f"{relative.get(name, 0.0):.3g}",
         )
-    return table
+    return rows
+
+
+def _rates(found: ConnectorProfile) -> str:
+    rates = {"calls": found.calls, "messages": found.messages}
+    return "\n".join(f"{rate:.3g} {what}" for what, rate in rates.items() if rate)

@@ -70,11 +70,16 @@ class ConnectorProfile(Struct, frozen=True, kw_only=True):
         Per second [1/s].
     size
         Mean size of a call, both ways, or of a message, when encoded [bytes].
+    median, p99, largest
+        Of these sizes; 0 where they were not counted [bytes].
     """
 
     calls: float = 0.0
     messages: float = 0.0
     size: float = 0.0
+    median: float = 0.0
+    p99: float = 0.0
+    largest: float = 0.0
 
     @property
     def rate(self) -> float:

@@ -20,6 +20,9 @@ from poise.estimate.spread import error_of_mean, quantile
 
 SPAN = 30.0
 """An estimate looks back so far [s]."""
+LEAST_SHARE = 0.25
+LEAST_CORES = 0.01
+"""A demand that differs by less than this share, or so many cores, has not shifted."""
 _BEHIND = 0.02
 """Jobs under way at the ends of a window are not yet backlog: up to one in so many."""
 _LARGEST_SCALE = 100.0
@@ -75,6 +78,14 @@ class _Sums:
         self.done += sign * window.done
 
 
+def _scale(sums: _Sums) -> float:
+    """Return demand / CPU time: jobs that came per job that was done; >= 1."""
+    asked, done = sums.asked, sums.done
+    if asked - done <= 1 + _BEHIND * asked:
+        return 1.0
+    return min(asked / max(done, 1), _LARGEST_SCALE)
+
+
 class RunningEstimate:
     """The running estimate of one component.
 
@@ -83,10 +94,14 @@ class RunningEstimate:
     expected
         Its mean demand by the profile [cores]: what drift is measured against. None:
         against what it needs at first.
+    repeat
+        How far repeated measurements for the profile lay apart [cores]: by so much it
+        may differ, too, and not have shifted.
     """
 
-    def __init__(self, expected: float | None = None) -> None:
+    def __init__(self, expected: float | None = None, repeat: float = 0.0) -> None:
         self._expected = expected
+        self._repeat = repeat
         self._last: Reading | None = None
         self._windows: deque[Window] = deque()
         self._sums = _Sums()
@@ -109,13 +124,19 @@ class RunningEstimate:
         self._keep(window)
         if not self._has_shifted(window):
             return None
-        return self._start_again(reading.at)
+        drift = self._drift_at(reading.at)
+        if abs(drift.after - drift.before) > self._tolerated(drift.before):
+            self._start_again(drift)
+            return drift
+        # dearer jobs or more of them, but no more is needed than was expected
+        self._cost, self._asked = Shift(), Shift()
+        return None
 
     def estimate(self) -> Estimate | None:
         """Return what it needs; None before the second reading."""
         if not self._windows:
             return None
-        scale = self._scale()
+        scale = _scale(self._sums)
         loads = [scale * w.cpu / w.seconds for w in self._windows]
         cut = sum(w.is_cut for w in self._windows) / len(self._windows)
         return Estimate(
@@ -145,13 +166,6 @@ class RunningEstimate:
     def _mean(self) -> float:
         return self._sums.cpu / self._sums.seconds
 
-    def _scale(self) -> float:
-        """Return demand / CPU time: jobs that came per job that was done; >= 1."""
-        asked, done = self._sums.asked, self._sums.done
-        if asked - done <= 1 + _BEHIND * asked:
-            return 1.0
-        return min(asked / max(done, 1), _LARGEST_SCALE)
-
     def _has_shifted(self, window: Window) -> bool:
         """Watch the load and, where there are jobs, cost per job and jobs per second.
 
@@ -160,25 +174,37 @@ class RunningEstimate:
         says nothing then.
         """
         by_load = by_cost = by_rate = 0
-        if not window.is_cut and self._scale() <= 1:
+        if not window.is_cut and _scale(self._sums) <= 1:
             by_load = self._load.update(window.cpu, window.seconds)
         if self._has_jobs:
             by_cost = self._cost.update(window.cpu, window.done)
             by_rate = self._asked.update(window.asked, window.seconds)
         return bool(by_load or by_cost or by_rate)
 
-    def _start_again(self, at: float) -> Drift:
-        """Forget what was before the shift: the windows of the last second stay."""
+    def _tolerated(self, demand: float) -> float:
+        return max(LEAST_SHARE * demand, LEAST_CORES, self._repeat)
+
+    def _drift_at(self, at: float) -> Drift:
+        """Return the shift that the last second shows, from what was expected."""
         before = self._old_mean() if self._expected is None else self._expected
-        self._expected = None
-        recent = max(1, math.ceil(1.0 / self._windows[-1].seconds))
-        kept = list(self._windows)[-recent:]
+        recent = _Sums()
+        for each in self._recent():
+            recent.add(each, 1)
+        after = recent.cpu / recent.seconds
+        return Drift(at, before, after * _scale(recent))
+
+    def _start_again(self, drift: Drift) -> None:
+        """Forget what was before the shift: the windows of the last second stay."""
+        kept = self._recent()
         self._windows, self._sums = deque(), _Sums()
         for each in kept:
             self._keep(each)
-        self._drift = Drift(at, before, self._mean() * self._scale())
+        self._expected, self._drift = None, drift
         self._load, self._cost, self._asked = Shift(), Shift(), Shift()
-        return self._drift
+
+    def _recent(self) -> list[Window]:
+        count = max(1, math.ceil(1.0 / self._windows[-1].seconds))
+        return list(self._windows)[-count:]
 
     def _old_mean(self) -> float:
         old = list(self._windows)[: max(1, len(self._windows) // 2)]

@@ -107,7 +107,9 @@ class Estimates:
             return None  # the incarnation that a move leaves behind
         running = self._running.get(name)
         if running is None:
-            running = self._running[name] = RunningEstimate(self._expected(name))
+            running = self._running[name] = RunningEstimate(
+                self._expected(name), self._repeat(name)
+            )
         elif component.epoch != self._epochs[name]:
             running.begin_anew()  # the counters are another incarnation's
         self._epochs[name] = component.epoch
@@ -124,6 +126,10 @@ class Estimates:
     def _expected(self, name: str) -> float | None:
         known = self._profile.components.get(name) if self._profile else None
         return known.cpu.mean if known else None
+
+    def _repeat(self, name: str) -> float:
+        known = self._profile.components.get(name) if self._profile else None
+        return known.repeat if known else 0.0
 
     def _standings(self) -> Iterator[Standing]:
         for name, running in sorted(self._running.items()):

@@ -16,7 +16,7 @@ from poise.estimate.spread import Spread
 from poise.manage.deployment import name_of
 from poise.manage.measure import Measured
 from poise.model.robot import Robot
-from poise.wire.messages import AgentStatus, ComponentStatus
+from poise.wire.messages import AgentStatus, ComponentStatus, Summary
 
 AGREE_SHARE = 0.05
 AGREE_CORES = 0.01
@@ -219,6 +219,7 @@ def _connectors(
 ) -> Iterator[tuple[str, ConnectorProfile]]:
     """Yield the connectors that end at `names`: rates as used, sizes as encoded."""
     replaced = {old: new.replace(" -> ", "-") for old, new in subject.played.items()}
+    sizes = _sizes(apart.statuses)
     for connector in subject.robot.all_connectors():
         if connector.between[1].component not in subject.names:
             continue
@@ -226,5 +227,25 @@ def _connectors(
         used = typical.measured.connectors.get(key)
         encoded = apart.measured.connectors.get(key)
         if used is not None:
-            size = encoded.size if encoded else used.size
-            yield str(connector), msgspec.structs.replace(used, size=size)
+            size = sizes.get(key, Summary())
+            yield (
+                str(connector),
+                msgspec.structs.replace(
+                    used,
+                    size=encoded.size if encoded else used.size,
+                    median=size.median,
+                    p99=size.p99,
+                    largest=size.maximum,
+                ),
+            )
+
+
+def _sizes(statuses: Mapping[str, AgentStatus]) -> dict[str, Summary]:
+    """Return the sizes of what went over connectors, from the end that saw the most."""
+    found: dict[str, Summary] = {}
+    for status in statuses.values():
+        for container in status.containers:
+            for end in container.connectors:
+                known = found.setdefault(end.name, end.size)
+                found[end.name] = max(known, end.size, key=lambda each: each.count)
+    return found

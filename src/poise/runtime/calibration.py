@@ -15,7 +15,7 @@ from poise.runtime.ports import (
 )
 
 RATE = 50.0
-"""Calls and messages per second [1/s]."""
+"""Those who talk do so in steps, so many a second [1/s]."""
 _PIECE = 0.05
 _LOOP = 2_000
 
@@ -59,8 +59,16 @@ class Echoer(Component):
         return len(packet.payload)
 
 
+class Ticker(Component):
+    """Does nothing in its steps: what a step costs by itself."""
+
+    @every(1 / RATE)
+    def tick(self) -> None:
+        """Do nothing."""
+
+
 class Asker(Component):
-    """Calls at `RATE` with ``size`` bytes."""
+    """Calls once in each step, with ``size`` bytes."""
 
     port: Required[Echo]
 
@@ -70,12 +78,12 @@ class Asker(Component):
 
     @every(1 / RATE)
     def ask(self) -> None:
-        """Call once."""
+        """Call."""
         self.port.echo(self._packet)
 
 
 class Talker(Component):
-    """Publishes at `RATE` ``size`` bytes."""
+    """Publishes once in each step, ``size`` bytes."""
 
     port: Published[Packet]
 
@@ -85,7 +93,7 @@ class Talker(Component):
 
     @every(1 / RATE)
     def talk(self) -> None:
-        """Publish once."""
+        """Publish."""
         self.port.publish(self._packet)
 
 

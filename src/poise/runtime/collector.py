@@ -6,9 +6,11 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
+from mmap import PAGESIZE
 from pathlib import Path
 
 import msgspec
+from msgspec import Struct, structs
 
 from poise.runtime._calls import Reader
 
@@ -16,7 +18,10 @@ log = logging.getLogger(__name__)
 
 _SELDOM = 10
 """With every so many-th sample the memory of one container is read: that takes the
-kernel a millisecond or two, more than all the rest."""
+kernel a millisecond or two, more than all the rest. So it is only done when the
+container holds more or less than before, and every `_ANYWAY`-th time: what it shares
+with others may have changed."""
+_ANYWAY = 10
 
 
 class Collector:
@@ -46,7 +51,7 @@ class Collector:
         self._every = every
         self._containers = containers
         self._publish = publish
-        self._memory: dict[int, int] = {}
+        self._memory: dict[int, _Weight] = {}
         self._count = 0
         self._ended = threading.Event()
         self._encoder = msgspec.msgpack.Encoder()
@@ -73,7 +78,7 @@ class Collector:
             read = reader.read()
             if read is not None:
                 at, cpu, components, connectors = read
-                memory = self._memory[pid]
+                memory = self._memory[pid].proportional
                 found.append((name, pid, at, cpu, memory, components, connectors))
         now = time.monotonic()
         # an `AgentSample`, whose records are arrays
@@ -88,12 +93,33 @@ class Collector:
         self._count = (self._count + 1) % max(1, len(containers) * _SELDOM)
         before, self._memory = self._memory, {}
         for place, (_, pid, reader) in enumerate(containers):
-            is_due = pid not in before or self._count == place * _SELDOM
-            self._memory[pid] = (
-                sum(map(proportional_memory, [pid, *reader.commands()]))
-                if is_due
-                else before[pid]
-            )
+            known = before.get(pid)
+            if known is None or self._count == place * _SELDOM:
+                known = _weigh([pid, *reader.commands()], known)
+            self._memory[pid] = known
+
+
+class _Weight(Struct, frozen=True):
+    """What processes held together [bytes], and how often that was taken for true."""
+
+    resident: int
+    proportional: int
+    age: int = 0
+
+
+def _weigh(processes: Sequence[int], known: _Weight | None) -> _Weight:
+    resident = sum(map(resident_memory, processes))
+    if known and known.resident == resident and known.age < _ANYWAY:
+        return structs.replace(known, age=known.age + 1)
+    return _Weight(resident, sum(map(proportional_memory, processes)))
+
+
+def resident_memory(process: int) -> int:
+    """Return what a process holds, shared or not [bytes]; 0 when it has ended."""
+    try:
+        return int(Path(f"/proc/{process}/statm").read_bytes().split()[1]) * PAGESIZE
+    except OSError:
+        return 0
 
 
 def proportional_memory(process: int) -> int:
