@@ -422,7 +422,7 @@ def test_what_comes_back_late_does_not_enter_beside_its_caller(pair: Pair) -> No
         assert go_on.wait(LIMIT)
 
     other = pair.transports["target"]
-    other.server(pair.kind).open(there.key, call_back)
+    other.server.open(there.key, call_back)
     pair.activate()
     turn = pair.runners["source", 0].turn
     turn.enter(new_chain(), LIMIT)
@@ -431,11 +431,7 @@ def test_what_comes_back_late_does_not_enter_beside_its_caller(pair: Pair) -> No
     (chain,) = chains
     (method,) = methods(Back).values()
     pieces = segments(method.arguments, (), Kind.CALL, tag=method.tag, chain=chain)
-    pipe = (
-        other.local_pipe(back.key, "source")
-        if pair.kind == "local"
-        else other.remote_pipe(back.key, LIMIT)
-    )
+    pipe = other.pipe(back.key, back.address)
     wait_until(pipe.is_ready)
     answer = pipe.request(pieces, LIMIT)
     assert answer.value(FAILURE)[0] == "Timeout"

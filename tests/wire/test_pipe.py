@@ -265,7 +265,7 @@ def test_a_server_of_another_version_is_unavailable(
 
     wire.server().open("echo", Receiver())
     pipe = wire.pipe()
-    monkeypatch.setattr(link_server.frame, "segments", newer)
+    monkeypatch.setattr(frame, "segments", newer)
     with pytest.raises(Unavailable, match="protocol version 7"):
         pipe.request(call("?"), LIMIT)
 
