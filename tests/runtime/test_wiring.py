@@ -356,6 +356,19 @@ def test_what_makes_room_for_newer_messages_is_counted(pair: Pair) -> None:
     pair.runners["target", 0].turn.open()
 
 
+@every_kind
+def test_a_slow_subscriber_that_keeps_the_last_holds_up_no_publisher(
+    pair: Pair,
+) -> None:
+    source, _ = start(pair, "latest")
+    large = Scan(1, np.zeros(100_000, np.float32))
+    pair.runners["target", 0].turn.shut(LIMIT)
+    for _ in range(100):  # far more than sockets hold
+        source.latest.publish(large)
+    wait_until(lambda: pair.drops() == 99)
+    pair.runners["target", 0].turn.open()
+
+
 @pytest.mark.parametrize("pair", ["local", "remote"], indirect=True)
 def test_received_arrays_cannot_be_changed(pair: Pair) -> None:
     source, _ = start(pair, "sums")

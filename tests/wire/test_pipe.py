@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import socket
+import subprocess
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -326,6 +328,39 @@ def test_a_peer_that_ends_during_a_call_is_unavailable(wire: Wire) -> None:
     server.open("echo", answer)
     with pytest.raises(Unavailable):
         wire.pipe().request(call("?"), LIMIT)
+
+
+BLOCKED = """
+import pathlib, sys, threading
+from poise.wire.link_server import LinkServer
+
+def handle(_):
+    print("inside", flush=True)
+    threading.Event().wait()
+
+server = LinkServer(pathlib.Path(sys.argv[1]), "there")
+server.open("echo", handle)
+print("ready", flush=True)
+threading.Event().wait()
+"""
+
+
+@both
+@pytest.mark.slow
+def test_a_container_that_is_killed_during_a_call_is_unavailable(wire: Wire) -> None:
+    argv = [sys.executable, "-c", BLOCKED, str(wire.folder)]
+    with subprocess.Popen(argv, stdout=subprocess.PIPE) as killed:
+        assert killed.stdout is not None
+        assert killed.stdout.readline() == b"ready\n"
+        with ThreadPoolExecutor() as thread:
+            asked = thread.submit(wire.pipe().request, call("?"), LIMIT)
+            assert killed.stdout.readline() == b"inside\n"
+            killed.kill()
+            with pytest.raises(Unavailable, match="the other end is gone"):
+                asked.result(LIMIT)
+    server = wire.server()
+    server.open("echo", Receiver())
+    assert wire.pipe().request(call("ab"), LIMIT).value(TEXT) == "ba"
 
 
 @both
