@@ -43,16 +43,17 @@ _PAUSE = 0.01
 
 
 class _Guest:
-    """A connection that has not said where to."""
+    """A connection that has not said where to, or waits until it is taken there."""
 
     def __init__(self, connection: socket.socket) -> None:
         self.connection = connection
         self.until = time.monotonic() + SAY_LIMIT
+        self.container = ""
         self.is_refused = False
         self._data = bytearray()
 
-    def hear(self) -> str | None:
-        """Take what has come; return the container's name once that is there.
+    def hear(self) -> None:
+        """Take what has come, until that is the container's name.
 
         Nothing behind the name is taken: that is for the container.
 
@@ -67,15 +68,14 @@ class _Guest:
         if not data:
             raise ConnectionResetError
         if self.is_refused:  # it need only take in why, before it sees the end
-            return None
+            return
         self._data += data
         if self._missing():
-            return None
+            return
         hello = frame.parse(bytes(self._data[HEAD.size :]))
         if hello.kind is not Kind.WELCOME:
             raise WireError(f"a frame of the kind {hello.kind.name}, not a name")
-        name: str = hello.value(NAME)
-        return name
+        self.container = hello.value(NAME)
 
     def refuse(self, why: str) -> None:
         """Tell it why, and take nothing more of it."""
@@ -155,6 +155,8 @@ class Door:
                     self._let_in()
                 for file in ready & self._guests.keys():
                     self._attend(self._guests[file])
+                for guest in self._waiting():
+                    self._hand_on(guest)
                 self._let_go()
             for guest in self._guests.values():
                 guest.connection.close()
@@ -164,11 +166,19 @@ class Door:
         poll = select.poll()
         if len(self._guests) < _MOST:
             poll.register(self._listener, select.POLLIN)
-        for file in self._guests:
-            poll.register(file, select.POLLIN)
+        for file, guest in self._guests.items():
+            if not guest.container or guest.is_refused:
+                poll.register(file, select.POLLIN)
         until = min((guest.until for guest in self._guests.values()), default=None)
         wait = None if until is None else 1000 * max(0.0, until - time.monotonic())
+        if self._waiting():
+            wait = 1000 * _PAUSE
         return {file for file, _ in poll.poll(wait)}
+
+    def _waiting(self) -> list[_Guest]:
+        """Return those who said where to, and are not there."""
+        guests = self._guests.values()
+        return [g for g in guests if g.container and g.until and not g.is_refused]
 
     def _let_in(self) -> None:
         try:
@@ -183,7 +193,7 @@ class Door:
 
     def _attend(self, guest: _Guest) -> None:
         try:
-            name = guest.hear()
+            guest.hear()
         except WireError as error:
             log.warning("a connection from %s is refused: %s", _peer(guest), error)
             guest.refuse(str(error))
@@ -191,11 +201,9 @@ class Door:
             pass
         except OSError:
             guest.until = 0.0
-        else:
-            if name is not None:
-                self._hand_on(guest, name)
 
-    def _hand_on(self, guest: _Guest, container: str) -> None:
+    def _hand_on(self, guest: _Guest) -> None:
+        container = guest.container
         files = array.array("i", [guest.connection.fileno()])
         rights = (socket.SOL_SOCKET, socket.SCM_RIGHTS, files)
         path = os.fspath(guests_path(self._folder, container))
@@ -204,6 +212,8 @@ class Door:
         except (FileNotFoundError, ConnectionRefusedError):
             # usual while a robot starts: the sender asks again
             guest.refuse(f"no container '{container}' is here")
+        except BlockingIOError:
+            pass  # many come at once: it is asked again until the guest is let go
         except OSError as error:
             guest.refuse(f"container '{container}' takes nobody in: {error}")
         else:
