@@ -15,7 +15,7 @@ from poise.errors import RunError, Unavailable
 from poise.wire import door, frame
 from poise.wire.address import Address
 from poise.wire.door import Door
-from poise.wire.frame import Kind
+from poise.wire.frame import VERSION, Kind
 from poise.wire.link import HEAD, Link
 from poise.wire.link_pipe import LinkPipe
 from poise.wire.link_server import LinkServer
@@ -39,23 +39,29 @@ def everything(connection: socket.socket) -> bytes:
     return data
 
 
+def said(version: bytes, kind: Kind) -> bytes:
+    """Return a first frame of some version and kind."""
+    text = b"".join(frame.segments(TEXT, "there", kind))
+    return HEAD.pack(len(text), 0) + version + text[1:]
+
+
 @remote
 @pytest.mark.parametrize(
-    ("said", "why"),
+    ("data", "why"),
     [
         pytest.param(b"GET / HTTP/1.1\r\n\r\n", "1024 B is the largest", id="another"),
         pytest.param(HEAD.pack(1025, 0), "1025 B; 1024 B is the largest", id="large"),
         pytest.param(HEAD.pack(8, 0) + bytes(8), "cut short", id="short"),
-        pytest.param(HEAD.pack(24, 0) + b"\x07" + bytes(23), "version 7", id="newer"),
-        pytest.param(HEAD.pack(24, 0) + b"\x01\x01" + bytes(22), "MESSAGE", id="kind"),
+        pytest.param(said(b"\x07", Kind.WELCOME), "version 7", id="newer"),
+        pytest.param(said(bytes([VERSION]), Kind.MESSAGE), "MESSAGE", id="kind"),
     ],
 )
 def test_nonsense_is_told_and_logged_and_harms_nobody(
-    wire: Wire, said: bytes, why: str, caplog: pytest.LogCaptureFixture
+    wire: Wire, data: bytes, why: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     wire.server().open("echo", Receiver())
     with come(wire) as stranger:
-        stranger.sendall(said)
+        stranger.sendall(data)
         told = frame.parse(everything(stranger)[HEAD.size :])
     assert told.kind is Kind.ERROR
     assert why in told.value(TEXT)

@@ -252,7 +252,9 @@ def test_it_tells_a_newcomer_of_another_version_why(wire: Wire) -> None:
         connection.sendall(HEAD.pack(len(hello), 0) + b"\x07" + hello[1:])
         refusal = frame.parse(everything(connection)[HEAD.size :])
     assert refusal.kind is Kind.ERROR
-    assert "protocol version 7, but this is version 1" in refusal.value(TEXT)
+    assert f"protocol version 7, but this is version {frame.VERSION}" in refusal.value(
+        TEXT
+    )
 
 
 @both
