@@ -27,11 +27,10 @@ from poise.runtime.ports import (
 )
 from poise.runtime.runner import Runner
 from poise.runtime.wiring import Place, Transports, Wiring
+from poise.wire.door import Door
 from poise.wire.messages import ComponentSpec, ConnectorKind, ConnectorSpec
-from poise.wire.remote import open_session
-from poise.wire.socket_path import socket_path
 
-AGENT = "tcp/127.0.0.1:17448"
+HOST, PORT = "127.0.0.1", 17448
 BIG = 1 << 16
 LIMIT = 30.0
 """Far above what a call takes on a machine that others use, too [s]."""
@@ -128,7 +127,7 @@ def connectors(kind: ConnectorKind) -> tuple[ConnectorSpec, ...]:
             source_port=port,
             target=target,
             target_port=target_port,
-            address=target,
+            address=f"{HOST}:{PORT}/{target}" if kind == "remote" else target,
             limit=LIMIT,
         )
         for source, port, target, target_port in ports
@@ -143,8 +142,7 @@ def start(name: str, implementation: type[Component]) -> Runner:
 
 def place(folder: Path, name: str) -> Place:
     """Return where a container of this benchmark is."""
-    socket = str(socket_path(folder, name))
-    return Place(prefix="bench", address="127.0.0.1", agents=(AGENT,), socket=socket)
+    return Place(container=name, folder=str(folder), door=f"{HOST}:{PORT}")
 
 
 def activate(runner: Runner) -> None:
@@ -159,14 +157,14 @@ def activate(runner: Runner) -> None:
 
 def serve(kind: ConnectorKind, folder: Path, ready: Callable[[], None]) -> None:
     """Run the callee in a container of its own."""
-    agent = open_session(listen=[AGENT]) if kind == "remote" else None
+    door = Door(folder, HOST, PORT) if kind == "remote" else None
     runner = start("callee", Callee)
     wiring = Wiring(Transports(place(folder, "callee")))
     wiring.apply(connectors(kind), {("callee", 0): runner})
     activate(runner)
     ready()
     threading.Event().wait()
-    del agent
+    del door
 
 
 @contextmanager

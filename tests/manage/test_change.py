@@ -21,6 +21,7 @@ from poise.wire.messages import (
 )
 
 NUMBER = 7
+DOORS = {"left": "10.0.0.1:4001", "right": "10.0.0.2:4002"}
 
 
 def rounds_of(
@@ -36,7 +37,7 @@ def rounds_of(
     change = Change(what="it", olds=placed(olds, 0), news=placed(news, 1))
     rest = {each.component: each for each in placed(others, 0)}
     calls = {(component.name, "calls") for component in robot.components()}
-    return Rounds(Layout(robot, "/run"), change, rest, calls, NUMBER)
+    return Rounds(Layout(robot, "/run"), change, rest, calls, NUMBER, DOORS)
 
 
 def steps(round_: list[tuple[Incarnation, Step]]) -> list[tuple[str, Step]]:
@@ -143,4 +144,5 @@ def test_what_was_held_for_one_goes_to_the_alternative() -> None:
     releases = [step for _, step in rounds.keep() if isinstance(step, Release)]
     assert releases == [Release(("source.calls-c.port/0.1",))]
     joins = [step for _, step in rounds.prepare()[1]]
-    assert joins == [Precopy("c", 1, NUMBER, {"a": 0, "b": 0})]
+    where_from = {"a": "two", "b": "two"}
+    assert joins == [Precopy("c", 1, NUMBER, {"a": 0, "b": 0}, where_from)]

@@ -10,12 +10,13 @@ from poise.wire.messages import ComponentSpec, Deployment
 
 from .conftest import connector_names
 
+DOORS = {"left": "10.0.0.1:4001", "right": "10.0.0.2:4002"}
 ALL = ("grabber", "filter", "heavy", "alone", "driver", "thinker")
 
 
 def deployments(robot: Robot, **where: str) -> dict[str, Deployment]:
     placed = [Incarnation(component=n, computer=c) for n, c in where.items()]
-    return Layout(robot, "/run").specs(placed, generation=3)
+    return Layout(robot, "/run").specs(placed, 3, DOORS)
 
 
 def everything_on(computer: str) -> dict[str, str]:
@@ -102,13 +103,28 @@ def test_a_command_is_told_its_command_line(robot: Robot) -> None:
     assert container.components[0].implementation == ""
 
 
+def test_a_connector_says_where_its_target_is_reached(robot: Robot) -> None:
+    where = {**everything_on("left"), "thinker": "right"}
+    told = deployments(robot, **where)
+    found = {
+        connector.name: connector.address
+        for container in told["left"].containers
+        for connector in container.connectors
+    }
+    assert found == {
+        "grabber.raw-filter.raw": "",
+        "filter.clean-heavy.clean": "eye.heavy",
+        "filter.clean-thinker.seen": "10.0.0.2:4002/mind",
+    }
+
+
 def test_while_a_component_moves_both_incarnations_are_joined(robot: Robot) -> None:
     placed = [
         Incarnation(component="grabber", computer="left"),
         Incarnation(component="filter", computer="left"),
         Incarnation(component="filter", computer="right", epoch=1, goal="inactive"),
     ]
-    told = Layout(robot, "/run").specs(placed, generation=1)
+    told = Layout(robot, "/run").specs(placed, 1, DOORS)
     keys = {
         connector.key: connector.kind
         for connector in told["left"].containers[0].connectors

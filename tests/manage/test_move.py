@@ -461,14 +461,17 @@ def test_an_implementation_is_replaced_and_its_state_adapted(world: World) -> No
 def test_a_container_that_is_killed_between_two_rounds(
     world: World, victim: tuple[str, str], before: int
 ) -> None:
-    """Rounds: offer, precopy, hand over, open."""
+    """Rounds: offer, precopy, hand over, open.
+
+    A new incarnation that is killed before precopy may be there again in time for it.
+    """
     run = world.start("Counter", isolated=True)
     world.striking.before[before] = lambda: world.kill(*victim)
     started = time.monotonic()
     report = move(run, "counter", "right")
     assert time.monotonic() - started < LIMIT
     assert_bounded(report)
-    if victim[0] == "right":
+    if victim[0] == "right" and before > 1:
         assert report.committed == (before == 3)
     world.works()
     world.wait_for(lambda: world.active() == [run.placement()["counter"]])

@@ -17,9 +17,8 @@ from poise import Component
 from poise.clock import Elapsed, SystemClock
 from poise.runtime.runner import Runner
 from poise.runtime.wiring import Place, Transports, Wiring
+from poise.wire.door import Door
 from poise.wire.messages import ComponentSpec, ConnectorKind, ConnectorSpec
-from poise.wire.remote import open_session
-from poise.wire.socket_path import socket_path
 
 C = TypeVar("C", bound=Component)
 
@@ -63,7 +62,7 @@ class Pair:
     `clocks` is how far the one's computer's clock is ahead as the other one knows it.
     """
 
-    def __init__(self, kind: ConnectorKind, folder: Path, agent: str) -> None:
+    def __init__(self, kind: ConnectorKind, folder: Path) -> None:
         self.kind = kind
         self.news = News()
         self.transports: dict[str, Transports] = {}
@@ -72,7 +71,7 @@ class Pair:
         self._specs: tuple[ConnectorSpec, ...] = ()
         self._closing = ExitStack()
         self._folder = folder
-        self._agent = agent
+        self._door = self._closing.enter_context(Door(folder, "127.0.0.1"))
         self.sides = {"target": self._side("target")}
         self.sides["source"] = (
             self.sides["target"] if kind == "direct" else self._side("source")
@@ -149,17 +148,12 @@ class Pair:
             target=target,
             target_port=other,
             target_computer=target,
-            address=target,
+            address=f"{self._door}/{target}" if self.kind == "remote" else target,
             limit=limit,
         )
 
     def _side(self, name: str) -> Wiring:
-        place = Place(
-            prefix="poise/test",
-            address="127.0.0.1",
-            agents=(self._agent,),
-            socket=str(socket_path(self._folder, name)),
-        )
+        place = Place(container=name, folder=str(self._folder), door=str(self._door))
         transports = self.transports[name] = Transports(place)
         wiring = Wiring(transports, self.clocks.get)
         self._closing.callback(transports.close)
@@ -172,18 +166,10 @@ def _end(runner: Runner) -> None:
     assert runner.wait_ended(LIMIT)
 
 
-@pytest.fixture(scope="session")
-def agent_endpoint() -> Iterator[str]:
-    """Open a session by which containers find each other, as by their agent's."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    with open_session(listen=[endpoint]):
-        yield endpoint
-
-
 @pytest.fixture
-def pair(request: pytest.FixtureRequest, agent_endpoint: str) -> Iterator[Pair]:
+def pair(request: pytest.FixtureRequest) -> Iterator[Pair]:
     with tempfile.TemporaryDirectory() as folder:  # pytest's are too long for sockets
-        pair = Pair(request.param, Path(folder), agent_endpoint)
+        pair = Pair(request.param, Path(folder))
         yield pair
         pair.close()
 

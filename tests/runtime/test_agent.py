@@ -34,7 +34,7 @@ from poise.wire.messages import (
     Request,
     Retire,
 )
-from poise.wire.remote import open_session
+from poise.wire.session import open_session
 
 from .conftest import LIMIT, free_port
 

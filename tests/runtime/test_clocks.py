@@ -18,7 +18,7 @@ from poise.model import load
 from poise.runtime.clock_table import ClockTable, ComputerClock, clocks_path
 from poise.runtime.round_trips import RoundTrips
 from poise.wire.clocks import ClockStatus
-from poise.wire.remote import open_session
+from poise.wire.session import open_session
 
 from .conftest import LIMIT, free_port, wait_until
 

@@ -147,7 +147,7 @@ def test_a_message_that_cannot_be_read_is_refused(
     wait_until(lambda: target.heard == [1.0, 2.0])
 
 
-@pytest.mark.parametrize("pair", ["local"], indirect=True)
+@wired
 def test_a_frame_that_is_too_large_is_refused(
     pair: Pair, ends: tuple[Source, Target], caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -162,11 +162,10 @@ def test_a_frame_that_is_too_large_is_refused(
     assert ends[0].doubling.double(21) == 42
 
 
-@pytest.mark.parametrize("pair", ["local"], indirect=True)
+@wired
 def test_an_answer_that_is_too_large_is_the_callers_error(
-    pair: Pair, ends: tuple[Source, Target], monkeypatch: pytest.MonkeyPatch
+    ends: tuple[Source, Target], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert pair.kind == "local"
     monkeypatch.setattr("poise.wire.link.LARGEST", 1000)
     with pytest.raises(WireError, match="1000 B is the largest"):
         ends[0].doubling.zeros(1000)

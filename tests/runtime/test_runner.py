@@ -15,10 +15,8 @@ from poise.clock import SystemClock
 from poise.errors import RunError, Timeout
 from poise.runtime.connectors.counts import Counts
 from poise.runtime.runner import Runner
-from poise.runtime.turn import Retired, new_chain
+from poise.runtime.turn import Retired
 from poise.wire.messages import ComponentSpec, State
-
-from .conftest import wait_until
 
 LIMIT = 20.0
 
@@ -114,70 +112,6 @@ def receive(runner: Runner, *texts: str) -> None:
     feed = runner.ends.feed("note", Counts())
     for text in texts:
         feed.put((0, Note(text)))
-
-
-def bring(runner: Runner, *texts: str) -> None:
-    """Bring messages on this thread, which may work on them."""
-    feed = runner.ends.feed("note", Counts())
-    for text in texts:
-        feed.run_or_put((0, Note(text)))
-
-
-class Threads(Recorder):
-    """Notes which thread works on a message, and waits where its parameters say so."""
-
-    def _do(self, what: str) -> None:
-        if what == self.parameters.get("slow"):
-            threading.Event().wait(0.005)
-        me = threading.current_thread() is threading.main_thread()
-        super()._do(f"{what} brought" if me else what)
-
-
-def test_short_work_is_done_by_the_thread_that_brings_it(running: Fixture) -> None:
-    runner = running.start(Threads)
-    component = reach(runner, "active")
-    bring(runner, "first")  # nobody knows yet how long it takes
-    component.wait_for("first")
-    wait_until(lambda: runner.ends.inboxes["note"].is_quick)
-    bring(runner, "second", "third")
-    assert component.record[-2:] == ["second brought", "third brought"]
-
-
-def test_what_is_brought_while_others_wait_or_are_inside_is_queued_behind(
-    running: Fixture,
-) -> None:
-    runner = running.start(Threads)
-    component = reach(runner, "active")
-    runner.turn.enter(new_chain(), LIMIT)
-    inbox = runner.ends.inboxes["note"]
-    inbox.is_quick = True
-    bring(runner, "first")  # somebody is inside
-    assert [value.text for _, value in inbox.waiting()] == ["first"]
-    runner.turn.leave()
-    bring(runner, "second")  # queued, unless the first is done already
-    component.wait_for("first")
-    wait_until(lambda: len(component.record) == 4)
-    assert [text.split()[0] for text in component.record[-2:]] == ["first", "second"]
-
-
-def test_after_long_work_messages_are_queued(running: Fixture) -> None:
-    runner = running.start(Threads, slow="long")
-    component = reach(runner, "active")
-    runner.ends.inboxes["note"].is_quick = True
-    bring(runner, "long", "next")
-    component.wait_for("next")
-    assert component.record[-2:] == ["long brought", "next"]
-
-
-def test_nothing_is_brought_in_at_rest(running: Fixture) -> None:
-    runner = running.start(Threads)
-    component = reach(runner, "active")
-    rest(runner, LIMIT)
-    runner.ends.inboxes["note"].is_quick = True
-    bring(runner, "later")
-    assert "later brought" not in component.record
-    runner.aim("active")
-    component.wait_for("later")
 
 
 def test_the_hooks_come_in_order(running: Fixture) -> None:

@@ -356,6 +356,19 @@ def test_what_makes_room_for_newer_messages_is_counted(pair: Pair) -> None:
     pair.runners["target", 0].turn.open()
 
 
+@every_kind
+def test_a_slow_subscriber_that_keeps_the_last_holds_up_no_publisher(
+    pair: Pair,
+) -> None:
+    source, _ = start(pair, "latest")
+    large = Scan(1, np.zeros(100_000, np.float32))
+    pair.runners["target", 0].turn.shut(LIMIT)
+    for _ in range(100):  # far more than sockets hold
+        source.latest.publish(large)
+    wait_until(lambda: pair.drops() == 99)
+    pair.runners["target", 0].turn.open()
+
+
 @pytest.mark.parametrize("pair", ["local", "remote"], indirect=True)
 def test_received_arrays_cannot_be_changed(pair: Pair) -> None:
     source, _ = start(pair, "sums")
@@ -422,7 +435,7 @@ def test_what_comes_back_late_does_not_enter_beside_its_caller(pair: Pair) -> No
         assert go_on.wait(LIMIT)
 
     other = pair.transports["target"]
-    other.server(pair.kind).open(there.key, call_back)
+    other.server.open(there.key, call_back)
     pair.activate()
     turn = pair.runners["source", 0].turn
     turn.enter(new_chain(), LIMIT)
@@ -431,11 +444,7 @@ def test_what_comes_back_late_does_not_enter_beside_its_caller(pair: Pair) -> No
     (chain,) = chains
     (method,) = methods(Back).values()
     pieces = segments(method.arguments, (), Kind.CALL, tag=method.tag, chain=chain)
-    pipe = (
-        other.local_pipe(back.key, "source")
-        if pair.kind == "local"
-        else other.remote_pipe(back.key, LIMIT)
-    )
+    pipe = other.pipe(back.key, back.address)
     wait_until(pipe.is_ready)
     answer = pipe.request(pieces, LIMIT)
     assert answer.value(FAILURE)[0] == "Timeout"

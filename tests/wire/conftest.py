@@ -1,12 +1,24 @@
-"""Frames to send over pipes, and a handler that answers them."""
+"""Frames to send over pipes, a handler that answers them, and pipes of both kinds."""
 
 from __future__ import annotations
 
+import tempfile
 import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
 
 from poise.wire import frame
+from poise.wire.address import Address
 from poise.wire.codec import codec
+from poise.wire.door import Door
 from poise.wire.frame import Frame, Kind
+from poise.wire.link_pipe import LinkPipe
+from poise.wire.link_server import LinkServer
+from poise.wire.opening import CALLS
 from poise.wire.pipe import Pieces
 
 TEXT = codec(str)
@@ -22,6 +34,14 @@ def call(text: str) -> Pieces:
 
 def message(text: str) -> Pieces:
     return frame.segments(TEXT, text, Kind.MESSAGE)
+
+
+def wait_until(holds: Callable[[], bool]) -> None:
+    """Look again and again, for what nobody tells of when it happens."""
+    deadline = time.monotonic() + LIMIT
+    while not holds():
+        assert time.monotonic() < deadline
+        threading.Event().wait(0.001)
 
 
 class Receiver:
@@ -44,3 +64,38 @@ class Receiver:
         with self.came:
             assert self.came.wait_for(lambda: len(self.messages) >= count, LIMIT)
             return self.messages
+
+
+class Wire:
+    """Containers of one computer, or of two with a door between them."""
+
+    def __init__(self, kind: str, folder: Path, closing: ExitStack) -> None:
+        self.kind = kind
+        self.folder = folder
+        self.closing = closing
+        if kind == "remote":
+            self.door = closing.enter_context(Door(folder, "127.0.0.1"))
+
+    def address(self, container: str = "there") -> Address:
+        door = f"{self.door}/" if self.kind == "remote" else ""
+        return Address.parse(f"{door}{container}")
+
+    def server(self) -> LinkServer:
+        server = LinkServer(self.folder, "there")
+        self.closing.callback(server.close)
+        return server
+
+    def pipe(self, connector: str = "echo", use: int = CALLS) -> LinkPipe:
+        pipe = LinkPipe(connector, self.address(), self.folder, use)
+        self.closing.callback(pipe.close)
+        return pipe
+
+
+@pytest.fixture
+def wire(request: pytest.FixtureRequest) -> Iterator[Wire]:
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as closing:
+        yield Wire(request.param, Path(folder), closing)
+
+
+both = pytest.mark.parametrize("wire", ["local", "remote"], indirect=True)
+remote = pytest.mark.parametrize("wire", ["remote"], indirect=True)

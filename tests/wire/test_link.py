@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import resource
 import socket
 import struct
 import threading
@@ -14,11 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from poise.errors import Unavailable
+from poise.errors import Timeout, Unavailable
 from poise.wire import frame, shared
-from poise.wire.codec import WireError, codec
+from poise.wire.codec import Unreadable, WireError, codec
 from poise.wire.frame import Kind
 from poise.wire.link import Link
+from poise.wire.stream import LARGEST
 
 ANY = codec(Any)
 LONG = 20.0
@@ -45,6 +47,18 @@ def ends() -> Iterator[tuple[Link, Link]]:
     thread.join(LONG)
     ours.close()
     theirs.close()
+
+
+@pytest.fixture
+def far() -> Iterator[tuple[Link, socket.socket]]:
+    """Give a link over TCP, and the socket at its other end."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        theirs = socket.create_connection(listener.getsockname())
+        ours, _ = listener.accept()
+    link = Link(ours)
+    with theirs:
+        yield link, theirs
+    link.close()
 
 
 def ask(link: Link, value: object) -> Any:
@@ -225,3 +239,43 @@ def test_refuses_more_of_a_block_than_it_has(raw: tuple[socket.socket, Link]) ->
         raw[1].receive(time.monotonic() + LONG)
     sender.join(LONG)
     block.close()
+
+
+def test_over_tcp_arrays_come_inline(far: tuple[Link, socket.socket]) -> None:
+    link, connection = far
+    other = Link(connection)
+    sent = [image(1, 3 << 20), image(2, 70_000)]
+    pieces = frame.segments(ANY, sent, Kind.CALL)
+    sender = threading.Thread(target=other.send, args=(pieces,))
+    sender.start()
+    came = link.receive().value(ANY)
+    sender.join(LONG)
+    assert [(a == b).all() for a, b in zip(came, sent, strict=True)] == [True, True]
+    assert not any(array.flags.writeable or array.flags.owndata for array in came)
+    assert [link.has_blocks, other.has_blocks] == [False, False]
+
+
+@pytest.mark.parametrize("block", [1, NEW | 1])
+def test_over_tcp_no_shared_memory_is_taken(
+    far: tuple[Link, socket.socket], block: int
+) -> None:
+    link, connection = far
+    connection.sendall(struct.pack("<IIQ", 0, block, 1 << 16))
+    with pytest.raises(Unreadable, match="was announced over TCP"):
+        link.receive()
+
+
+def test_what_is_announced_takes_no_memory_before_it_comes(
+    far: tuple[Link, socket.socket],
+) -> None:
+    link, connection = far
+    connection.sendall(struct.pack("<II", LARGEST, 0) + bytes(1 << 20))
+    before = resident()
+    with pytest.raises(Timeout):
+        link.receive(time.monotonic() + 0.05)
+    assert resident() - before < 1 << 26  # a gigabyte was announced
+
+
+def resident() -> int:
+    """Return how much memory this process has used at most [bytes]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10

@@ -29,6 +29,10 @@ def agent_command(
         list[str] | None,
         typer.Option(help="ADDRESS or ADDRESS:PORT of another computer's agent."),
     ] = None,
+    door: Annotated[
+        int,
+        typer.Option(help="TCP port for connectors from other computers; 0: any."),
+    ] = 0,
     folder: Annotated[
         Path | None, typer.Option(help="Folder for its sockets; else a temporary one.")
     ] = None,
@@ -45,6 +49,8 @@ def agent_command(
     """
     if not 0 < port < _PORTS:
         raise UsageError(f"--port {port}: a port lies between 1 and {_PORTS - 1}")
+    if not 0 <= door < _PORTS:
+        raise UsageError(f"--door {door}: a port lies between 0 and {_PORTS - 1}")
     logging.basicConfig(
         format=f"%(asctime)s {computer} %(levelname)s %(name)s: %(message)s",
         level="WARNING",
@@ -57,6 +63,7 @@ def agent_command(
                 computer=computer,
                 address=address,
                 port=port,
+                door=door,
                 peers=tuple(endpoint(each) for each in peer or ()),
                 folder=str(folder or temporary),
                 lifeline=lifeline,

@@ -59,6 +59,8 @@ class Rounds:
         Ends over which a component calls another: component and port.
     number
         Tells this exchange, and its marks, from all others.
+    doors
+        Computer -> IP address and port of its door.
     """
 
     def __init__(
@@ -68,8 +70,10 @@ class Rounds:
         others: Mapping[str, Incarnation],
         calls: Collection[tuple[str, str]],
         number: int,
+        doors: Mapping[str, str],
     ) -> None:
         self._layout = layout
+        self._doors = doors
         self._others = others
         self._olds = {each.component: each for each in change.olds}
         self._news = {each.component: each for each in change.news}
@@ -88,7 +92,7 @@ class Rounds:
         ]
         joins: list[Where]
         joins = [
-            (new, Precopy(name, new.epoch, number, epochs))
+            (new, Precopy(name, new.epoch, number, epochs, self._addresses(new)))
             for name, new in self._news.items()
         ]
         return [offers, joins]
@@ -128,6 +132,13 @@ class Rounds:
             *((old, Open(old.component, old.epoch)) for old in self._olds.values()),
             *self._releases(self._before, self._olds),
         ]
+
+    def _addresses(self, new: Incarnation) -> dict[str, str]:
+        """Return where a new one reaches the old ones, by component."""
+        return {
+            name: self._layout.address(old, new.computer, self._doors)
+            for name, old in self._olds.items()
+        }
 
     def _held(self) -> list[Connector]:
         """Return the connectors from others to the old ones that go to new ones."""
@@ -204,6 +215,7 @@ class Rounds:
                     connector,
                     self._others[connector.between[0].component],
                     targets[connector.between[1].component],
+                    self._doors,
                 ).key
                 for connector in theirs
             )

@@ -92,10 +92,34 @@ class Layout:
         """Return the name of a component's container, the same on every computer."""
         return self._containers[component]
 
+    def address(
+        self, target: Incarnation, computer: str, doors: Mapping[str, str]
+    ) -> str:
+        """Return where a component's container is reached from a computer.
+
+        Parameters
+        ----------
+        doors
+            Computer -> IP address and port of its door.
+        """
+        container = self._containers[target.component]
+        if target.computer == computer:
+            return container
+        return f"{doors.get(target.computer)}/{container}"
+
     def specs(
-        self, incarnations: Iterable[Incarnation], generation: int
+        self,
+        incarnations: Iterable[Incarnation],
+        generation: int,
+        doors: Mapping[str, str],
     ) -> dict[str, Deployment]:
-        """Return what should run on each computer, by its name."""
+        """Return what should run on each computer, by its name.
+
+        Parameters
+        ----------
+        doors
+            Computer -> IP address and port of its door.
+        """
         placed = tuple(incarnations)
         containers: dict[str, list[ContainerSpec]] = {
             computer.name: [] for computer in self._robot.computers
@@ -106,7 +130,7 @@ class Layout:
                     name=container,
                     folder=self._robot.folder,
                     components=tuple(map(self._component, inside)),
-                    connectors=tuple(self._connectors(inside, placed)),
+                    connectors=tuple(self._connectors(inside, placed, doors)),
                 )
             )
         return {
@@ -132,15 +156,19 @@ class Layout:
         return self._slots[name_of(connector)]
 
     def joined(
-        self, connector: Connector, source: Incarnation, target: Incarnation
+        self,
+        connector: Connector,
+        source: Incarnation,
+        target: Incarnation,
+        doors: Mapping[str, str],
     ) -> ConnectorSpec:
         """Return a connector between two incarnations."""
-        container = self._containers[target.component]
         kind: ConnectorKind = "direct"
         if source.computer != target.computer:
             kind = "remote"
-        elif self._containers[source.component] != container:
+        elif self._containers[source.component] != self._containers[target.component]:
             kind = "local"
+        is_direct = kind == "direct"
         first, second = connector.between
         return ConnectorSpec(
             name=name_of(connector),
@@ -154,7 +182,7 @@ class Layout:
             target_epoch=target.epoch,
             target_port=second.port,
             target_computer=target.computer,
-            address=container if kind == "local" else "",
+            address="" if is_direct else self.address(target, source.computer, doors),
             limit=connector.limit,
         )
 
@@ -186,7 +214,10 @@ class Layout:
         )
 
     def _connectors(
-        self, inside: list[Incarnation], placed: tuple[Incarnation, ...]
+        self,
+        inside: list[Incarnation],
+        placed: tuple[Incarnation, ...],
+        doors: Mapping[str, str],
     ) -> Iterator[ConnectorSpec]:
         """Yield the connectors with an end at one of `inside`."""
         by_name: dict[str, list[Incarnation]] = {}
@@ -199,7 +230,7 @@ class Layout:
                     if {source.goal, target.goal} == _STRANGERS:
                         continue
                     if source in inside or target in inside:
-                        yield self.joined(connector, source, target)
+                        yield self.joined(connector, source, target, doors)
 
 
 def name_of(connector: Connector) -> str:

@@ -77,7 +77,9 @@ class Exchange:
         gone = {each.component for each in change.olds}
         others = {n: each for n, each in run.placed.items() if n not in gone}
         self._others = others
-        self._rounds = Rounds(run.layout, change, others, run.calls(), next(_numbers))
+        self._rounds = Rounds(
+            run.layout, change, others, run.calls(), next(_numbers), run.doors()
+        )
         self._seconds: dict[str, float] = {}
         self._shut_at = 0.0
         self._opened_at = 0.0

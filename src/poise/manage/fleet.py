@@ -27,8 +27,8 @@ from poise.wire.messages import (
     Refused,
     Request,
 )
-from poise.wire.remote import open_session
 from poise.wire.samples import AgentSample
+from poise.wire.session import open_session
 
 log = logging.getLogger(__name__)
 
@@ -73,7 +73,7 @@ class Fleet:
         self._statuses: dict[str, AgentStatus] = {}
         self._alive: set[str] = set()
         self._lost: set[str] = set()
-        # no gossip: the manager talks to agents alone, not to every container
+        # no gossip: it talks to the agents that it was told of, and to no other manager
         self._session = open_session(
             connect=tuple(endpoints.values()), gossip=False, lease=1.0
         )

@@ -166,7 +166,7 @@ class Run:
         # later than any that the agents ever saw, from whatever manager
         seen = [status.generation for status in self.fleet.statuses().values()]
         self._generation = max(self._generation, *seen, 0) + 1
-        specs = self.layout.specs(wanted, self._generation)
+        specs = self.layout.specs(wanted, self._generation, self.doors())
         news = {
             computer: specs[computer]
             for computer in computers
@@ -178,6 +178,10 @@ class Run:
         if refusals:
             self.raise_on_lost()  # which explains a silence
             raise RunError("; ".join(refusals.values()))
+
+    def doors(self) -> dict[str, str]:
+        """Return where other computers reach each computer's containers."""
+        return {name: each.door for name, each in self.fleet.statuses().items()}
 
     def next_epoch(self, component: str) -> int:
         """Return an epoch that no incarnation of the component has had."""

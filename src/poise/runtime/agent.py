@@ -36,6 +36,7 @@ from poise.runtime.round_trips import RoundTrips
 from poise.runtime.waker import Waker, wait_readable
 from poise.runtime.wiring import Place
 from poise.wire.clocks import ClockStatus
+from poise.wire.door import Door
 from poise.wire.messages import (
     Accepted,
     AgentStatus,
@@ -46,8 +47,8 @@ from poise.wire.messages import (
     Refused,
     Request,
 )
-from poise.wire.remote import open_session
 from poise.wire.samples import SAMPLE_EVERY
+from poise.wire.session import open_session
 from poise.wire.socket_path import socket_path
 
 log = logging.getLogger(__name__)
@@ -68,6 +69,8 @@ class AgentSetup(Struct, frozen=True, kw_only=True):
         IP address on which it and its containers listen.
     port
         TCP port of the agent.
+    door
+        TCP port at which links to its containers come in; 0: one that is free.
     peers
         zenoh endpoints of the other computers' agents.
     folder
@@ -82,6 +85,7 @@ class AgentSetup(Struct, frozen=True, kw_only=True):
     computer: str
     address: str
     port: int = 7447
+    door: int = 0
     peers: tuple[str, ...] = ()
     folder: str
     lifeline: int | None = None
@@ -108,6 +112,7 @@ class Agent:
         self._cpu_of_ended = 0.0
         self._stopping = False
         self._trouble = ""
+        self._door = ""
         self._clocks: Callable[[], Mapping[str, ClockStatus]] = dict
         self._orders = Orders(self._children)
         try:
@@ -141,9 +146,13 @@ class Agent:
 
     def _run_in(self, setup: AgentSetup) -> None:
         prefix = f"poise/{setup.robot}"
-        with open_session(
-            listen=[self._endpoint()], connect=setup.peers, lease=1.0
-        ) as session:
+        with (
+            Door(Path(setup.folder), setup.address, setup.door) as door,
+            open_session(
+                listen=[self._endpoint()], connect=setup.peers, lease=1.0
+            ) as session,
+        ):
+            self._door = str(door)
             publisher = session.declare_publisher(f"{prefix}/status/{setup.computer}")
             key = f"{prefix}/agent/{setup.computer}"
             answers = session.declare_queryable(key, self._requests.hear)
@@ -315,10 +324,9 @@ class Agent:
 
     def _place(self, name: str) -> Place:
         return Place(
-            prefix=f"poise/{self._setup.robot}",
-            address=self._setup.address,
-            agents=(self._endpoint(), *self._setup.peers),
-            socket=str(socket_path(Path(self._setup.folder), name)),
+            container=name,
+            folder=self._setup.folder,
+            door=self._door,
             computer=self._setup.computer,
         )
 
@@ -330,6 +338,7 @@ class Agent:
             generation=self._wanted.generation if self._wanted else 0,
             uptime=self._clock.now() - self._born,
             cpu=used,
+            door=self._door,
             containers=tuple(statuses),
             faults=tuple(self._faults),
             clocks=self._clocks(),

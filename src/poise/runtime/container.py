@@ -72,7 +72,7 @@ class Container:
     ) -> None:
         self._name = name
         self._agent = agent
-        self._clock = ComputerClock(place.computer, Path(place.socket).parent)
+        self._clock = ComputerClock(place.computer, Path(place.folder))
         self._transports = Transports(place)
         self._wiring = Wiring(self._transports, self._clock.ahead)
         self._runners: dict[Incarnation, Runner] = {}

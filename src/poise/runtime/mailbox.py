@@ -26,9 +26,6 @@ MOST_AHEAD = 5_000
 """Messages that one connector may bring before there is room: so many a source may hold
 while the component moves, and then send at once."""
 
-_BURST = 16
-"""So many more than it keeps may come to a queue at once, before the first is lost."""
-
 
 class Feed:
     """One connector's way into the queue of a port.
@@ -53,24 +50,9 @@ class Feed:
         """Queue a message for the component; what finds no room is counted."""
         self._mailbox.add(self._inbox, entry, self)
 
-    def run_or_put(self, entry: Entry) -> None:
-        """Let the component take a message on this thread if it can now; else queue it.
-
-        Runs its code: the thread may be kept for long.
-        """
-        inbox = self._inbox
-        if not inbox.is_quick or not inbox.run_now(entry, self):
-            self.put(entry)
-
     def has_room(self) -> bool:
         """Return whether a message would find room."""
         return self.room() != 0
-
-    @property
-    def most(self) -> int:
-        """How many messages may be under way that are not to be lost."""
-        queue = self._inbox.queue
-        return queue.size + (MOST_AHEAD if queue.policy == "block" else _BURST)
 
     def room(self) -> int | None:
         """Return how many messages would find room; None when all do."""
@@ -78,17 +60,11 @@ class Feed:
 
 
 class Inbox:
-    """The queue of one port, filled by any thread, emptied by the component's.
-
-    `run_now` lets the component take a message at once, if nothing else is to be done
-    first; `is_quick` says that this was short work the last time.
-    """
+    """The queue of one port, filled by any thread, emptied by the component's."""
 
     def __init__(self, port: str, queue: Queue) -> None:
         self.port = port
         self.queue = queue
-        self.run_now: Callable[[Entry, Feed], bool] = _never
-        self.is_quick = False
         self._waiting: deque[tuple[Entry, Feed, float]] = deque()
         self._changing = threading.Lock()
         self._spare = 0
@@ -109,15 +85,6 @@ class Inbox:
             feed.waiting += 1
             self._waiting.append((entry, feed, time.monotonic()))
             return grew
-
-    def pass_by(self, feed: Feed) -> bool:
-        """Note a message that need not be queued; False when others are before it."""
-        with self._changing:
-            if self._waiting:
-                return False
-        feed.counts.wait.add(0.0)
-        feed.on_room()
-        return True
 
     def take(self) -> Entry | None:
         """Return the oldest message; None when there is none."""
@@ -197,10 +164,6 @@ class Mailbox:
             return self._filled.get(timeout=limit)
         except Empty:
             return None
-
-
-def _never(_entry: Entry, _feed: Feed) -> bool:
-    return False
 
 
 def _do_nothing() -> None:

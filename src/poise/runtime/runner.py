@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
-from functools import partial
 from typing import Any
 
 from poise.clock import Clock, ComponentClock
@@ -24,7 +22,7 @@ from poise.runtime.component import Component, Context, create
 from poise.runtime.connectors.interface import methods
 from poise.runtime.ends import Ends
 from poise.runtime.histogram import Histogram
-from poise.runtime.mailbox import Entry, Feed, Inbox
+from poise.runtime.mailbox import Inbox
 from poise.runtime.ports import ports_of, timers_of
 from poise.runtime.schedule import Schedule
 from poise.runtime.turn import Retired, Turn, new_chain
@@ -33,10 +31,6 @@ from poise.wire.messages import Aim, ComponentSpec, ComponentStatus, State
 
 log = logging.getLogger(__name__)
 
-_QUICK = 1e-3
-"""After work for a message that took less, the next one may be done on the thread that
-brings it [s]. After longer work messages are queued first, where they make room for
-newer ones."""
 _PATIENCE = 1.0
 """How long a timer or message waits for the turn before it looks at the goal [s]."""
 
@@ -79,8 +73,6 @@ class Runner:
         )
         self.account = Account()
         self.ends = Ends(spec.name, self.component, self.ports, self.turn, self.account)
-        for inbox in self.ends.inboxes.values():
-            inbox.run_now = partial(self._run_now, inbox)
         self.schedules: dict[str, Schedule] = {}
         self._phases: Mapping[str, float] = {}
         # whoever runs its code while it is at rest holds this; it is born at rest
@@ -355,23 +347,6 @@ class Runner:
         if entry is None:  # it was dropped for a newer one
             self.turn.leave()
             return
-        self._run_entry(inbox, entry)
-
-    def _run_now(self, inbox: Inbox, entry: Entry, feed: Feed) -> bool:
-        """Run a message on the thread that brought it, if nobody is inside or waits."""
-        if not self.turn.try_enter(new_chain()):
-            return False
-        if not inbox.pass_by(feed):
-            self.turn.leave()
-            return False
-        self.account.note_asked()
-        began = time.thread_time()
-        self._run_entry(inbox, entry)
-        feed.counts.add_cpu(time.thread_time() - began)
-        return True
-
-    def _run_entry(self, inbox: Inbox, entry: Entry) -> None:
-        began = time.monotonic()
         port = self.ports[inbox.port]
         tag, value = entry
         if port.kind == "subscribes":
@@ -380,7 +355,6 @@ class Runner:
         else:
             method = getattr(self.component, methods(port.type)[tag].name)
             self._run(method, port.name, *value)
-        inbox.is_quick = time.monotonic() - began < _QUICK
 
     def _enter(self) -> bool:
         """Begin a chain and wait for the turn; False when the goal has changed."""

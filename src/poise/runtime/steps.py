@@ -142,19 +142,19 @@ class Steps:
         key = key_of(runner.spec.name, runner.spec.epoch, number)
         giver = Giver(runner)
         self._givers[runner] = key, giver
-        self._transports.remote_server().open(key, giver.handle)
+        self._transports.server.open(key, giver.handle)
 
     def _withdraw(self, runner: Runner) -> None:
         if runner in self._givers:
             key, giver = self._givers.pop(runner)
             giver.refuse("the offer is withdrawn")
-            self._transports.remote_server().shut(key)
+            self._transports.server.shut(key)
 
     def _precopy(self, step: Precopy, deadline: float) -> None:
         """Join the pipes for the hand-over, and use them already when that helps."""
         runner = self._runner(step.component, step.epoch)
         self._forget_heir(runner)
-        heir = self._heirs[runner] = Heir(runner, step, self._transports.remote_pipe)
+        heir = self._heirs[runner] = Heir(runner, step, self._transports.pipe)
         heir.join(deadline)
 
     def _heir(self, runner: Runner) -> Heir:

@@ -35,13 +35,13 @@ from poise.wire.messages import Precopy
 from poise.wire.pipe import Pipe
 
 _POLL = 0.001
-"""zenoh tells of a new peer without a wake-up; look this often [s]."""
+"""While one that hands over is not reached, it is looked for this often [s]."""
 
 JOIN_LIMIT = 3.0
 """Who does not offer its hand-over within this time is gone [s]: all others wait."""
 
-OpenPipe = Callable[[str, float], Pipe]
-"""Opens a pipe by its key, with a limit for each request [s]."""
+OpenPipe = Callable[[str, str], Pipe]
+"""Opens a pipe by its key and the address of a container."""
 
 
 class Heir:
@@ -82,8 +82,8 @@ class Heir:
                     f"which does not go ({', '.join(olds)} do)"
                 )
             key = handover.key_of(name, olds[name], self._step.number)
-            left = max(0.0, deadline - time.monotonic())
-            self._pipes[name] = self._open_pipe(key, left)
+            address = self._step.addresses[name]
+            self._pipes[name] = self._open_pipe(key, address)
         give_up_at = min(deadline, time.monotonic() + JOIN_LIMIT)
         for name, pipe in self._pipes.items():
             while not pipe.is_ready():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import re
 import traceback
 from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
@@ -11,7 +10,6 @@ from contextlib import ExitStack
 from functools import partial
 from pathlib import Path as FilePath
 
-import zenoh
 from msgspec import Struct
 
 from poise.clock import Elapsed
@@ -23,18 +21,13 @@ from poise.runtime.connectors.far_clock import FarClock, nobody_knows
 from poise.runtime.connectors.outlet import Outlet, Path
 from poise.runtime.connectors.wired import WiredPath, receiving
 from poise.runtime.ports import Port
-from poise.runtime.priority import first
 from poise.runtime.runner import Runner
-from poise.wire.codec import WireError
-from poise.wire.local import LocalPipe, LocalServer
+from poise.wire.address import Address
+from poise.wire.link_pipe import LinkPipe
+from poise.wire.link_server import LinkServer
 from poise.wire.messages import ConnectorKind, ConnectorSpec, ConnectorStatus, End
-from poise.wire.pipe import Pipe, Server
-from poise.wire.remote import RemotePipe, RemoteServer, keep_memory, open_session
-from poise.wire.socket_path import socket_path
-
-_ADDRESS = re.compile(r"[\w-]+(\.[\w-]+)*")
-"""How a container may say where it is: a socket's name, or a zenoh id."""
-_GRANT_LIMIT = 0.2
+from poise.wire.opening import CALLS, MESSAGES
+from poise.wire.pipe import Pipe
 
 Runners = Mapping[tuple[str, int], Runner]
 """The incarnations of components in a container, by name and epoch."""
@@ -45,107 +38,51 @@ class Place(Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
-    prefix
-        What all zenoh keys of the robot begin with.
-    address
-        IP address of its computer, on which it may listen.
-    agents
-        zenoh endpoints of all computers' agents, who know where containers are.
-    socket
-        Path of the AF_UNIX socket for containers of the same computer.
+    container
+        Its name.
+    folder
+        The folder of its agent, for sockets.
+    door
+        IP address and TCP port of its computer's door.
     computer
         The name of its computer.
     """
 
-    prefix: str
-    address: str
-    agents: tuple[str, ...]
-    socket: str
+    container: str
+    folder: str
+    door: str
     computer: str = ""
 
 
 class Transports:
-    """The pipes and servers of a container; each kind is opened when first needed."""
+    """The pipes of a container, and where those of others end in it."""
 
     def __init__(self, place: Place) -> None:
         self._place = place
-        self._session: zenoh.Session | None = None
-        self._local: LocalServer | None = None
-        self._remote: RemoteServer | None = None
         self._credits = Credits()
-        self._hears_grants: set[ConnectorKind] = set()
+        self.server = LinkServer(FilePath(place.folder), place.container)
+        self.server.open(GRANTS, self._credits.handle)
 
-    def local_pipe(self, key: str, container: str) -> Pipe:
-        """Return a pipe to another container of this computer."""
-        path = socket_path(FilePath(self._place.socket).parent, container)
-        return LocalPipe(key, str(path))
-
-    def remote_pipe(self, key: str, limit: float, *, calls: bool = True) -> Pipe:
-        """Return a pipe to a container of any computer."""
-        full = f"{self._place.prefix}/pipe/{key}"
-        return RemotePipe(self._zenoh(), full, limit, calls=calls)
-
-    def local_server(self) -> Server:
-        """Return where pipes from this computer end."""
-        if self._local is None:
-            self._local = LocalServer(FilePath(self._place.socket))
-        return self._local
-
-    def remote_server(self) -> Server:
-        """Return where pipes from any computer end."""
-        if self._remote is None:
-            prefix = f"{self._place.prefix}/pipe"
-            self._remote = RemoteServer(self._zenoh(), prefix)
-        return self._remote
-
-    def server(self, kind: ConnectorKind) -> Server:
-        """Return where pipes of a kind end."""
-        return self.local_server() if kind == "local" else self.remote_server()
-
-    def credit(self, kind: ConnectorKind) -> Credit:
-        """Return the credit of a new path; its grants are heard from now on."""
-        if kind not in self._hears_grants:
-            self._hears_grants.add(kind)
-            key = GRANTS if kind == "local" else f"{GRANTS}/{self._address(kind)}"
-            self.server(kind).open(key, self._credits.handle, calls=False)
-        return self._credits.open(self._address(kind))
-
-    def grant_pipe(self, kind: ConnectorKind, address: str) -> Pipe:
-        """Return a pipe to where a container hears its grants.
+    def pipe(self, connector: str, address: str, *, calls: bool = True) -> Pipe:
+        """Return a pipe to the container at an address; for messages without `calls`.
 
         Raises
         ------
         WireError
             `address` is none.
         """
-        if not _ADDRESS.fullmatch(address):
-            raise WireError(f"'{address}' is no address of a container")
-        if kind == "local":
-            path = FilePath(self._place.socket).with_name(address)
-            return LocalPipe(GRANTS, str(path))
-        return self.remote_pipe(f"{GRANTS}/{address}", _GRANT_LIMIT, calls=False)
+        where, use = Address.parse(address), CALLS if calls else MESSAGES
+        return LinkPipe(connector, where, FilePath(self._place.folder), use)
+
+    def credit(self, kind: ConnectorKind) -> Credit:
+        """Return the credit of a new path."""
+        place = self._place
+        near = place.container if kind == "local" else f"{place.door}/{place.container}"
+        return self._credits.open(near)
 
     def close(self) -> None:
         """Close all that was opened."""
-        for server in (self._local, self._remote):
-            if server is not None:
-                server.close()
-        if self._session is not None:
-            self._session.close()  # type: ignore[no-untyped-call]
-
-    def _address(self, kind: ConnectorKind) -> str:
-        if kind == "local":
-            return FilePath(self._place.socket).name
-        return str(self._zenoh().zid())
-
-    def _zenoh(self) -> zenoh.Session:
-        if self._session is None:
-            keep_memory()
-            with first():  # zenoh's threads only carry
-                self._session = open_session(
-                    listen=[f"tcp/{self._place.address}:0"], connect=self._place.agents
-                )
-        return self._session
+        self.server.close()
 
 
 class OpenEnds:
@@ -311,7 +248,8 @@ class Wiring:
         else:
             credit = self._transports.credit(spec.kind)
             credit.on_grant = outlet.room
-            pipe = self._pipe(spec, calls=port.kind == "requires")
+            calls = port.kind == "requires"
+            pipe = self._transports.pipe(spec.key, spec.address, calls=calls)
             ends.path = WiredPath(pipe, port, spec.limit, credit, ends.far)
         ends.outlet = outlet
         ends.counts = outlet.counts
@@ -322,28 +260,13 @@ class Wiring:
         spec = ends.spec
         port = _port(target, spec.target_port)
         feed = target.ends.feed(port.name, ends.counts)
-        open_pipe = partial(self._transports.grant_pipe, spec.kind)
+        open_pipe = partial(self._transports.pipe, GRANTS, calls=False)
         grants = Grants(feed, ends.counts, open_pipe)
         ends.closing.callback(grants.close)
-        handler = receiving(
-            spec,
-            target.ends,
-            port,
-            feed,
-            grants,
-            ends.far,
-            # a socket that is not read would keep its publisher waiting
-            at_once=spec.kind == "remote",
-        )
-        server = self._transports.server(spec.kind)
-        calls = port.kind == "provides"
-        server.open(spec.key, handler, ends.counts.refuse, feed.most, calls=calls)
+        handler = receiving(spec, target.ends, port, feed, grants, ends.far)
+        server = self._transports.server
+        server.open(spec.key, handler, ends.counts.refuse)
         ends.closing.callback(server.shut, spec.key)
-
-    def _pipe(self, spec: ConnectorSpec, *, calls: bool) -> Pipe:
-        if spec.kind == "local":
-            return self._transports.local_pipe(spec.key, spec.address)
-        return self._transports.remote_pipe(spec.key, spec.limit, calls=calls)
 
 
 def _ends_here(spec: ConnectorSpec, runners: Runners) -> list[tuple[str, int]]:

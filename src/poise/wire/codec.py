@@ -40,6 +40,10 @@ class WireError(PoiseError):
     """Bytes from a wire are not what the receiver declared; they were refused."""
 
 
+class Unreadable(WireError):
+    """Where they end is not known, so nothing behind them can be read."""
+
+
 class Codec(Generic[T]):
     """Encodes and decodes values of one type.
 

@@ -1,4 +1,4 @@
-"""One connection between two containers of a computer.
+"""One connection between two containers: over AF_UNIX on one computer, else over TCP.
 
 ::
 
@@ -7,7 +7,7 @@
 Little endian. The inline bytes are a frame. When `block` is not 0, its buffers are the
 first `used` bytes of that block of shared memory. With the bit `_NEW`, no frame but a
 block of `used` bytes is announced: the receiver answers with one byte, and the file
-descriptor follows.
+descriptor follows. Over TCP there are no blocks: all buffers come inline.
 
 The bytes are sent and received by native code (`poise.wire._channel`), which waits and
 copies without Python's lock: in Python the same steps cost 9 us more a round trip.
@@ -16,13 +16,15 @@ copies without Python's lock: in Python the same steps cost 9 us more a round tr
 from __future__ import annotations
 
 import contextlib
+import errno
 import math
 import os
 import socket
+import struct
 
 from poise.errors import Unavailable
 from poise.wire import _channel
-from poise.wire.codec import WireError
+from poise.wire.codec import Unreadable, WireError
 from poise.wire.frame import Frame, parse
 from poise.wire.pipe import Pieces
 from poise.wire.shared import MOST_BLOCKS, MOST_BYTES, THRESHOLD, Block, Lender, Pool
@@ -30,6 +32,11 @@ from poise.wire.stream import LARGEST
 
 _NEW = 1 << 31
 _READY = b"+"
+HEAD = struct.Struct("<II")
+"""What comes before each frame: its length and block."""
+LAST_ANSWER = 1
+"""The number in an answer behind which the link is closed; others have none."""
+_LOST = {errno.ETIMEDOUT, errno.EHOSTUNREACH, errno.ENETUNREACH}
 _INLINE = 2
 """The first pieces of a frame are its head and body; padding and buffers follow."""
 
@@ -37,12 +44,16 @@ _INLINE = 2
 class Link:
     """Sends and receives frames; one thread at a time in each direction.
 
-    Deadlines are moments of the monotonic clock [s].
+    Deadlines are moments of the monotonic clock [s]. `is_local` says that it needs no
+    network; `is_lost` that the other computer was silent for too long, once `is_idle`
+    has found that.
     """
 
     def __init__(self, connection: socket.socket) -> None:
         self._connection = connection
+        self.is_local = connection.family == socket.AF_UNIX
         self._channel = _channel.Channel(connection.fileno())
+        self.is_lost = False
         self._pool = Pool()
         self._lenders: dict[int, Lender] = {}
 
@@ -52,13 +63,16 @@ class Link:
         return bool(self._lenders or self._pool)
 
     def is_idle(self) -> bool:
-        """Return at once whether the other end is there and has said nothing."""
+        """Return at once whether the other end is there and has said nothing.
+
+        Over AF_UNIX sending tells whether it is there; TCP takes what nobody will get.
+        """
         try:
             self._connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
         except BlockingIOError:
             return True
-        except OSError:
-            return False
+        except OSError as error:
+            self.is_lost = error.errno in _LOST
         return False
 
     def close(self) -> None:
@@ -120,7 +134,7 @@ class Link:
         Unavailable
             The other end is gone.
         WireError
-            What came is no frame; the link must be closed.
+            What came is no frame; when it is `Unreadable`, the link must be closed.
         """
         got = self._channel.receive(deadline, LARGEST)
         return got if type(got) is Frame else self._with_block(got, deadline)
@@ -131,6 +145,8 @@ class Link:
         """Return the frame that has its arrays in a block, or comes after a new one."""
         while not isinstance(got, Frame):
             block, used, data = got
+            if not self.is_local:
+                raise Unreadable(f"a shared block {block} was announced over TCP")
             if not block & _NEW:
                 return parse(data, self._lender(block).lend(used))
             self._accept(block ^ _NEW, used)
@@ -142,7 +158,8 @@ class Link:
         size = sum(map(len, buffers))
         if size > LARGEST:
             raise WireError(f"arrays of {size} B; {LARGEST} B is the largest")
-        block = self._block(size, deadline) if size >= THRESHOLD else None
+        has_block = self.is_local and size >= THRESHOLD
+        block = self._block(size, deadline) if has_block else None
         if block is None:
             self._channel.send(pieces, deadline, LARGEST)
             return
@@ -174,18 +191,18 @@ class Link:
     def _accept(self, number: int, capacity: int) -> None:
         """Map a block that the other end announced."""
         if not (0 < number <= MOST_BLOCKS and 0 < capacity <= MOST_BYTES):
-            raise WireError(f"a shared block {number} of {capacity} B was announced")
+            raise Unreadable(f"a shared block {number} of {capacity} B was announced")
         try:
             self._connection.sendall(_READY)
             _, files, _, _ = socket.recv_fds(self._connection, 1, 1)
         except OSError as error:
             raise Unavailable(f"the other end is gone: {error}") from error
         if not files:
-            raise WireError("a shared block was announced, and no file came")
+            raise Unreadable("a shared block was announced, and no file came")
         try:
             self._lenders[number] = Lender(files[0], capacity)
         except (OSError, ValueError) as error:
-            raise WireError(f"a shared block cannot be mapped: {error}") from error
+            raise Unreadable(f"a shared block cannot be mapped: {error}") from error
         finally:
             os.close(files[0])
 
@@ -193,4 +210,4 @@ class Link:
         try:
             return self._lenders[number]
         except KeyError:
-            raise WireError(f"there is no shared block {number}") from None
+            raise Unreadable(f"there is no shared block {number}") from None

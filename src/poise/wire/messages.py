@@ -14,7 +14,7 @@ from msgspec import Struct
 
 from poise.wire.clocks import ClockStatus
 
-PROTOCOL = 2
+PROTOCOL = 3
 """Manager, agents and containers of different protocol versions refuse each other."""
 
 Goal = Literal["inactive", "active", "stay"]
@@ -72,7 +72,8 @@ class ConnectorSpec(Struct, frozen=True, kw_only=True):
     source_computer, target_computer
         Where they are.
     address
-        The target's container, for the kind ``local``.
+        Where the target's container is reached (`poise.wire.address.Address`); empty
+        for the kind ``direct``.
     limit
         Time limit of a call [s].
     slot
@@ -152,12 +153,15 @@ class Precopy(Struct, frozen=True, tag=True):
     ----------
     olds
         The components that hand over, and their epochs.
+    addresses
+        Where their containers are reached.
     """
 
     component: str
     epoch: int
     number: int
     olds: Mapping[str, int]
+    addresses: Mapping[str, str]
 
 
 class Rest(Struct, frozen=True, tag=True):
@@ -435,7 +439,7 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
 
     `cpu` is the CPU time of the agent and all its containers, ended ones too [s];
     `uptime` the time since the agent started [s]; `clocks` what is known of other
-    computers' clocks, by name.
+    computers' clocks, by name; `door` the IP address and TCP port of its door.
     """
 
     protocol: int = PROTOCOL
@@ -443,6 +447,7 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
     generation: int
     uptime: float
     cpu: float
+    door: str = ""
     containers: tuple[ContainerStatus, ...] = ()
     faults: tuple[Fault, ...] = ()
     clocks: Mapping[str, ClockStatus] = {}

@@ -1,4 +1,4 @@
-"""The seam to transports: one pipe a connector, whatever lies between its ends."""
+"""What carries a connector between containers: a pipe, and who takes what it brings."""
 
 from __future__ import annotations
 
@@ -11,13 +11,6 @@ from poise.wire.frame import Frame
 
 Pieces = list[Bytes]
 
-LAST_LIMIT = 0.5
-"""An end that closes lets the calls under way be answered for so long [s]."""
-
-
-MOST_UNREAD = 64
-"""So many messages are kept for a handler that is busy, unless it asks for more."""
-
 
 class Closed(Unavailable):
     """The pipe was closed here before anything was sent."""
@@ -26,7 +19,7 @@ class Closed(Unavailable):
 Handler = Callable[[Frame], Pieces | None]
 """What a receiving end does with a frame; the pieces of an answer, or None.
 
-Called by the transport on a thread that may block; frames of one pipe's topic come one
+Called on a thread that may block; frames of one pipe's topic come one
 after the other, in order. It must not raise.
 """
 
@@ -72,36 +65,4 @@ class Pipe(Protocol):
 
     def close(self) -> None:
         """Send no more, and give back what it holds when no call is under way."""
-        ...
-
-
-class Server(Protocol):
-    """Where the receiving ends of connectors are opened."""
-
-    def open(
-        self,
-        connector: str,
-        handler: Handler,
-        refused: Refused = ignore,
-        most: int = MOST_UNREAD,
-        *,
-        calls: bool = True,
-    ) -> None:
-        """Receive the frames of `connector` from now on; only messages without `calls`.
-
-        What is no frame is logged, answered with an error, and told to `refused`.
-        While the handler is busy with one message at least the last `most` are kept;
-        whether more are, and whether the sender waits, is the transport's matter.
-        """
-        ...
-
-    def shut(self, connector: str) -> None:
-        """Receive no more of them, and answer those that came; harmless when repeated.
-
-        Waits for the answers up to `LAST_LIMIT`.
-        """
-        ...
-
-    def close(self) -> None:
-        """Shut all; harmless when repeated."""
         ...

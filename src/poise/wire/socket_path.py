@@ -28,3 +28,8 @@ def socket_path(folder: Path, container: str) -> Path:
             f"in a folder need one of at most {room}: choose another (TMPDIR, --folder)"
         )
     return path
+
+
+def guests_path(folder: Path, container: str) -> Path:
+    """Return the path of the socket over which a container is handed connections."""
+    return socket_path(folder, container).with_suffix(".door")

@@ -128,15 +128,9 @@ def receiving(
     feed: Feed,
     grants: Grants,
     far: FarClock,
-    *,
-    at_once: bool,
 ) -> Handler:
-    """Return what a target does with the frames that come over pipes.
-
-    `at_once`: a thread that brings messages may work on them, too.
-    """
+    """Return what a target does with the frames that come over pipes."""
     connector, counts = spec.name, feed.counts
-    take = feed.run_or_put if at_once else feed.put
     known = methods(port.type) if port.kind == "provides" else {}
     answers = {tag: _answering(target, m, spec.limit) for tag, m in known.items()}
     tag, coder = message_tag(port.type), codec(port.type) if not known else _NOTHING
@@ -157,7 +151,7 @@ def receiving(
             wanted = coder if received.tag == tag and not known else None
             method = known.get(received.tag)
             value = received.value(wanted or _known(method, port).arguments)
-            take((received.tag, value))
+            feed.put((received.tag, value))
         except WireError as error:
             counts.refuse(error)
             log.warning("connector %s: refused: %s", connector, error)

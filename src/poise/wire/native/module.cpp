@@ -82,9 +82,10 @@ class Pieces {
   raise("poise.wire.codec", "WireError", text);
 }
 
-void refuse_too_large(std::size_t size, std::size_t largest) {
+void refuse_too_large(std::size_t size, std::size_t largest, const char* error = "WireError") {
   if (size > largest)
-    raise_wire_error(nb::str("a frame of {} B; {} B is the largest").format(size, largest));
+    raise("poise.wire.codec", error,
+          nb::str("a frame of {} B; {} B is the largest").format(size, largest));
 }
 
 // What `poise.wire.frame` calls things; never given back.
@@ -201,7 +202,7 @@ nb::bytes take(Channel& channel, std::size_t size, double deadline) {
 
 // The frame behind a head, or what Python is to look at.
 nb::object rest_of(Channel& channel, const Head& head, double deadline, std::size_t largest) {
-  refuse_too_large(head.length, largest);
+  refuse_too_large(head.length, largest, "Unreadable");
   if (head.block)
     return nb::make_tuple(head.block, head.used, take(channel, head.length, deadline));
   if (head.length <= std::min(small, channel.num_ahead())) {

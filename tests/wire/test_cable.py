@@ -1,0 +1,127 @@
+"""A cable between two computers is cut, and mended: both ends notice, and go on."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from poise.emulate import EmulatedComputer, Emulation, look
+from poise.errors import CallError, Unavailable
+from poise.model.robot import Computer, Robot
+from poise.wire.address import LOST_AFTER, Address
+from poise.wire.link_pipe import LinkPipe
+
+from .conftest import LIMIT, TEXT, call, message, wait_until
+
+SERVE = """
+import pathlib, sys, threading
+from poise.wire import frame
+from poise.wire.codec import codec
+from poise.wire.door import Door
+from poise.wire.frame import Kind
+from poise.wire.link_server import LinkServer
+
+TEXT = codec(str)
+
+def handle(received):
+    text = received.value(TEXT)
+    if received.kind is Kind.CALL:
+        return frame.segments(TEXT, text[::-1], Kind.RESULT)
+    print(text, flush=True)
+
+folder = pathlib.Path(sys.argv[1])
+server = LinkServer(folder, "there")
+server.open("echo", handle)
+with Door(folder, sys.argv[2]) as door:
+    print(door, flush=True)
+    while not server._links:
+        threading.Event().wait(0.01)
+    while server._links:
+        threading.Event().wait(0.01)
+    print("alone", flush=True)
+    threading.Event().wait()
+"""
+
+pytestmark = pytest.mark.slow
+
+
+class There:
+    """Another computer, at the end of a cable."""
+
+    def __init__(self, computer: EmulatedComputer) -> None:
+        self._computer = computer
+        argv = [sys.executable, "-c", SERVE, str(computer.folder), computer.address]
+        self._server = computer.popen(argv, stdout=subprocess.PIPE)
+        self.door = self.line()
+
+    def line(self) -> str:
+        assert self._server.stdout is not None
+        return self._server.stdout.readline().decode().strip()
+
+    def set_cable(self, state: str) -> None:
+        argv = ["ip", "link", "set", "eth0", state]
+        assert self._computer.popen(argv).wait(LIMIT) == 0
+
+    def close(self) -> None:
+        self._server.kill()
+        self._server.communicate(timeout=LIMIT)
+
+
+@pytest.fixture
+def there(tmp_path: Path) -> Iterator[There]:
+    if reasons := look().without_network():
+        pytest.skip("; ".join(reasons))
+    computer = Computer(name="far", capacity={"cpu": 0.5, "memory": 512e6})
+    robot = Robot(name="cable", computers=(computer,))
+    with Emulation(robot, tmp_path) as emulation:
+        there = There(emulation.computers["far"])
+        yield there
+        there.close()
+
+
+@pytest.fixture
+def pipe(there: There, tmp_path: Path) -> Iterator[LinkPipe]:
+    pipe = LinkPipe("echo", Address.parse(f"{there.door}/there"), tmp_path)
+    yield pipe
+    pipe.close()
+
+
+def test_a_cut_cable_is_noticed_at_both_ends_and_its_mending_too(
+    there: There, pipe: LinkPipe
+) -> None:
+    assert pipe.request(call("ab"), LIMIT).value(TEXT) == "ba"
+    pipe.push(message("first"), LIMIT)
+    assert there.line() == "first"
+    there.set_cable("down")
+    began = time.monotonic()
+    with pytest.raises(Unavailable):
+        pipe.request(call("lost"), 100.0)
+    assert time.monotonic() - began > LOST_AFTER / 2  # a short cut would do no harm
+    wait_until(lambda: not pipe.is_ready())
+    assert there.line() == "alone"
+    began = time.monotonic()
+    for _ in range(100):  # whoever publishes is not held up each time
+        with pytest.raises(CallError):
+            pipe.push(message("lost"), LIMIT)
+    assert time.monotonic() - began < 2 * LIMIT
+    there.set_cable("up")
+    wait_until(pipe.is_ready)
+    assert pipe.request(call("ab"), LIMIT).value(TEXT) == "ba"
+    pipe.push(message("last"), LIMIT)
+    assert there.line() == "last"
+
+
+def test_what_is_sent_while_a_cable_is_cut_for_a_moment_arrives(
+    there: There, pipe: LinkPipe
+) -> None:
+    pipe.push(message("first"), LIMIT)
+    assert there.line() == "first"
+    there.set_cable("down")
+    pipe.push(message("second"), LIMIT)
+    there.set_cable("up")
+    assert there.line() == "second"
