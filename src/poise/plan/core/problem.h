@@ -96,8 +96,9 @@ class Problem {
   int choices(int unit) const;
   int only(int unit) const;
   // The problem whose units are the `count` parts of this one's, unit -> part. The units
-  // of a part must be allowed to share a computer.
+  // of a part must be allowed to share a computer. It has no `order` before it is sorted.
   Problem joined(const std::vector<std::int32_t>& part, int count) const;
+  void sort_by_demand();
   // Bytes that this problem holds.
   std::size_t bytes() const;
 
