@@ -13,12 +13,13 @@ from benchmarks.random_robots import random_robot
 from poise.model.robot import Spread
 from poise.plan import Connector, Link, Problem, objective
 from poise.plan.engine import Engine
-from poise.plan.greedy import greedy
+from poise.plan.greedy import greedy, order
 from poise.plan.limits import violations
 from poise.plan.tables import Placed, Tables, tabulate
 from tests.plan.plan_problems import problems
 
 MANY = settings(max_examples=400, suppress_health_check=[HealthCheck.too_slow])
+WIDE = [(200, 12, 6), (280, 260, 1)]
 FEW = settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
 
 
@@ -55,6 +56,51 @@ def test_the_greedy_decides_like_the_reference_on_robots(spread: Spread) -> None
         robot = random_robot(seed, 24, 2 + seed % 4, spread=spread, uneven=seed % 2 > 0)
         tables = tabulate(robot)
         assert Engine(tables).greedy() == greedy(tables)[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("spread", ["range", "variance"])
+@pytest.mark.parametrize(("components", "computers", "seed"), WIDE)
+def test_the_greedy_goes_where_recomputing_finds_the_least(
+    components: int, computers: int, seed: int, spread: Spread
+) -> None:
+    """Over many computers it leaves most of them out of account."""
+    robot = random_robot(seed, components, computers, spread=spread)
+    names = [c.name for c in robot.components]
+    apart = tuple(zip(names[::7], names[1::7], strict=False))
+    tables = tabulate(replace(robot, apart=apart))
+    engine = Engine(tables)
+    decided = engine.greedy()
+    placed, left = [-1] * tables.n, [*tables.limit]
+    for unit in order(tables):
+        totals = _totals(engine, placed, left, unit)
+        least = min(totals)
+        if decided[unit] < 0:
+            assert least == math.inf
+            return
+        near = least + 1e-12 * max(1.0, least)
+        assert decided[unit] == next(h for h, t in enumerate(totals) if t <= near)
+        placed[unit] = decided[unit]
+        for k in range(tables.r):
+            left[decided[unit] * tables.r + k] -= tables.demand[unit * tables.r + k]
+
+
+def _totals(
+    engine: Engine, placed: Placed, left: list[float], unit: int
+) -> list[float]:
+    """Return F with `unit` on each computer, infinite where it may not be."""
+    tables = engine.tables
+    need = tables.demand[unit * tables.r : (unit + 1) * tables.r]
+    shut = {placed[i + j - unit] for i, j in tables.apart if unit in (i, j)}
+    totals = []
+    for h in range(tables.m):
+        room = left[h * tables.r : (h + 1) * tables.r]
+        placed[unit] = h
+        fits = all(d <= x + 1e-9 for d, x in zip(need, room, strict=True))
+        fits &= h in tables.allowed.get(unit, (h,)) and h not in shut
+        totals.append(engine.total(placed) if fits else math.inf)
+    placed[unit] = -1
+    return totals
 
 
 @MANY

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
+from benchmarks.random_robots import random_robot
 from poise.plan import Problem, objective
 from poise.plan._core import Core
 from poise.plan.engine import Engine
@@ -118,3 +119,23 @@ def test_refuses_a_search_move_that_is_none(two_computers: Problem, move: Move) 
 
 def core_of(tables: Tables) -> Core:
     return Engine(tables).core
+
+
+def test_search_moves_over_many_computers_are_worth_the_same() -> None:
+    """Too many for a table of what each component pays on each computer."""
+    tables = tabulate(random_robot(3, 700, 100))
+    engine = Engine(tables)
+    placed = any_placement(tables, Random(1))
+    moves = any_moves(tables, placed, Random(2), 60)
+    for move, kept in zip(moves, engine.core.walk(placed, moves), strict=True):
+        _, _, paid, balance, *_ = kept
+        placed = after(placed, move)
+        assert paid + balance == pytest.approx(engine.total(placed), rel=1e-9)
+
+
+def test_search_over_many_computers_never_gets_worse() -> None:
+    engine = Engine(tabulate(random_robot(3, 700, 100, load=0.6)))
+    start = engine.greedy()
+    found = engine.search(start, steps=60_000)
+    assert engine.feasible(found.placed)
+    assert engine.total(found.placed) < engine.total(start)

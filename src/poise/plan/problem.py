@@ -8,6 +8,7 @@ a JSON file through `poise.plan.load`, or is written by hand. It is plain data:
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import chain
 
 from msgspec import Struct
 
@@ -146,10 +147,8 @@ class Problem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     @property
     def resources(self) -> tuple[str, ...]:
         """All resources that a computer has or a component asks for, each once."""
-        names: dict[str, None] = {}
-        for computer in self.computers:
-            names.update(dict.fromkeys(computer.capacity))
-        for component in self.components:
-            if not component.demand.keys() <= names.keys():
-                names.update(dict.fromkeys(component.demand))
+        names = dict.fromkeys(chain.from_iterable(h.capacity for h in self.computers))
+        if not set().union(*[c.demand for c in self.components]) <= names.keys():
+            for component in self.components:
+                names |= dict.fromkeys(component.demand)
         return tuple(names)

@@ -131,6 +131,33 @@ def _component(
     if now is not None and all(now != h.name for h in robot.computers):
         now = None
     only: tuple[str, ...] = ()
+    why = ""
+    if (
+        component.only
+        or component.devices
+        or architecture.layer != "sequencing"
+        or now is not None
+    ):
+        only, why = _held(robot, architecture, component, now, faults)
+    return Component(
+        name=component.name,
+        demand=component.demand,
+        only=only,
+        present=now,
+        move_cost=move * (1 + component.state / MEGABYTE) if move else 0.0,
+        why=why,
+    )
+
+
+def _held(
+    robot: model.Robot,
+    architecture: model.Architecture,
+    component: model.Component,
+    now: str | None,
+    faults: list[str],
+) -> tuple[tuple[str, ...], str]:
+    """Return the computers that a component is held to, and why; none: to nothing."""
+    only: tuple[str, ...] = ()
     reasons: list[str] = []
     for names, why in _pins(robot, architecture, component, now):
         only = tuple(h for h in only if h in names) if reasons else names
@@ -140,14 +167,7 @@ def _component(
                 f"component {component.name!r} can run nowhere: {'; '.join(reasons)}"
             )
             break
-    return Component(
-        name=component.name,
-        demand=component.demand,
-        only=only,
-        present=now,
-        move_cost=move * (1 + component.state / MEGABYTE) if move else 0.0,
-        why="; ".join(reasons),
-    )
+    return only, "; ".join(reasons)
 
 
 def _pins(
@@ -173,12 +193,13 @@ def _connectors(
 ) -> Iterator[Connector]:
     for connectors in (*(a.connectors for a in chosen), robot.connectors):
         for connector in connectors:
-            first, second = connector.between
-            if first.component in names and second.component in names:
+            ends = connector.between
+            first, second = ends[0].component, ends[1].component
+            if first in names and second in names:
                 traffic = connector.message * connector.rate
                 overhead = connector.overhead
                 yield Connector(
-                    between=(first.component, second.component),
+                    between=(first, second),
                     overhead=traffic / MEGABYTE if overhead is None else overhead,
                     traffic=traffic,
                 )

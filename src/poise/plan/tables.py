@@ -171,26 +171,22 @@ def _pairs(
     problem: Problem, unit: dict[str, int]
 ) -> tuple[list[int], list[int], list[float], list[float]]:
     rows: dict[tuple[int, int], int] = {}
-    first: list[int] = []
-    second: list[int] = []
     overhead: list[float] = []
     traffic: list[float] = []
     for connector in problem.connectors:
         a, b = connector.between
         i, j = unit[a], unit[b]
+        pair = (i, j) if i < j else (j, i)
         if i == j:
             continue
-        pair = (i, j) if i < j else (j, i)
-        row = rows.setdefault(pair, len(first))
-        if row < len(first):
-            overhead[row] += connector.overhead
-            traffic[row] += connector.traffic
+        if pair in rows:
+            overhead[rows[pair]] += connector.overhead
+            traffic[rows[pair]] += connector.traffic
         else:
-            first.append(pair[0])
-            second.append(pair[1])
+            rows[pair] = len(overhead)
             overhead.append(connector.overhead)
             traffic.append(connector.traffic)
-    return first, second, overhead, traffic
+    return [i for i, _ in rows], [j for _, j in rows], overhead, traffic
 
 
 def _inside(problem: Problem, unit: dict[str, int]) -> float:
@@ -247,9 +243,10 @@ def _allowed(
     for i, component in enumerate(problem.components):
         if component.only:
             mine = {place[name] for name in component.only}
-            known = allowed.get(unit_of[i])
-            both = mine if known is None else mine.intersection(known)
-            allowed[unit_of[i]] = tuple(sorted(both))
+            unit = unit_of[i]
+            if unit in allowed:
+                mine.intersection_update(allowed[unit])
+            allowed[unit] = tuple(sorted(mine))
     return allowed
 
 

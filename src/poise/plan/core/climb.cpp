@@ -11,32 +11,44 @@ constexpr int kMostShakes = 2;
 // Branch and bound on two computers takes some 500 nodes to prove its best; what it has
 // not found after twice as many it hardly ever finds.
 constexpr int kNodes = 1000;
+// Over more computers than these not every pair is looked at.
+constexpr int kManyComputers = 64;
 
 }  // namespace
 
+// A computer has changed: share out anew what it holds with each other one; of many only
+// with those that its units are connected to, and with any one besides.
 void Search::touch(int h) {
-  for (int g = 0; g < p_.m; ++g) {
-    if (g != h) stale_[static_cast<std::size_t>(std::max(g, h)) * p_.m + std::min(g, h)] = 1;
+  const auto add = [&](int g) {
+    if (g != h) stale_.emplace_back(std::max(g, h), std::min(g, h));
+  };
+  if (p_.m <= kManyComputers) {
+    for (int g = 0; g < p_.m; ++g) add(g);
+    return;
   }
+  for (const std::int32_t unit : state_.on(h)) {
+    for (const Neighbour& other : p_.neighbours(unit)) add(state_.at(other.unit));
+  }
+  add(random_.below(p_.m));
 }
 
 // Share out pairs of computers until none of them can be improved.
 void Search::resplit_all() {
-  std::vector<std::pair<int, int>> pairs;
-  while (!stop_.stopped()) {
-    pairs.clear();
-    for (int a = 0; a < p_.m; ++a) {
-      for (int b = 0; b < a; ++b) {
-        if (stale_[static_cast<std::size_t>(a) * p_.m + b]) pairs.emplace_back(a, b);
-      }
+  bool touched = true;
+  while (!stop_.stopped() && !stale_.empty()) {
+    if (touched) {
+      std::sort(stale_.begin(), stale_.end());
+      stale_.erase(std::unique(stale_.begin(), stale_.end()), stale_.end());
     }
-    if (pairs.empty()) return;
-    const auto [a, b] = pairs[random_.below(static_cast<int>(pairs.size()))];
-    if (resplit_.run(state_, a, b, kNodes, stop_)) {
-      touch(a);
-      touch(b);
-    }
-    stale_[static_cast<std::size_t>(a) * p_.m + b] = 0;
+    const int i = random_.below(static_cast<int>(stale_.size()));
+    const auto [a, b] = stale_[i];
+    stale_.erase(stale_.begin() + i);
+    touched = resplit_.run(state_, a, b, kNodes, stop_);
+    if (!touched) continue;
+    touch(a);
+    touch(b);
+    stale_.erase(std::remove(stale_.begin(), stale_.end(), std::make_pair(a, b)),
+                 stale_.end());
   }
 }
 

@@ -144,15 +144,6 @@ Problem Problem::joined(const std::vector<std::int32_t>& part, int count) const 
       out.apart_starts_.push_back(static_cast<std::int64_t>(out.apart_.size()));
     }
   }
-  std::vector<double> size(count, 0.0);
-  for (int k = 0; k < r; ++k) {
-    double limit = 0;
-    for (int h = 0; h < m; ++h) limit += capacity[k * m + h] - floor[k * m + h];
-    for (int c = 0; c < count && limit > 0; ++c) {
-      size[c] += out.demand[static_cast<std::size_t>(c) * r + k] / limit;
-    }
-  }
-  out.sort_units(size);
   return out;
 }
 

@@ -168,6 +168,7 @@ Placement multilevel(const Problem& problem, Stop& stop, Random& random) {
     now = &levels.back()->problem;
     if (now->n > before * 0.95) break;
   }
+  if (!levels.empty()) levels.back()->problem.sort_by_demand();
   Placement placed;
   if (!Greedy(*now).run(placed)) return {};
   refine(*now, placed, stop);

@@ -9,6 +9,11 @@
 namespace poise {
 
 // Its tables are kept between runs: at 24 units, allocating costs more than deciding.
+//
+// Over many computers that are alike, most have room for a unit without becoming the
+// fullest, and F is the same on all of them. So computers stand in blocks of which the
+// largest residues are known: what F would be with those is a lower bound of F on the
+// whole block, and a block whose bound is no better than what was found is left out.
 class Greedy {
  public:
   explicit Greedy(const Problem& problem);
@@ -17,34 +22,52 @@ class Greedy {
   // with all after it.
   bool run(Placement& placed);
 
- private:
   // What placing a unit needs to know of one resource's residues.
   struct Balance {
-    double low, high, second;  // smallest, largest and second largest residue
-    int highest;               // the computer with the largest
-    double sum, squares;       // of the residues, less `centre`
-    double centre;
+    double low, high, second;     // smallest, largest and second largest share
+    double sum, squares, centre;  // of the shares, less `centre`
+    double weight, part;          // part: 1 / how many computers are counted
+  };
+
+ private:
+  struct Tie {  // a connector to a unit that is placed
+    std::int32_t computer;
+    double overhead, traffic;
   };
 
   void start();
-  void weigh(int unit, const Placement& placed);
-  void weigh_connectors(int unit, const Placement& placed);
-  void weigh_range(int resource, double need);
-  void weigh_variance(int resource, double need);
-  void close(int unit, const Placement& placed);
-  int best() const;
-  void pay(int unit, int computer, const Placement& placed);
-  void use(int unit, int computer);
-  void scan(int resource);
+  int decide(int unit, const Placement& placed);
+  void gather(int unit, const Placement& placed);
+  void weigh(const double* need, int count, double* total, const double* share,
+             const double* room, const double* scale, int stride) const;
+  int best_of_all(int unit);
+  int best_of_blocks(const double* need);
+  void weigh_block(const double* need, int block);
+  void shut(int unit);
+  void shut_full_links();
+  void pay(int unit, int computer);
+  void use(const double* need, int computer);
+  void find_block(int resource, int block);
+  void find_high(int resource);
 
   const Problem& p_;
-  std::unique_ptr<FewGreedy> few_;  // which then does it all
-  std::vector<double> first_share_;  // (r, m) with nothing placed
-  std::vector<double> left_, share_;  // (r, m)
+  std::unique_ptr<FewGreedy> few_;    // which then does it all
+  int blocks_ = 0;                    // 0: every computer is always weighed
+  std::vector<double> first_share_;   // (r, m) with nothing placed
+  std::vector<double> share_, room_;  // (r, m): residue; what of it may still be used
   std::vector<double> total_;         // (m): F with the unit there
+  std::vector<double> extra_;         // (m): what the unit pays there besides `all_`
   std::vector<Balance> balance_, first_balance_;
   std::vector<double> traffic_;       // (m, m), when bandwidth is limited
+  std::vector<Tie> ties_;             // of the unit
   double paid_ = 0;                   // communication and linear cost so far
+  double all_ = 0;                    // that, with every tie of the unit paid for
+
+  // Of blocks of computers, when there are any.
+  std::vector<double> top_, second_, top_room_;  // (r, blocks): the largest in there
+  std::vector<double> bound_;     // (blocks): no total in there is lower
+  std::vector<double> least_;     // (blocks): the lowest total; infinite: not weighed
+  std::vector<std::int32_t> touched_;  // computers with something in `extra_`
 };
 
 }  // namespace poise

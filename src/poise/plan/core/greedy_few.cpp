@@ -1,4 +1,4 @@
-// The greedy on two to four computers. Their number known, the compiler unrolls every
+// The greedy on two to eight computers. Their number known, the compiler unrolls every
 // loop over them; the balance is recomputed rather than kept, and what a unit finds
 // placed already is listed beforehand. Several times as fast.
 #include "greedy_few.h"
@@ -6,12 +6,14 @@
 #include <algorithm>
 #include <cmath>
 
+#include "wide.h"
+
 namespace poise {
 
 bool FewGreedy::takes(const Problem& p) {
   bool whole = true;  // every computer has every resource whose balance is weighed
   for (int k = 0; k < p.r; ++k) whole &= p.weight[k] <= 0 || p.counted[k] == p.m;
-  return whole && p.m >= 2 && p.m <= 4 && p.bandwidth.empty() && p.distance.empty() &&
+  return whole && p.m >= 2 && p.m <= 8 && p.bandwidth.empty() && p.distance.empty() &&
          !p.has_apart();
 }
 
@@ -35,21 +37,32 @@ FewGreedy::FewGreedy(const Problem& problem) : p_(problem), at_(p_.n) {
     const double weight = p_.variance ? std::sqrt(p_.weight[k] / p_.m) : p_.weight[k];
     for (int h = 0; h < p_.m; ++h) factor_.push_back(weight * p_.scale[k * p_.m + h]);
   }
-  left_.resize(p_.capacity.size());
+  room_.resize(p_.capacity.size());
   share_.resize(p_.capacity.size());
 }
 
 bool FewGreedy::run(Placement& placed) {
-  const int reached = p_.m == 2   ? run_on<2>()
-                      : p_.m == 3 ? run_on<3>()
-                                  : run_on<4>();
+  const int reached = decide_all();
   placed.resize(p_.n);
   for (int i = 0; i < p_.n; ++i) placed[p_.order[i]] = i < reached ? at_[i] : -1;
   return reached == p_.n;
 }
 
+POISE_WIDE // How many units were placed, in the problem's order.
+POISE_WIDE int FewGreedy::decide_all() {
+  switch (p_.m) {
+    case 2: return run_on<2>();
+    case 3: return run_on<3>();
+    case 4: return run_on<4>();
+    case 5: return run_on<5>();
+    case 6: return run_on<6>();
+    case 7: return run_on<7>();
+    default: return run_on<8>();
+  }
+}
+
 template <int M>
-int FewGreedy::run_on() {
+POISE_INLINE int FewGreedy::run_on() {
   if (p_.r == 1) return p_.variance ? decide<M, 1, true>() : decide<M, 1, false>();
   if (p_.r == 2) return p_.variance ? decide<M, 2, true>() : decide<M, 2, false>();
   return p_.variance ? decide<M, 0, true>() : decide<M, 0, false>();
@@ -58,14 +71,14 @@ int FewGreedy::run_on() {
 // Place units in turn; how many were placed. R is the number of resources, 0: any. Each
 // decision waits for the one before it, so what counts is how long that chain is.
 template <int M, int R, bool kVariance>
-int FewGreedy::decide() {
+POISE_INLINE int FewGreedy::decide() {
   const int r = R > 0 ? R : p_.r;
-  double few_left[R > 0 ? R * M : 1], few_share[R > 0 ? R * M : 1];
-  double* left = R > 0 ? few_left : left_.data();
+  double few_room[R > 0 ? R * M : 1], few_share[R > 0 ? R * M : 1];
+  double* room = R > 0 ? few_room : room_.data();
   double* share = R > 0 ? few_share : share_.data();
   for (int e = 0; e < r * M; ++e) {
-    left[e] = p_.capacity[e];
-    share[e] = left[e] * factor_[e];
+    room[e] = p_.capacity[e] - p_.floor[e];
+    share[e] = p_.capacity[e] * factor_[e];
   }
   double paid = 0;
   for (int i = 0; i < p_.n; ++i) {
@@ -84,8 +97,7 @@ int FewGreedy::decide() {
     }
     for (int k = 0; k < r; ++k) {
       for (int h = 0; h < M; ++h) {
-        const bool fits = left[k * M + h] - need[k] >= p_.floor[k * M + h];
-        total[h] = fits ? total[h] : kInfinity;
+        total[h] = room[k * M + h] < need[k] ? kInfinity : total[h];
       }
     }
     const int best = first_of<M>(total);
@@ -95,7 +107,7 @@ int FewGreedy::decide() {
     for (int k = 0; k < r; ++k) {
       for (int h = 0; h < M; ++h) {
         const double used = h == best ? need[k] : 0.0;
-        left[k * M + h] -= used;
+        room[k * M + h] -= used;
         share[k * M + h] -= used * factor_[k * M + h];
       }
     }
@@ -105,26 +117,36 @@ int FewGreedy::decide() {
 
 // Add the spread of the shares for each place that the unit may take.
 template <int M, bool kVariance>
-void FewGreedy::weigh(const double* now, const double* then, double* total) {
-  for (int at = 0; at < M; ++at) {
-    double share[M], low, high, sum = 0, squares = 0;
-    for (int h = 0; h < M; ++h) share[h] = h == at ? then[h] : now[h];
-    low = high = share[0];
+POISE_INLINE void FewGreedy::weigh(const double* now, const double* then, double* total) {
+  if (kVariance) {
+    double mean = 0, squares = 0;
+    for (int h = 0; h < M; ++h) mean += now[h] / M;
+    for (int h = 0; h < M; ++h) squares += (now[h] - mean) * (now[h] - mean);
     for (int h = 0; h < M; ++h) {
-      low = std::min(low, share[h]);
-      high = std::max(high, share[h]);
-      sum += share[h];
+      const double change = then[h] - now[h];
+      total[h] += squares + change * (change * (M - 1) / M + 2 * (now[h] - mean));
     }
-    for (int h = 0; h < M && kVariance; ++h) {
-      squares += (share[h] - sum / M) * (share[h] - sum / M);
+  } else if (M == 2) {
+    total[0] += std::fabs(then[0] - now[1]);
+    total[1] += std::fabs(now[0] - then[1]);
+  } else {
+    double low = now[0], high = now[0], second = -kInfinity;
+    for (int h = 1; h < M; ++h) {
+      second = std::max(second, std::min(high, now[h]));
+      high = std::max(high, now[h]);
+      low = std::min(low, now[h]);
     }
-    total[at] += kVariance ? squares : M == 2 ? std::fabs(share[0] - share[1]) : high - low;
+    for (int h = 0; h < M; ++h) {
+      // Where the share is the largest, it may no longer be once the unit is there.
+      const double top = now[h] == high ? std::max(second, then[h]) : high;
+      total[h] += top - std::min(low, then[h]);
+    }
   }
 }
 
 // The first computer whose F is lowest, within rounding; -1 when none is finite.
 template <int M>
-int FewGreedy::first_of(const double* total) {
+POISE_INLINE int FewGreedy::first_of(const double* total) {
   double lowest = total[0];
   for (int h = 1; h < M; ++h) lowest = std::min(lowest, total[h]);
   if (lowest == kInfinity) return -1;

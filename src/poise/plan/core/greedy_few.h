@@ -1,4 +1,4 @@
-// The greedy on two to four computers.
+// The greedy on two to eight computers.
 #pragma once
 
 #include "problem.h"
@@ -19,6 +19,7 @@ class FewGreedy {
     std::int32_t step;
     double overhead;
   };
+  int decide_all();
   template <int M>
   int run_on();
   template <int M, int R, bool kVariance>
@@ -34,7 +35,7 @@ class FewGreedy {
   std::vector<double> cost_;  // (n, m): linear, infinite where it may not run
   std::vector<double> need_;  // (n, r)
   std::vector<double> factor_;  // (r, m): residue -> weighed share
-  std::vector<double> left_, share_;  // (r, m)
+  std::vector<double> room_, share_;  // (r, m): what may still be used; weighed residue
   std::vector<std::int32_t> at_;  // (n): computer, by step
 };
 

@@ -59,14 +59,31 @@ std::vector<T> numbers(nb::handle from, const char* name) {
   return out;
 }
 
-nb::list listed(const Placement& placed) {
-  PyObject* list = PyList_New(static_cast<Py_ssize_t>(placed.size()));
-  if (list == nullptr) throw nb::python_error();
-  for (std::size_t i = 0; i < placed.size(); ++i) {
-    PyList_SET_ITEM(list, static_cast<Py_ssize_t>(i), PyLong_FromLong(placed[i]));
+// The interpreter's numbers from -1 to `m` - 1, made once: a short list of them then costs
+// no more than counting references.
+class Computers {
+ public:
+  explicit Computers(int m) {
+    for (int h = -1; h < m && h < kMost; ++h) numbers_.push_back(nb::int_(h));
   }
-  return nb::steal<nb::list>(list);
-}
+
+  nb::list listed(const Placement& placed) const {
+    PyObject* list = PyList_New(static_cast<Py_ssize_t>(placed.size()));
+    if (list == nullptr) throw nb::python_error();
+    const auto made = static_cast<int>(numbers_.size()) - 1;
+    for (std::size_t i = 0; i < placed.size(); ++i) {
+      const int h = placed[i];
+      PyObject* number =
+          h < made ? numbers_[h + 1].inc_ref().ptr() : PyLong_FromLong(h);
+      PyList_SET_ITEM(list, static_cast<Py_ssize_t>(i), number);
+    }
+    return nb::steal<nb::list>(list);
+  }
+
+ private:
+  static constexpr int kMost = 64;
+  std::vector<nb::object> numbers_;
+};
 
 const char* named(Reason reason) {
   switch (reason) {
@@ -102,12 +119,12 @@ struct Signals {
 class Core {
  public:
   explicit Core(Input input)
-      : problem_(std::move(input)), greedy_(problem_) {}
+      : problem_(std::move(input)), greedy_(problem_), computers_(problem_.m) {}
 
   nb::list greedy() {
     if (static_cast<double>(problem_.n) * problem_.m < 65536) {
       greedy_.run(placed_);
-      return listed(placed_);
+      return computers_.listed(placed_);
     }
     // Long enough for others to run meanwhile; then it needs tables of its own.
     Placement placed;
@@ -115,7 +132,7 @@ class Core {
       nb::gil_scoped_release free;
       Greedy(problem_).run(placed);
     }
-    return listed(placed);
+    return computers_.listed(placed);
   }
 
   nb::tuple exact(nb::handle known, double seconds, std::int64_t steps) {
@@ -170,7 +187,7 @@ class Core {
       Random random(seed);
       placed = poise::multilevel(problem_, stop, random);
     }
-    return listed(placed);
+    return computers_.listed(placed);
   }
 
   nb::tuple terms(nb::handle known) {
@@ -200,8 +217,8 @@ class Core {
                       signals.raised.ptr());
       throw nb::python_error();
     }
-    return nb::make_tuple(listed(out.placed), out.bound, out.proven, named(out.reason),
-                          out.steps);
+    return nb::make_tuple(computers_.listed(out.placed), out.bound, out.proven,
+                          named(out.reason), out.steps);
   }
 
   Units moving(const State& state, nb::handle from, int computer) {
@@ -245,6 +262,7 @@ class Core {
 
   Problem problem_;
   Greedy greedy_;
+  Computers computers_;
   std::mutex exact_mutex_;
   std::unique_ptr<Exact> exact_;
   Placement placed_;

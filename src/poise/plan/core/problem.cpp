@@ -187,6 +187,18 @@ void Problem::sort_units(const std::vector<double>& size) {
   });
 }
 
+void Problem::sort_by_demand() {
+  std::vector<double> size(n, 0.0);
+  for (int k = 0; k < r; ++k) {
+    double limit = 0;
+    for (int h = 0; h < m; ++h) limit += capacity[k * m + h] - floor[k * m + h];
+    for (int i = 0; i < n && limit > 0; ++i) {
+      size[i] += demand[static_cast<std::size_t>(i) * r + k] / limit;
+    }
+  }
+  sort_units(size);
+}
+
 int Problem::choices(int unit) const {
   if (!restricted(unit)) return m;
   int count = 0;

@@ -69,6 +69,11 @@ class Problem {
   Span<Neighbour> neighbours(int unit) const {
     return {adjacency_.data() + starts_[unit], adjacency_.data() + starts_[unit + 1]};
   }
+  // Have a unit brought nearer, which will be looked at soon.
+  void prefetch(int unit) const {
+    __builtin_prefetch(demand.data() + static_cast<std::size_t>(unit) * r);
+    __builtin_prefetch(starts_.data() + unit);
+  }
   Span<std::int32_t> apart(int unit) const {
     if (apart_.empty()) return {nullptr, nullptr};
     return {apart_.data() + apart_starts_[unit], apart_.data() + apart_starts_[unit + 1]};
@@ -91,8 +96,9 @@ class Problem {
   int choices(int unit) const;
   int only(int unit) const;
   // The problem whose units are the `count` parts of this one's, unit -> part. The units
-  // of a part must be allowed to share a computer.
+  // of a part must be allowed to share a computer. It has no `order` before it is sorted.
   Problem joined(const std::vector<std::int32_t>& part, int count) const;
+  void sort_by_demand();
   // Bytes that this problem holds.
   std::size_t bytes() const;
 

@@ -29,7 +29,7 @@ constexpr int kShortShare = 100;
 
 Search::Search(const Problem& problem, Stop& stop, std::uint64_t seed)
     : p_(problem), stop_(stop), random_(seed), state_(problem), resplit_(problem),
-      seen_(p_.n, 0), stale_(static_cast<std::size_t>(p_.m) * p_.m, 0) {
+      seen_(p_.n, 0) {
   for (int i = 0; i < p_.n; ++i) {
     if (p_.choices(i) > 1) movable_.push_back(i);
   }
@@ -84,8 +84,10 @@ void Search::start_over(const Placement& start, std::int64_t length) {
   }
 }
 
-// Up to here a table of what each unit pays on each computer is kept.
-constexpr std::int64_t kLargestTable = 4'000'000;
+// Beyond this many units x computers single moves come to little in any time; refining by
+// passes over all units is what is left.
+constexpr std::int64_t kLargestSearch = 4'000'000;
+
 Outcome search(const Problem& p, const Placement& known, Stop& stop, std::uint64_t seed) {
   Outcome out;
   Random random(seed ^ 0x9e3779b97f4a7c15U);
@@ -98,7 +100,7 @@ Outcome search(const Problem& p, const Placement& known, Stop& stop, std::uint64
     if (better) start = std::move(joined);
   }
   if (start.empty()) start = Pack(p, stop, random).run();
-  if (static_cast<std::int64_t>(p.n) * p.m <= kLargestTable) {
+  if (static_cast<std::int64_t>(p.n) * p.m <= kLargestSearch) {
     Search search(p, stop, seed);
     if (static_cast<int>(start.size()) == p.n) search.run(start);
     start = search.best();

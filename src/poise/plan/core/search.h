@@ -1,6 +1,8 @@
 // The anytime search: one cooling, then climbing by the largest search moves.
 #pragma once
 
+#include <utility>
+
 #include "outcome.h"
 #include "random.h"
 #include "resplit.h"
@@ -66,7 +68,7 @@ class Search {
   double price_ = 0, lowest_price_ = 0;
   double record_ = kInfinity;  // the best F noted while cooling
   Placement noted_;
-  std::vector<char> stale_;  // (m, m): pairs of computers to be shared out anew
+  std::vector<std::pair<int, int>> stale_;  // pairs of computers to be shared out anew
   Placement best_;
   double best_objective_ = kInfinity;
 };

@@ -4,6 +4,14 @@
 #include <cmath>
 
 namespace poise {
+namespace {
+
+// Up to here what each unit pays on each computer is kept. Beyond, where any two computers
+// are equally far, going through a unit's connectors each time takes no longer, and memory
+// grows with units and connectors alone.
+constexpr std::int64_t kLargestTable = 1 << 16;
+
+}  // namespace
 
 State::State(const Problem& problem)
     : p_(problem), placed_(p_.n, 0), on_(p_.m), spot_(p_.n), share_of_limit_(p_.r),
@@ -23,25 +31,17 @@ State::State(const Problem& problem)
 void State::reset(const Placement& placed) {
   placed_ = placed;
   for (auto& units : on_) units.clear();
-  table_.assign(static_cast<std::size_t>(p_.n) * p_.m, 0.0);
-  if (!p_.cost.empty()) table_ = p_.cost;
+  const std::int64_t entries = static_cast<std::int64_t>(p_.n) * p_.m;
+  if (entries <= kLargestTable || !p_.cost.empty() || !p_.distance.empty()) reset_table();
   conflicts_ = 0;
   paid_ = 0;
   for (int i = 0; i < p_.n; ++i) {
     spot_[i] = static_cast<std::int32_t>(on_[placed_[i]].size());
     on_[placed_[i]].push_back(i);
-    double* row = table_.data() + static_cast<std::size_t>(i) * p_.m;
     paid_ += p_.linear(i, placed_[i]);
     for (const Neighbour& other : p_.neighbours(i)) {
-      const int there = placed_[other.unit];
-      if (p_.distance.empty()) {
-        for (int h = 0; h < p_.m; ++h) row[h] += other.overhead;
-        row[there] -= other.overhead;
-      } else {
-        const double* far = p_.distance.data() + static_cast<std::size_t>(there) * p_.m;
-        for (int h = 0; h < p_.m; ++h) row[h] += other.overhead * far[h];
-      }
-      if (other.unit > i) paid_ += other.overhead * p_.far(placed_[i], there);
+      if (other.unit < i) continue;
+      paid_ += other.overhead * p_.far(placed_[i], placed_[other.unit]);
     }
     for (const std::int32_t other : p_.apart(i)) {
       conflicts_ += other >= i && placed_[other] == placed_[i];
@@ -74,6 +74,24 @@ void State::reset(const Placement& placed) {
       const double limit = p_.bandwidth[a * p_.m + b] + kSlack;
       const double used = traffic_[a * p_.m + b];
       if (used > limit * (1 + kSlack)) over_links_ += used / limit - 1;
+    }
+  }
+}
+
+void State::reset_table() {
+  table_.assign(static_cast<std::size_t>(p_.n) * p_.m, 0.0);
+  if (!p_.cost.empty()) table_ = p_.cost;
+  for (int i = 0; i < p_.n; ++i) {
+    double* row = table_.data() + static_cast<std::size_t>(i) * p_.m;
+    for (const Neighbour& other : p_.neighbours(i)) {
+      const int there = placed_[other.unit];
+      if (p_.distance.empty()) {
+        for (int h = 0; h < p_.m; ++h) row[h] += other.overhead;
+        row[there] -= other.overhead;
+      } else {
+        const double* far = p_.distance.data() + static_cast<std::size_t>(there) * p_.m;
+        for (int h = 0; h < p_.m; ++h) row[h] += other.overhead * far[h];
+      }
     }
   }
 }
@@ -300,6 +318,7 @@ void State::shift(int unit, int to) {
     if (other != unit) conflicts_ += (placed_[other] == to) - (placed_[other] == from);
   }
   for (const Neighbour& other : p_.neighbours(unit)) {
+    if (table_.empty()) break;
     double* row = table_.data() + static_cast<std::size_t>(other.unit) * m;
     if (p_.distance.empty()) {
       row[from] += other.overhead;

@@ -52,7 +52,12 @@ class State {
 
   // What `unit` pays for connectors and linear cost on `computer`, the others as they are.
   double pays(int unit, int computer) const {
-    return table_[static_cast<std::size_t>(unit) * p_.m + computer];
+    if (!table_.empty()) return table_[static_cast<std::size_t>(unit) * p_.m + computer];
+    double total = 0;
+    for (const Neighbour& other : p_.neighbours(unit)) {
+      total += placed_[other.unit] == computer ? 0.0 : other.overhead;
+    }
+    return total;
   }
   double left(int resource, int computer) const {
     return left_[static_cast<std::size_t>(resource) * p_.m + computer];
@@ -68,6 +73,7 @@ class State {
   const Problem& problem() const { return p_; }
 
  private:
+  void reset_table();
   Change weigh_loads(int a, int b);
   double range_with(int resource, int a, int b, double more, double less) const;
   void find_extremes(int resource);
@@ -83,7 +89,7 @@ class State {
   Placement placed_;
   std::vector<std::vector<std::int32_t>> on_;  // computer -> its units
   std::vector<std::int32_t> spot_;             // unit -> where it stands in there
-  std::vector<double> table_;                  // (n, m): see `pays`
+  std::vector<double> table_;  // (n, m): see `pays`; empty on many computers all alike far
   std::vector<double> left_;                   // (r, m)
   std::vector<double> share_of_limit_;         // (r): 1 / mean limit
   std::vector<Extremes> high_, low_;           // (r)
