@@ -7,11 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from poise import Message
+from poise.runtime.input_file import read_inputs
 from poise.runtime.player import TICK, Player
-from poise.runtime.recorder import Recorder, read_inputs
+from poise.runtime.recorder import Recorder
 from poise.testing import Bench
 from poise.wire.codec import codec
 from poise.wire.recorded import Input, Recorded
@@ -59,8 +62,8 @@ def test_plays_what_each_source_published_when_it_did(tmp_path: Path) -> None:
         tmp_path / "r", ("a.x", 0.1, "one"), ("b.y", 0.2, "other"), ("a.x", 0.3, "two")
     )
     ports = {
-        "first": {"type": TEXT, "source": "a.x"},
-        "second": {"type": TEXT, "source": "b.y"},
+        "first": {"type": TEXT, "sources": ["a.x"]},
+        "second": {"type": TEXT, "sources": ["b.y"]},
     }
     with player(recording=file, ports=ports) as bench:
         bench.advance(0.1 + TICK)
@@ -74,7 +77,7 @@ def test_plays_what_each_source_published_when_it_did(tmp_path: Path) -> None:
 def test_a_recording_begins_again(tmp_path: Path) -> None:
     """It lasts 0.3 s, and a pause of 0.1 s."""
     file = recorded(tmp_path / "r", ("a.x", 0.1, "one"), ("a.x", 0.3, "two"))
-    ports = {"out": {"type": TEXT, "source": "a.x"}}
+    ports = {"out": {"type": TEXT, "sources": ["a.x"]}}
     with player(recording=file, ports=ports) as bench:
         bench.advance(0.7 + TICK)
         assert texts(bench, "out") == ["one", "two", "one", "two"]
@@ -131,6 +134,26 @@ def test_a_recorder_writes_down_what_comes(tmp_path: Path) -> None:
     assert decoded == [Text("one"), Text("two")]
 
 
+class Vectors(Message):
+    one: NDArray[np.uint8]
+    two: NDArray[np.uint8]
+
+
+def test_arrays_of_any_length_are_written_down(tmp_path: Path) -> None:
+    path = tmp_path / "inputs"
+    sent = Vectors(np.arange(3, dtype=np.uint8), np.arange(5, dtype=np.uint8))
+    parameters = {
+        "path": str(path),
+        "ports": {"heard": ["a.x", "played_texts:Vectors"]},
+    }
+    with Bench(Recorder.__poise_specialised__(parameters, ""), parameters) as bench:
+        bench.send("heard", sent)
+    (found,) = read_inputs(path)
+    got = codec(Vectors).decode(found.body, memoryview(found.buffers))
+    np.testing.assert_array_equal(got.one, sent.one)
+    np.testing.assert_array_equal(got.two, sent.two)
+
+
 def test_a_cut_off_end_is_left_out(tmp_path: Path) -> None:
     path = tmp_path / "inputs"
     with recorder(path) as bench:
@@ -143,7 +166,7 @@ def test_a_cut_off_end_is_left_out(tmp_path: Path) -> None:
 def test_a_recording_is_bounded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("poise.runtime.recorder.MOST", 100)
+    monkeypatch.setattr("poise.runtime.input_file.MOST", 100)
     with recorder(tmp_path / "inputs") as bench:
         for _ in range(5):
             bench.send("heard", Text("a" * 40))

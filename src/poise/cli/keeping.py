@@ -9,10 +9,10 @@ from pathlib import Path
 from msgspec import Struct
 
 from poise.cli.computers import Say
-from poise.cli.tapped import RECORDER, Tapped, tapped
+from poise.cli.tapped import Tapped, tapped
 from poise.manage.recording import Recording, save
 from poise.model.robot import Robot
-from poise.runtime.recorder import read_inputs
+from poise.runtime.input_file import read_inputs
 from poise.wire.recorded import Recorded
 
 
@@ -51,10 +51,18 @@ def keeping(
 
 def _said(recorded: Recorded, tap: Tapped, file: Path) -> str:
     told = f"recorded {len(recorded.samples)} samples"
-    if not tap.sources:
-        return f"{told} to {file}; nothing is published between architectures"
+    if not tap.sources and not tap.callers:
+        return f"{told} to {file}; nothing goes between architectures"
     if not recorded.inputs:
-        where = tap.placement[RECORDER]
-        return f"{told} to {file}; messages are in {file}.inputs on '{where}', if any"
-    topics = ", ".join(tap.sources)
-    return f"{told} and {len(recorded.inputs)} messages of {topics} to {file}"
+        return f"{told} to {file}; what came is in {file}.inputs on the robot, if any"
+    calls = sum(each.tag is not None for each in recorded.inputs)
+    messages = len(recorded.inputs) - calls
+    found = [
+        f"{count} {what} of {', '.join(names)}"
+        for count, what, names in (
+            (messages, "messages", tap.sources),
+            (calls, "calls", tap.callers),
+        )
+        if names
+    ]
+    return f"{told}, {' and '.join(found)} to {file}"

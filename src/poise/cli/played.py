@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
 from pathlib import Path
 
 import msgspec
 from msgspec import Struct
 
-from poise.cli.tapped import message_type
+from poise.cli.tapped import interface_type, message_type
 from poise.errors import UsageError
 from poise.model.robot import Architecture, Component, Connector, End, Robot
 from poise.runtime.player import Part, read_recorded
@@ -104,7 +105,7 @@ def played(robot: Robot) -> Played:
     return Played(parts, recording)
 
 
-def _recorded(robot: Robot, recording: str) -> Iterator[tuple[str, Part]]:
+def _recorded(robot: Robot, recording: str) -> dict[str, Part]:
     try:
         inputs = read_recorded(Path(recording))
     except (OSError, msgspec.DecodeError) as error:
@@ -112,21 +113,26 @@ def _recorded(robot: Robot, recording: str) -> Iterator[tuple[str, Part]]:
             f"workload: recording {recording} cannot be played: {error}. "
             "`poise run --record` writes one"
         ) from error
-    found = list(_parts(robot, {each.source for each in inputs}))
+    found = _parts(robot, {each.source for each in inputs})
     if not found:
         raise UsageError(
             f"workload: recording {recording} holds nothing that goes from one "
             f"architecture of '{robot.name}' to another"
         )
-    return iter(found)
+    return found
 
 
-def _parts(robot: Robot, sources: Iterable[str]) -> Iterator[tuple[str, Part]]:
-    known = set(sources)
+def _parts(robot: Robot, known: AbstractSet[str]) -> dict[str, Part]:
+    """Return input -> what comes there of all sources that were recorded."""
+    parts: dict[str, Part] = {}
     for connector in robot.connectors:
         source, target = connector.between
         if str(source) in known:
-            yield (
-                str(target),
-                Part(type=message_type(robot, source), source=str(source)),
+            interface = interface_type(robot, source)
+            before = parts.get(str(target), Part(type=""))
+            parts[str(target)] = Part(
+                type=interface or message_type(robot, source),
+                calls=bool(interface),
+                sources=(*before.sources, str(source)),
             )
+    return parts

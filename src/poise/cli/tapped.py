@@ -1,4 +1,4 @@
-"""A robot with one component more, which writes down what others publish."""
+"""A robot that writes down what goes between architectures: messages and calls."""
 
 from __future__ import annotations
 
@@ -16,22 +16,28 @@ RECORDER = "recorder-of-inputs"
 
 
 class Tapped(Struct, frozen=True):
-    """The robot, where its components run, and which component.port is written down."""
+    """The robot, where its components run, and which component.port is written down.
+
+    `sources` publish, `callers` call.
+    """
 
     robot: Robot
     placement: Mapping[str, str]
     sources: tuple[str, ...]
+    callers: tuple[str, ...] = ()
 
 
 def tapped(robot: Robot, placement: Mapping[str, str], path: Path) -> Tapped:
-    """Return the robot with a recorder of what is published between architectures.
+    """Return the robot with a recorder of what goes between architectures.
 
-    It has a container of its own on the robot's first computer, and writes to `path`
-    there.
+    For messages there is one component more, with a container of its own on the
+    robot's first computer; calls are noted where they come. All is written to `path`
+    on the computer where that is.
     """
+    robot, callers = _noting_calls(robot, placement, path)
     sources = dict(published_between(robot, placement))
     if not sources:
-        return Tapped(robot, placement, ())
+        return Tapped(robot, placement, (), callers)
     names = {f"input_{i}": source for i, source in enumerate(sources)}
     ports = {name: (source, sources[source]) for name, source in names.items()}
     recorder = Component(
@@ -55,7 +61,24 @@ def tapped(robot: Robot, placement: Mapping[str, str], path: Path) -> Tapped:
         ),
         {**placement, RECORDER: robot.computers[0].name},
         tuple(sources),
+        callers,
     )
+
+
+def _noting_calls(
+    robot: Robot, placed: Mapping[str, str], path: Path
+) -> tuple[Robot, tuple[str, ...]]:
+    """Return the robot with calls between architectures noted; and who calls."""
+    record = str(path.absolute())
+    called = {
+        connector: msgspec.structs.replace(connector, record=record)
+        for connector in robot.connectors
+        if all(end.component in placed for end in connector.between)
+        and interface_type(robot, connector.between[1])
+    }
+    connectors = tuple(called.get(each, each) for each in robot.connectors)
+    callers = tuple(str(each.between[0]) for each in called)
+    return msgspec.structs.replace(robot, connectors=connectors), callers
 
 
 def published_between(
@@ -72,11 +95,20 @@ def published_between(
 
 def message_type(robot: Robot, end: End) -> str:
     """Return the type of a topic's port as package.module:Class; empty: it is none."""
+    return _type(robot, end, ("publishes", "subscribes"))
+
+
+def interface_type(robot: Robot, end: End) -> str:
+    """Return the interface of a port as package.module:Class; empty: it has none."""
+    return _type(robot, end, ("requires", "provides"))
+
+
+def _type(robot: Robot, end: End, kinds: tuple[str, ...]) -> str:
     component = next(c for c in robot.components() if c.name == end.component)
     if not component.implementation:
         return ""
     port = ports_of(find(component.implementation, robot.folder)).get(end.port)
-    if port is None or port.kind not in ("publishes", "subscribes"):
+    if port is None or port.kind not in kinds:
         return ""
     return f"{port.type.__module__}:{port.type.__qualname__}"
 

@@ -184,6 +184,7 @@ class Layout:
             target_computer=target.computer,
             address="" if is_direct else self.address(target, source.computer, doors),
             limit=connector.limit,
+            record=connector.record,
         )
 
     def _by_container(

@@ -157,6 +157,9 @@ class Connector(Struct, frozen=True, kw_only=True):
         Messages or calls per second [1/s].
     limit
         Time limit of a call [s]; > 0.
+    record
+        A file for the calls that come; empty: they are not written down. No robot file
+        says so, but `poise run --record`.
     """
 
     between: tuple[End, End]
@@ -164,6 +167,7 @@ class Connector(Struct, frozen=True, kw_only=True):
     message: float = 0.0
     rate: float = 0.0
     limit: float = 1.0
+    record: str = ""
 
     @property
     def traffic(self) -> float:

@@ -20,6 +20,7 @@ from poise.runtime.connectors.direct import DirectPath
 from poise.runtime.connectors.far_clock import FarClock, nobody_knows
 from poise.runtime.connectors.outlet import Outlet, Path
 from poise.runtime.connectors.wired import WiredPath, receiving
+from poise.runtime.input_file import noting_calls
 from poise.runtime.ports import Port
 from poise.runtime.runner import Runner
 from poise.wire.address import Address
@@ -264,6 +265,10 @@ class Wiring:
         grants = Grants(feed, ends.counts, open_pipe)
         ends.closing.callback(grants.close)
         handler = receiving(spec, target.ends, port, feed, grants, ends.far)
+        if spec.record and port.kind == "provides":
+            caller = f"{spec.source}.{spec.source_port}"
+            handler, file = noting_calls(handler, caller, FilePath(spec.record))
+            ends.closing.callback(file.close)
         server = self._transports.server
         server.open(spec.key, handler, ends.counts.refuse)
         ends.closing.callback(server.shut, spec.key)

@@ -80,6 +80,8 @@ class ConnectorSpec(Struct, frozen=True, kw_only=True):
         What the source calls its end. Connectors from one port to architectures that
         are alternatives have the same, so that what waits for one goes to the other.
         Empty: `name`.
+    record
+        A file for the calls that come; empty: they are not written down.
     """
 
     name: str
@@ -95,6 +97,7 @@ class ConnectorSpec(Struct, frozen=True, kw_only=True):
     target_computer: str = ""
     address: str = ""
     limit: float = 1.0
+    record: str = ""
 
     @property
     def key(self) -> str:

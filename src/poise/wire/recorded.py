@@ -8,22 +8,29 @@ from poise.wire.samples import AgentSample
 
 
 class Input(Struct, frozen=True, array_like=True):
-    """A message that was published.
+    """A message that was published, or a call that came.
 
     Parameters
     ----------
     source
-        ``component.port`` that published it.
+        ``component.port`` that published it, or that called.
     at
         When it came [s], since the recording began.
     body, buffers
-        It, encoded (`poise.wire.codec`); buffers end to end.
+        It, or the arguments, encoded (`poise.wire.codec`); buffers end to end.
+    tag
+        Of a call: which method (`poise.runtime.connectors.interface`).
+    result
+        What a call returned, encoded without its arrays; empty: it failed, or nobody
+        waited for it.
     """
 
     source: str
     at: float
     body: bytes
     buffers: bytes
+    tag: int | None = None
+    result: bytes = b""
 
 
 class Recorded(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -34,7 +41,7 @@ class Recorded(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     samples
         What agents told of what is used.
     inputs
-        What was published between architectures.
+        What was published between architectures, and called.
     """
 
     version: int = 1
