@@ -35,13 +35,6 @@ class Turn:
                 return
             self._acquire(chain, limit, "was busy for")
 
-    def try_enter(self, chain: int) -> bool:
-        with self._changed:
-            if self._held or self.is_retired:
-                return False
-            self._held, self._owner = True, chain
-            return True
-
     def leave(self) -> None:
         with self._changed:
             if self._depth:

@@ -22,7 +22,7 @@ LONG = 20.0
 CHAINS = st.integers(0, 3)
 STEPS = st.lists(
     st.one_of(
-        st.tuples(st.sampled_from(["enter", "try_enter"]), CHAINS),
+        st.tuples(st.just("enter"), CHAINS),
         st.tuples(st.sampled_from(["leave", "open", "shut", "retire"])),
         st.tuples(st.just("lend"), CHAINS),
         st.tuples(st.just("step_out"), CHAINS),

@@ -205,6 +205,20 @@ def test_a_connector_that_does_not_end_there_is_unavailable(wire: Wire) -> None:
 
 
 @both
+def test_who_was_refused_is_not_asked_all_the_time(
+    wire: Wire, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(link_pipe, "_PAUSE", 1e6)
+    monkeypatch.setattr(link_pipe, "_LONGEST_PAUSE", 1e6)
+    server, pipe = wire.server(), wire.pipe()
+    wait_until(lambda: not pipe.is_ready() and pipe._ask_at > 0.0)
+    server.open("echo", Receiver())
+    assert not pipe.is_ready()
+    assert pipe.request(call("ab"), LIMIT).value(TEXT) == "ba"  # a call does ask
+    assert pipe.is_ready()
+
+
+@both
 def test_a_connector_that_was_shut_is_unavailable(wire: Wire) -> None:
     server, pipe = wire.server(), wire.pipe()
     server.open("echo", Receiver())

@@ -46,9 +46,6 @@ class Turn:
             The component has moved away, before or during the wait.
         """
 
-    def try_enter(self, chain: int) -> bool:
-        """Take the turn if it is free, and return whether that is so; never wait."""
-
     def leave(self) -> None:
         """Give the turn back; RuntimeError when nobody has it."""
 

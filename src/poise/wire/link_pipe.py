@@ -25,6 +25,8 @@ from poise.wire.pipe import Closed, Pieces
 
 _PATIENCE = 0.2
 """Who asks whether a container of this computer is ready waits so long for it [s]."""
+_PAUSE, _LONGEST_PAUSE = 0.02, 0.1
+"""Who was refused is not asked again for this time, and then ever longer [s]."""
 _SPARE = 8
 """Links kept open per connector when no call uses them."""
 _IDLE = 30.0
@@ -123,6 +125,7 @@ class LinkPipe:
         self._is_lost = False
         self._ordering = threading.Lock()
         self._looked_at = time.monotonic()
+        self._ask_at, self._pause = 0.0, _PAUSE
 
     def is_ready(self) -> bool:
         """Return at once whether the receiving end is there, by connecting to it.
@@ -225,14 +228,19 @@ class LinkPipe:
     def _is_reached(self) -> bool:
         """Return whether a new link can be had, as far as to open it takes no time."""
         # two links for messages would not keep their order
-        if not self._ordering.acquire(blocking=False):
+        if time.monotonic() < self._ask_at or not self._ordering.acquire(
+            blocking=False
+        ):
             return False
         try:
             patience = 0.0 if self._address.host else _PATIENCE
             link = self._opened(self._use, time.monotonic() + patience)
             if link is not None:
                 self._links[self._use].give_back(link)
+                self._pause = _PAUSE
         except CallError:
+            self._ask_at = time.monotonic() + self._pause
+            self._pause = min(2 * self._pause, _LONGEST_PAUSE)
             return False
         finally:
             self._ordering.release()

@@ -51,7 +51,6 @@ NB_MODULE(_calls, module) {
             check(turn, turn.enter(chain, limit), limit, "was busy for");
           },
           nb::arg("chain"), nb::arg("limit"))
-      .def("try_enter", &Turn::try_enter, nb::arg("chain"))
       .def("leave", [](Turn& turn) { require(turn.leave()); })
       .def("step_out", &Turn::step_out, nb::arg("chain"))
       .def(

@@ -39,14 +39,6 @@ class Turn {
     return acquire(chain, limit);
   }
 
-  // Take the turn if it is free; never waits.
-  bool try_enter(Chain chain) {
-    if (held_ || retired_) return false;
-    held_ = true;
-    owner_ = chain;
-    return true;
-  }
-
   // Give the turn back; false when nobody had it.
   bool leave() {
     if (depth_ > 0) {
