@@ -34,7 +34,7 @@ def open_turn() -> Turn:
 
 
 def call_frame(chain: int) -> Frame:
-    return Frame(Kind.CALL, 0, 0, chain, b"body", memoryview(b"buffers"), 0)
+    return Frame(Kind.CALL, 0, 0, chain, b"body", memoryview(b"buffers"), 0, 0.0)
 
 
 def come_in(

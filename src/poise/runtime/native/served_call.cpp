@@ -56,6 +56,18 @@ Bound& inside_of(const nb::object& object, const char* what) {
   return *found;
 }
 
+// The names of a frame's fields; never given back.
+struct Fields {
+  PyObject* body = PyUnicode_InternFromString("body");
+  PyObject* buffers = PyUnicode_InternFromString("buffers");
+  PyObject* chain = PyUnicode_InternFromString("chain");
+};
+
+const Fields& fields() {
+  static const Fields all;
+  return all;
+}
+
 }  // namespace
 
 ServedCall::ServedCall(nb::object decode, nb::object method, nb::object encode, nb::object turn,
@@ -75,8 +87,8 @@ nb::object ServedCall::answer(nb::handle frame) {
   const bool measured = counts_of_.tally().cpu.should_measure_served(began);
   const std::int64_t cpu_began = measured ? cpu_now() : 0;
 
-  const nb::object values = decode_(frame.attr("body"), frame.attr("buffers"));
-  const auto chain = nb::cast<Chain>(frame.attr("chain"));
+  const nb::object values = decode_(frame.attr(fields().body), frame.attr(fields().buffers));
+  const auto chain = nb::cast<Chain>(frame.attr(fields().chain));
   nb::object pieces;
   {
     const Visiting visiting(chain, limit_);
