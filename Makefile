@@ -25,18 +25,23 @@ lint: setup
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 
-# The placement core under the address and undefined-behaviour sanitizers; without pytest's
+# All native code under the address and undefined-behaviour sanitizers; without pytest's
 # capture, which would swallow what they say.
 SITE := .venv/lib/$(shell $(PYTHON) -c 'import sys; print("python%d.%d" % sys.version_info[:2])')/site-packages
 sanitize: setup
 	@cmake -S . -B build/sanitize -DPOISE_SANITIZE=ON -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python >/dev/null
-	@cmake --build build/sanitize --target _core --parallel 2 >/dev/null
+	@cmake --build build/sanitize --parallel 2 >/dev/null
 	@rm -rf build/sanitize/site && mkdir -p build/sanitize/site
 	@cp -r $(SITE)/poise src/poise build/sanitize/site
 	@cp build/sanitize/_core*.so build/sanitize/site/poise/plan
+	@for part in estimate runtime wire; do \
+	  cp build/sanitize/src/poise/$$part/native/*.so build/sanitize/site/poise/$$part; done
 	@LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" ASAN_OPTIONS=detect_leaks=0 \
 	  PYTHONPATH=build/sanitize/site:$(SITE) $(BIN)/python -S -m pytest -q -s --timeout 600 \
-	  tests/plan/test_engine.py tests/plan/test_cut.py tests/plan/test_core_boundary.py
+	  tests/plan/test_engine.py tests/plan/test_cut.py tests/plan/test_core_boundary.py \
+	  tests/wire/test_frame.py tests/wire/test_link.py tests/wire/test_pipe.py \
+	  tests/runtime/connectors tests/runtime/test_histogram.py tests/runtime/test_ledger.py \
+	  tests/runtime/test_served_call.py tests/runtime/test_turn.py tests/estimate/test_shift.py
 
 clean:
 	rm -rf .venv build .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -23,6 +23,7 @@ PUBLIC = {
         "Required",
         "Stamp",
         "every",
+        "loan",
         "oneway",
         "subscribed",
     ],

@@ -45,7 +45,7 @@ def table(rows: list[Row]) -> str:
 def as_json(rows: list[Row]) -> str:
     """Return everything, and the medians at 64 B [us] by name."""
     found: dict[str, object] = {
-        row.key: row.times[0].median_us for row in rows if row.times
+        row.key: row.times[0].median_us for row in rows if row.key and row.times
     }
     found["machine"] = machine()
     found["rows"] = [

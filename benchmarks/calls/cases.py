@@ -27,6 +27,7 @@ CASES = (
     Case("Poise direct call", "poise_direct", ALL, "direct_us", alone=True),
     Case("AF_UNIX ping-pong", "unix", key="floor_unix_us"),
     Case("Poise same computer, call", "poise_local_call", key="same_computer_us"),
+    Case("Poise same computer, loans", "poise_local_loan", LARGE),
     Case("Poise same computer, topic", "poise_local_topic", key="local_topic_us"),
     Case("pyzmq REQ/REP over ipc", "pyzmq", key="pyzmq_us"),
     Case("iceoryx2 request/response", "iceoryx", key="iceoryx2_us"),

@@ -28,6 +28,7 @@ from poise.runtime.ports import (
 from poise.runtime.runner import Runner
 from poise.runtime.wiring import Place, Transports, Wiring
 from poise.wire.door import Door
+from poise.wire.loans import loan
 from poise.wire.messages import ComponentSpec, ConnectorKind, ConnectorSpec
 
 HOST, PORT = "127.0.0.1", 17448
@@ -45,6 +46,10 @@ class Echo:
 
     def echo_array(self, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return what came."""
+        raise NotImplementedError
+
+    def echo_loan(self, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return a loan as large as what came."""
         raise NotImplementedError
 
 
@@ -74,6 +79,10 @@ class Callee(Component):
     def echo_array(self, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return what came."""
         return data
+
+    def echo_loan(self, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return a loan as large as what came."""
+        return loan(data.shape, np.uint8)
 
     @subscribed(keep=4)
     def small_ping(self, message: Small) -> None:
@@ -195,6 +204,20 @@ def calls(kind: ConnectorKind, folder: Path) -> Iterator[Trips]:
             if size < BIG:
                 return timed(caller.calls.echo, bytes(size), count)
             return timed(caller.calls.echo_array, np.zeros(size, np.uint8), count)
+
+        yield trips
+
+
+@contextmanager
+def loans(folder: Path) -> Iterator[Trips]:
+    """Give the round trips of calls with a new loan there and a new one back."""
+    with connect("local", folder) as runner:
+        caller = runner.component
+        assert isinstance(caller, Caller)
+        echo = caller.calls.echo_loan
+
+        def trips(size: int, count: int) -> list[float]:
+            return timed(lambda sides: echo(loan(sides, np.uint8)), size, count)
 
         yield trips
 

@@ -11,6 +11,7 @@ from poise.runtime.ports import (
     oneway,
     subscribed,
 )
+from poise.wire.loans import loan
 
 __all__ = [
     "Component",
@@ -20,6 +21,7 @@ __all__ = [
     "Required",
     "Stamp",
     "every",
+    "loan",
     "oneway",
     "subscribed",
 ]

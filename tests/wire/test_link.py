@@ -135,7 +135,7 @@ def test_makes_room_for_larger_arrays(ends: tuple[Link, Link]) -> None:
 
 
 def test_a_pool_is_bounded_while_nothing_is_given_back() -> None:
-    pool = shared.Pool()
+    pool = shared.Pool(shared.Block)
     taken = []
     while (block := pool.take(1 << 16)[0]) is not None:
         block.fill([b"x"])
@@ -145,7 +145,7 @@ def test_a_pool_is_bounded_while_nothing_is_given_back() -> None:
 
 
 def test_a_pool_makes_no_block_that_is_too_large() -> None:
-    pool = shared.Pool()
+    pool = shared.Pool(shared.Block)
     assert pool.take(shared.MOST_BYTES + 1) == (None, False)
     pool.close()
 

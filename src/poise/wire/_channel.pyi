@@ -1,6 +1,8 @@
 """Frames between containers of one computer; the code is in ``wire/native``."""
 
-from poise.wire.codec import Bytes
+from typing import Any
+
+from poise.wire.codec import Bytes, Codec
 from poise.wire.frame import Frame
 
 class Channel:
@@ -48,6 +50,16 @@ class Channel:
 
 def parse(data: Bytes, buffers: memoryview | None = None) -> Frame:
     """Return the frame in `data`: see `poise.wire.frame.parse`."""
+
+def segments(
+    codec: Codec[Any],
+    value: object,
+    kind: int,
+    tag: int = 0,
+    number: int = 0,
+    chain: int = 0,
+) -> list[Bytes]:
+    """Return the pieces of a frame: see `poise.wire.frame.segments`."""
 
 def fill(target: object, start: int, pieces: list[Bytes]) -> None:
     """Copy pieces into writable memory from `start` on, without Python's lock.

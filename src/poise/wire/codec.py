@@ -15,6 +15,7 @@ import re
 from collections.abc import Iterable
 from functools import cache, lru_cache
 from math import prod
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_args
 
 import msgspec
@@ -165,9 +166,19 @@ def _plain(value: Any) -> Any:  # noqa: ANN401, msgspec's hook
     )
 
 
-def _encode_array(buffers: list[memoryview], value: Any) -> Any:  # noqa: ANN401, whatever msgspec does not know
-    import numpy as np  # noqa: PLC0415, only where users' arrays are
+@cache
+def _numpy() -> ModuleType:
+    """Return NumPy, which is imported only where users' arrays are.
 
+    An import statement costs more than all else that is done with a small array.
+    """
+    import numpy as np  # noqa: PLC0415, see above
+
+    return np
+
+
+def _encode_array(buffers: list[memoryview], value: Any) -> Any:  # noqa: ANN401, whatever msgspec does not know
+    np = _numpy()
     if not isinstance(value, np.ndarray):
         return _plain(value)
     array = value if value.flags.c_contiguous else np.ascontiguousarray(value)
@@ -177,7 +188,7 @@ def _encode_array(buffers: list[memoryview], value: Any) -> Any:  # noqa: ANN401
             f"an array of {array.dtype} cannot cross a connector; use one of numbers, "
             "or a Message with one for each field"
         )
-    offset = sum(b.nbytes + padding(b.nbytes) for b in buffers)
+    offset = sum(b.nbytes + padding(b.nbytes) for b in buffers) if buffers else 0
     buffers.append(array.reshape(-1).view(np.uint8).data)
     return msgspec.msgpack.Ext(_ARRAY, _encode_header((name, value.shape, offset)))
 
@@ -195,27 +206,23 @@ _array_header = msgspec.msgpack.Decoder(tuple[str, tuple[int, ...], int]).decode
 
 
 def _decode_array(buffers: memoryview, code: int, data: memoryview) -> np.ndarray:
-    import numpy as np  # noqa: PLC0415, only where users' arrays are
-
     if code != _ARRAY:
         raise ValueError(f"unknown extension {code}")
     dtype_name, shape, offset = _array_header(data)
     dtype = _dtype(dtype_name)
-    if dtype is None or min(shape, default=0) < 0 or offset < 0:
+    if dtype is None or not dtype.itemsize or min((0, *shape)) < 0 or offset < 0:
         raise ValueError(f"refused array {dtype_name} {shape} at {offset}")
     size = prod(shape) * dtype.itemsize
     if offset + size > buffers.nbytes:
         raise ValueError(f"array of {size} B at {offset} in {buffers.nbytes} B")
-    array = np.frombuffer(buffers[offset : offset + size], dtype).reshape(shape)
+    array: np.ndarray = _numpy().ndarray(shape, dtype, buffers, offset)
     array.flags.writeable = False
     return array
 
 
 def _check(type_: Any, value: Any) -> Any:  # noqa: ANN401, msgspec's hook
     """Refuse an array whose dtype is not the one that ``NDArray[...]`` declares."""
-    import numpy as np  # noqa: PLC0415, only where users' arrays are
-
-    if not isinstance(value, np.ndarray):
+    if not isinstance(value, _numpy().ndarray):
         raise TypeError(f"a {type(value).__qualname__}, not an array")
     for wanted in _declared(type_):
         if not issubclass(value.dtype.type, wanted):

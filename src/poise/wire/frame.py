@@ -14,19 +14,17 @@ sender's monotonic clock [ns]. The buffers may lie in shared memory instead.
 
 from __future__ import annotations
 
-import struct
 from enum import IntEnum
-from time import monotonic_ns
 from typing import Any
 
 from msgspec import Struct
 
 from poise.wire import _channel
-from poise.wire.codec import Bytes, Codec, padding
+from poise.wire.codec import Bytes, Codec
 
 VERSION = 2
-_HEAD = struct.Struct("<BBHIQQQ")
-_ZEROS = bytes(16)
+_HEAD = 32
+"""What comes before the body [bytes]."""
 _INLINE = 2
 """Head and body; then come what aligns the buffers, and they."""
 
@@ -86,14 +84,7 @@ def segments(
     chain: int = 0,
 ) -> list[Bytes]:
     """Return the pieces of a frame, to be sent one after the other without a copy."""
-    body, buffers = codec.encode(value)
-    head = _HEAD.pack(VERSION, kind, tag, len(body), number, chain, monotonic_ns())
-    pieces: list[Bytes] = [head, body]
-    if buffers:
-        pieces.append(_ZEROS[: padding(_HEAD.size + len(body))])
-        for buffer in buffers:
-            pieces += (buffer, _ZEROS[: padding(buffer.nbytes)])
-    return pieces
+    return _channel.segments(codec, value, kind, tag, number, chain)
 
 
 def failure(type_name: str, message: str, traceback: str = "") -> list[Bytes]:
@@ -104,7 +95,7 @@ def failure(type_name: str, message: str, traceback: str = "") -> list[Bytes]:
 def size_of(pieces: list[Bytes]) -> int:
     """Return the size of a frame [bytes], but for what aligns its buffers."""
     if len(pieces) == _INLINE:
-        return _HEAD.size + len(pieces[1])
+        return _HEAD + len(pieces[1])
     return sum(map(len, pieces)) - len(pieces[_INLINE])
 
 

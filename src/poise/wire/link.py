@@ -6,8 +6,9 @@
 
 Little endian. The inline bytes are a frame. When `block` is not 0, its buffers are the
 first `used` bytes of that block of shared memory. With the bit `_NEW`, no frame but a
-block of `used` bytes is announced: the receiver answers with one byte, and the file
-descriptor follows. Over TCP there are no blocks: all buffers come inline.
+block of `used` bytes is announced, and its slot (`poise.wire.loans`) are the inline
+bytes: the receiver answers with one byte, and the file descriptor follows. Over TCP
+there are no blocks: all buffers come inline.
 
 The bytes are sent and received by native code (`poise.wire._channel`), which waits and
 copies without Python's lock: in Python the same steps cost 9 us more a round trip.
@@ -21,13 +22,23 @@ import math
 import os
 import socket
 import struct
+from weakref import WeakValueDictionary
 
 from poise.errors import Unavailable
 from poise.wire import _channel
-from poise.wire.codec import Unreadable, WireError
+from poise.wire.codec import Bytes, Unreadable, WireError
 from poise.wire.frame import Frame, parse
+from poise.wire.loans import LOANS, LoanBlock
 from poise.wire.pipe import Pieces
-from poise.wire.shared import MOST_BLOCKS, MOST_BYTES, THRESHOLD, Block, Lender, Pool
+from poise.wire.shared import (
+    DATA,
+    MOST_BLOCKS,
+    MOST_BYTES,
+    THRESHOLD,
+    Block,
+    Lender,
+    Pool,
+)
 from poise.wire.stream import LARGEST
 
 _NEW = 1 << 31
@@ -39,6 +50,10 @@ LAST_ANSWER = 1
 _LOST = {errno.ETIMEDOUT, errno.EHOSTUNREACH, errno.ENETUNREACH}
 _INLINE = 2
 """The first pieces of a frame are its head and body; padding and buffers follow."""
+_ALONE = 2
+"""One array, and the padding behind it."""
+_MOST_NUMBER = 2 * MOST_BLOCKS
+"""A link's own blocks come first, then loans."""
 
 
 class Link:
@@ -54,8 +69,10 @@ class Link:
         self.is_local = connection.family == socket.AF_UNIX
         self._channel = _channel.Channel(connection.fileno())
         self.is_lost = False
-        self._pool = Pool()
+        self._pool = Pool(Block)
         self._lenders: dict[int, Lender] = {}
+        self._slot: int | None = None
+        self._loans: WeakValueDictionary[int, LoanBlock] = WeakValueDictionary()
 
     @property
     def has_blocks(self) -> bool:
@@ -80,6 +97,9 @@ class Link:
         self._connection.close()
         self._pool.close()
         self._lenders.clear()
+        slot, self._slot = self._slot, None
+        if slot is not None:
+            LOANS.give_slot_back(slot)
 
     def end(self, how: int = socket.SHUT_RDWR) -> None:
         """Let whoever uses it find it closed; from any thread.
@@ -149,7 +169,7 @@ class Link:
                 raise Unreadable(f"a shared block {block} was announced over TCP")
             if not block & _NEW:
                 return parse(data, self._lender(block).lend(used))
-            self._accept(block ^ _NEW, used)
+            self._accept(block ^ _NEW, used, int.from_bytes(data, "little"))
             got = self._channel.receive(deadline, LARGEST)
         return got
 
@@ -158,29 +178,59 @@ class Link:
         size = sum(map(len, buffers))
         if size > LARGEST:
             raise WireError(f"arrays of {size} B; {LARGEST} B is the largest")
-        has_block = self.is_local and size >= THRESHOLD
-        block = self._block(size, deadline) if has_block else None
+        if size < THRESHOLD or not self.is_local:
+            self._channel.send(pieces, deadline, LARGEST)
+            return
+        inline = pieces[:_INLINE]
+        if len(buffers) == _ALONE and self._send_loan(inline, buffers[0], deadline):
+            return
+        block = self._block(size, deadline)
         if block is None:
             self._channel.send(pieces, deadline, LARGEST)
             return
         block.fill(buffers)
         try:
-            inline = pieces[:_INLINE]
             self._channel.send(inline, deadline, LARGEST, block.number, size)
         except BaseException:
             # also when a signal's handler raises: else the block were lost for good
             block.take_back()
             raise
 
+    def _send_loan(self, inline: Pieces, array: Bytes, deadline: float) -> bool:
+        """Lend what lies in shared memory already; False when it does not.
+
+        Nor is a block lent that the receiver has: there is one byte to give it back.
+        """
+        block = LOANS.find(array) if isinstance(array, memoryview) else None
+        if block is None:
+            return False
+        if self._slot is None:
+            self._slot = LOANS.take_slot()
+        slot = self._slot
+        if slot is None or block.is_lent(slot):
+            return False
+        number = MOST_BLOCKS + block.number
+        if self._loans.get(number) is not block:
+            self._introduce(block, number, deadline, slot.to_bytes(2, "little"))
+            self._loans[number] = block
+        block.lend(slot)
+        try:
+            self._channel.send(inline, deadline, LARGEST, number, len(array))
+        except BaseException:  # as above
+            block.take_back(slot)
+            raise
+        return True
+
     def _block(self, size: int, deadline: float) -> Block | None:
         block, is_new = self._pool.take(size)
         if block is not None and is_new:
-            self._introduce(block, deadline)
+            self._introduce(block, block.number, deadline)
         return block
 
-    def _introduce(self, block: Block, deadline: float) -> None:
-        number = block.number | _NEW
-        self._channel.send([], deadline, LARGEST, number, block.capacity)
+    def _introduce(
+        self, block: Block, number: int, deadline: float, slot: bytes = b""
+    ) -> None:
+        self._channel.send([slot], deadline, LARGEST, number | _NEW, block.capacity)
         if self._channel.take(1, deadline) != _READY:
             raise Unavailable("the other end takes no shared memory")
         try:
@@ -188,10 +238,12 @@ class Link:
         except OSError as error:
             raise Unavailable(f"the other end is gone: {error}") from error
 
-    def _accept(self, number: int, capacity: int) -> None:
+    def _accept(self, number: int, capacity: int, slot: int) -> None:
         """Map a block that the other end announced."""
-        if not (0 < number <= MOST_BLOCKS and 0 < capacity <= MOST_BYTES):
+        if not (0 < number <= _MOST_NUMBER and 0 < capacity <= MOST_BYTES):
             raise Unreadable(f"a shared block {number} of {capacity} B was announced")
+        if slot >= DATA:
+            raise Unreadable(f"a shared block with slot {slot} was announced")
         try:
             self._connection.sendall(_READY)
             _, files, _, _ = socket.recv_fds(self._connection, 1, 1)
@@ -200,7 +252,7 @@ class Link:
         if not files:
             raise Unreadable("a shared block was announced, and no file came")
         try:
-            self._lenders[number] = Lender(files[0], capacity)
+            self._lenders[number] = Lender(files[0], capacity, slot)
         except (OSError, ValueError) as error:
             raise Unreadable(f"a shared block cannot be mapped: {error}") from error
         finally:

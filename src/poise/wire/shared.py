@@ -16,7 +16,8 @@ import fcntl
 import mmap
 import os
 import weakref
-from typing import Any
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
 
 from poise.wire import _channel
 from poise.wire.codec import Bytes, WireError
@@ -28,11 +29,14 @@ MOST_BLOCKS = 8
 MOST_BYTES = 1 << 27
 """Memory of these blocks in all [bytes]."""
 
-_DATA = mmap.PAGESIZE
-"""Where the data begin: the page before holds the byte that both ends write."""
-_LENT = 1
-_FREE = 0
+DATA = mmap.PAGESIZE
+"""Where the data begin: the page before holds the bytes that both ends write."""
+LENT = 1
+FREE = 0
 _SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL
+
+
+B = TypeVar("B", bound="Block")
 
 
 class Block:
@@ -43,7 +47,7 @@ class Block:
         self.capacity = capacity
         self.file = os.memfd_create("poise", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
         try:
-            os.ftruncate(self.file, _DATA + capacity)
+            os.ftruncate(self.file, DATA + capacity)
             fcntl.fcntl(self.file, fcntl.F_ADD_SEALS, _SEALS)
             self._map = mmap.mmap(
                 self.file, 0, mmap.MAP_SHARED | mmap.MAP_POPULATE, mmap.PROT_WRITE
@@ -54,16 +58,16 @@ class Block:
 
     def is_free(self) -> bool:
         """Return whether the receiver has no array on it."""
-        return self._map[0] == _FREE
+        return self._map[0] == FREE
 
     def fill(self, pieces: list[Bytes]) -> None:
         """Copy `pieces` into it, end to end, and lend it."""
-        _channel.fill(self._map, _DATA, pieces)
-        self._map[0] = _LENT
+        _channel.fill(self._map, DATA, pieces)
+        self._map[0] = LENT
 
     def take_back(self) -> None:
         """Undo `fill`: the receiver was not told."""
-        self._map[0] = _FREE
+        self._map[0] = FREE
 
     def close(self) -> None:
         """Give up this side's map; the receiver's arrays stay as they are."""
@@ -71,16 +75,27 @@ class Block:
         os.close(self.file)
 
 
-class Pool:
-    """The blocks into which one end of a link copies."""
+class Pool(Generic[B]):
+    """Blocks that are used again and again.
 
-    def __init__(self) -> None:
-        self._blocks: dict[int, Block] = {}
+    Parameters
+    ----------
+    make
+        Makes one: its number, and its capacity [bytes].
+    """
+
+    def __init__(self, make: Callable[[int, int], B]) -> None:
+        self._make = make
+        self._blocks: dict[int, B] = {}
 
     def __bool__(self) -> bool:
         return bool(self._blocks)
 
-    def take(self, size: int) -> tuple[Block | None, bool]:
+    def blocks(self) -> list[B]:
+        """Return all of them."""
+        return list(self._blocks.values())
+
+    def take(self, size: int) -> tuple[B | None, bool]:
         """Return a free block for `size` bytes, and whether it is new.
 
         None when the receiver has not given back enough of them.
@@ -99,35 +114,43 @@ class Pool:
         if len(self._blocks) == MOST_BLOCKS or used + capacity > MOST_BYTES:
             return None, False
         number = next(n for n in range(1, MOST_BLOCKS + 1) if n not in self._blocks)
-        block = self._blocks[number] = Block(number, capacity)
+        block = self._blocks[number] = self._make(number, capacity)
         return block, True
+
+    def give_up(self, block: B) -> None:
+        """Use a block no more."""
+        self._blocks.pop(block.number).close()
 
     def close(self) -> None:
         """Give up all blocks."""
         while self._blocks:
             self._blocks.popitem()[1].close()
 
-    def _make_room(self, capacity: int, free: list[Block]) -> None:
+    def _make_room(self, capacity: int, free: list[B]) -> None:
         """Give up free blocks, all of them too small, as far as a new one needs it."""
         for block in free:
             used = sum(map(_capacity, self._blocks.values()))
             if len(self._blocks) < MOST_BLOCKS and used + capacity <= MOST_BYTES:
                 return
-            self._blocks.pop(block.number).close()
+            self.give_up(block)
 
 
 class Lender:
     """The receiver's side of a block."""
 
-    def __init__(self, file: int, capacity: int) -> None:
-        """Map a block; WireError when the file is not one of `capacity` bytes."""
+    def __init__(self, file: int, capacity: int, slot: int = 0) -> None:
+        """Map a block; WireError when the file is not one of `capacity` bytes.
+
+        `slot` is the number of the byte that says whose it is.
+        """
         if fcntl.fcntl(file, fcntl.F_GET_SEALS) & _SEALS != _SEALS:
             raise WireError("a shared block may shrink: not sealed")
-        if os.fstat(file).st_size != _DATA + capacity:
+        if os.fstat(file).st_size != DATA + capacity:
             raise WireError(f"a shared block is not of {capacity} B")
         shared = mmap.MAP_SHARED | mmap.MAP_POPULATE
-        self._flag = mmap.mmap(file, _DATA, shared, mmap.PROT_WRITE)
-        self._data = mmap.mmap(file, capacity, shared, mmap.PROT_READ, offset=_DATA)
+        self._flag = mmap.mmap(file, DATA, shared, mmap.PROT_WRITE)
+        self._data = mmap.mmap(file, capacity, shared, mmap.PROT_READ, offset=DATA)
+        self._slot = slot
         self._lent: weakref.ref[Any] | None = None
 
     def lend(self, length: int) -> memoryview:
@@ -142,10 +165,10 @@ class Lender:
 
         if length > len(self._data):
             raise WireError(f"{length} B announced in a block of {len(self._data)} B")
-        flag = self._flag
+        flag, slot = self._flag, self._slot
         array: Any = np.frombuffer(self._data, np.uint8, length)
         # every view of the memoryview below keeps this array, and nothing else does
-        self._lent = weakref.ref(array, lambda _: flag.__setitem__(0, _FREE))
+        self._lent = weakref.ref(array, lambda _: flag.__setitem__(slot, FREE))
         return memoryview(array)
 
 

@@ -233,9 +233,10 @@ def test_knows_about_the_cpu_time_of_bursts(turn: Turn, counts: Counts) -> None:
     for _ in range(200_000):
         call(numbers)
     used, wall = time.thread_time() - began, time.monotonic() - wall_began
-    # the loop and the reading of clocks are the caller's own; one call in many is
-    # measured, and what a busy machine takes from the others counts as theirs
-    assert 0.2 * used < counts.cpu < wall
+    # the loop and the reading of clocks, which is slow on a busy machine, are the
+    # caller's own; one call in many is measured, and what a busy machine takes from the
+    # others counts as theirs
+    assert 0.05 * used < counts.cpu < wall
 
 
 def test_does_not_take_waiting_for_cpu_time(turn: Turn, counts: Counts) -> None:

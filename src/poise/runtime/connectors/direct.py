@@ -102,14 +102,10 @@ def direct_call(
     gets `Timeout`. The callee itself is not interrupted. `resend` takes the calls that
     find the component moved away.
     """
-    return DirectCall(method, turn, limit, counts, _raise_callee_error, resend)
+    return DirectCall(method, turn, limit, counts, raise_callee_error, resend)
 
 
-def callee_error(error: Exception) -> CalleeError:
-    """Return what a caller gets when its callee raised `error`."""
+def raise_callee_error(error: Exception) -> NoReturn:
+    """Raise what a caller gets when its callee raised `error`."""
     text = "".join(traceback.format_exception(error))
-    return CalleeError(type(error).__qualname__, str(error), text)
-
-
-def _raise_callee_error(error: Exception) -> NoReturn:
-    raise callee_error(error) from error
+    raise CalleeError(type(error).__qualname__, str(error), text) from error

@@ -8,15 +8,16 @@ from collections.abc import Callable
 from typing import Any, NoReturn
 
 from poise.errors import CalleeError, CallError, Timeout
+from poise.runtime._calls import ServedCall, away
+from poise.runtime.connectors.counts import Counts
 from poise.runtime.connectors.credits import Credit, Grants
-from poise.runtime.connectors.direct import Target, callee_error
+from poise.runtime.connectors.direct import Target, raise_callee_error
 from poise.runtime.connectors.far_clock import FarClock
 from poise.runtime.connectors.interface import Method, message_tag, methods
 from poise.runtime.connectors.outlet import Outlet
-from poise.runtime.connectors.visits import away, visit
 from poise.runtime.mailbox import Feed
 from poise.runtime.ports import Port
-from poise.runtime.turn import Retired, current_chain, join_chain
+from poise.runtime.turn import Retired, current_chain
 from poise.wire import frame
 from poise.wire.codec import Codec, WireError, codec
 from poise.wire.frame import Frame, Kind, segments, size_of
@@ -96,8 +97,7 @@ class WiredPath:
             pieces = segments(arguments, values, _CALL, tag=tag, chain=chain)
             answer = None
             try:
-                with away(chain, limit, name):
-                    answer = request(pieces, limit)
+                answer = away(chain, limit, name, request, pieces)
                 if answer.kind is _RESULT:
                     result = decode(answer.body, answer.buffers)
                 elif answer.kind is not _MOVED:
@@ -132,7 +132,10 @@ def receiving(
     """Return what a target does with the frames that come over pipes."""
     connector, counts = spec.name, feed.counts
     known = methods(port.type) if port.kind == "provides" else {}
-    answers = {tag: _answering(target, m, spec.limit) for tag, m in known.items()}
+    answers = {
+        tag: _answering(target, method, spec.limit, counts)
+        for tag, method in known.items()
+    }
     tag, coder = message_tag(port.type), codec(port.type) if not known else _NOTHING
 
     def handle(received: Frame) -> Pieces | None:
@@ -158,14 +161,15 @@ def receiving(
         return None
 
     def serve(received: Frame) -> Pieces:
-        began, cpu = time.monotonic(), time.thread_time()
-        run = answers.get(received.tag)
+        began = time.monotonic()
         try:
-            answer = run(received) if run else _refuse(port)
-        except WireError as error:
-            log.warning("connector %s: refused: %s", connector, error)
+            answer = (answers.get(received.tag) or _refuse(port))(received)
+        except Retired:
+            answer = segments(_NOTHING, None, _MOVED)
+        except (CalleeError, Timeout, WireError) as error:
+            if isinstance(error, WireError):
+                log.warning("connector %s: refused: %s", connector, error)
             answer = _failure(error)
-        counts.add_cpu(time.thread_time() - cpu)
         took, failed = time.monotonic() - began, answer[0][1] == _ERROR
         size, latency = size_of(answer), received.age + far.ahead
         counts.add_call(took, size, received.size, latency, far.error, failed)
@@ -199,31 +203,19 @@ def _refuse(port: Port) -> NoReturn:
 
 
 def _answering(
-    target: Target, method: Method, limit: float
-) -> Callable[[Frame], Pieces]:
-    """Return what answers the calls of a method; it raises WireError alone."""
-    turn, run = target.turn, getattr(target.component, method.name)
-    arguments, result, tag = method.arguments, method.result, method.tag
-
-    def answer(received: Frame) -> Pieces:
-        values = arguments.decode(received.body, received.buffers)
-        chain = received.chain
-        try:
-            with visit(chain, limit):
-                join_chain(chain)
-                turn.enter(chain, limit)
-                try:
-                    return segments(result, run(*values), _RESULT, tag=tag)
-                except Exception as error:  # noqa: BLE001, the callee may raise anything; it crosses
-                    return _failure(callee_error(error))
-                finally:
-                    turn.leave()
-        except Timeout as error:
-            return _failure(error)
-        except Retired:
-            return segments(_NOTHING, None, _MOVED)
-
-    return answer
+    target: Target, method: Method, limit: float, counts: Counts
+) -> ServedCall:
+    """Return what answers the calls of a method."""
+    result, tag = method.result, method.tag
+    return ServedCall(
+        decode=method.arguments.decode,
+        method=getattr(target.component, method.name),
+        encode=lambda value: segments(result, value, _RESULT, tag=tag),
+        turn=target.turn,
+        limit=limit,
+        counts=counts,
+        translate=raise_callee_error,
+    )
 
 
 def _raise_failure(answer: Frame) -> NoReturn:

@@ -16,6 +16,7 @@ std::int64_t cpu_now() { return read_clock(CLOCK_THREAD_CPUTIME_ID); }
 
 void CpuShare::add_measured(std::int64_t began, std::int64_t wall, std::int64_t cpu) {
   last_ = began;
+  last_wall_ = wall;
   wall_.add(wall);
   measured_wall_.add(wall);
   measured_cpu_.add(cpu);

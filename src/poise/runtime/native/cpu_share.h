@@ -17,8 +17,16 @@ std::int64_t cpu_now();   // of this thread [ns]
 class CpuShare {
  public:
   static constexpr std::int64_t spacing = 10'000;  // [ns]
+  static constexpr std::int64_t served_spacing = 1'000'000;  // [ns]
+  static constexpr std::int64_t long_call = 50'000;          // [ns]
 
   bool should_measure(std::int64_t now) const { return now - last_ >= spacing; }
+
+  // Of a call that came over a pipe, where few come sooner than 50 us after each other: one
+  // in a while is measured, and each that follows one which took long.
+  bool should_measure_served(std::int64_t now) const {
+    return now - last_ >= served_spacing || last_wall_ >= long_call;
+  }
 
   void add(std::int64_t wall) { wall_.add(wall); }
 
@@ -30,7 +38,8 @@ class CpuShare {
   Shared<std::int64_t> wall_;
   Shared<std::int64_t> measured_wall_;
   Shared<std::int64_t> measured_cpu_;
-  std::int64_t last_ = -spacing;
+  std::int64_t last_ = -served_spacing;
+  std::int64_t last_wall_ = 0;
 };
 
 }  // namespace poise

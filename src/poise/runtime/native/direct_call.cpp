@@ -24,20 +24,6 @@ struct DirectCall {
   double limit;         // [s]
 };
 
-// An error that the callee raised becomes a CalleeError; what is no Exception, such as
-// KeyboardInterrupt, goes on as it is.
-void translate_error(const DirectCall* call) {
-  if (!PyErr_ExceptionMatches(PyExc_Exception)) return;
-  PyObject *type, *value, *trace;
-  PyErr_Fetch(&type, &value, &trace);
-  PyErr_NormalizeException(&type, &value, &trace);
-  if (trace) PyException_SetTraceback(value, trace);
-  Py_XDECREF(PyObject_CallOneArg(call->translate, value));  // always raises
-  Py_XDECREF(type);
-  Py_XDECREF(value);
-  Py_XDECREF(trace);
-}
-
 void set_too_late(const DirectCall* call, double elapsed) {
   nb::object name = nb::getattr(call->method, "__qualname__", nb::str("the callee"));
   nb::object error = nb::module_::import_("poise.errors").attr("Timeout");
@@ -86,7 +72,7 @@ PyObject* invoke(PyObject* self, PyObject* const* args, std::size_t num, PyObjec
   counts.delay.add(elapsed);
   if (!result) {
     tally.errors.add(1);
-    translate_error(call);
+    translate_error(call->translate);
   } else if (elapsed > call->limit) {
     tally.errors.add(1);
     Py_CLEAR(result);
@@ -183,6 +169,18 @@ PyType_Spec spec = {
 };
 
 }  // namespace
+
+void translate_error(nb::handle translate) {
+  if (!PyErr_ExceptionMatches(PyExc_Exception)) return;
+  PyObject *type, *value, *trace;
+  PyErr_Fetch(&type, &value, &trace);
+  PyErr_NormalizeException(&type, &value, &trace);
+  if (trace) PyException_SetTraceback(value, trace);
+  Py_XDECREF(PyObject_CallOneArg(translate.ptr(), value));  // always raises
+  Py_XDECREF(type);
+  Py_XDECREF(value);
+  Py_XDECREF(trace);
+}
 
 nb::object make_direct_call_type() { return nb::steal(PyType_FromSpec(&spec)); }
 

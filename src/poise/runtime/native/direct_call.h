@@ -54,6 +54,10 @@ struct Counts {
 // The type `DirectCall`: a callable with the vectorcall protocol.
 nanobind::object make_direct_call_type();
 
+// Let `translate` raise what a caller gets instead of the error that its callee raised;
+// what is no Exception, such as KeyboardInterrupt, goes on as it is.
+void translate_error(nanobind::handle translate);
+
 // Set the Python error that stands for an entry that failed. `action` says, with the
 // limit, what was waited for.
 void set_entry_error(const std::string& what, int entry, double limit,

@@ -9,8 +9,8 @@ namespace poise {
 
 // The kernel's numbers for CPU clocks (CPUCLOCK_SCHED): of a thread, for its own process
 // alone; of a process, for everybody.
-inline clockid_t thread_cpu_clock(int thread) { return (~thread << 3) | 4 | 2; }
-inline clockid_t process_cpu_clock(int process) { return (~process << 3) | 2; }
+inline clockid_t thread_cpu_clock(int thread) { return ~thread * 8 | 4 | 2; }
+inline clockid_t process_cpu_clock(int process) { return ~process * 8 | 2; }
 
 // Read a CPU clock [ns]; false when its thread or process has ended.
 bool read_cpu(clockid_t clock, std::int64_t& used);

@@ -10,6 +10,7 @@
 #include "account.h"
 #include "direct_call.h"
 #include "reader.h"
+#include "served_call.h"
 #include "turn.h"
 
 namespace nb = nanobind;
@@ -145,6 +146,15 @@ NB_MODULE(_calls, module) {
           },
           nb::arg("source").none(), nb::arg("target").none())
       .def("leave", [](Counts& counts) { counts.entered.leave(); });
+
+  nb::class_<ServedCall>(module, "ServedCall")
+      .def(nb::init<nb::object, nb::object, nb::object, nb::object, double, nb::object,
+                    nb::object>(),
+           nb::arg("decode"), nb::arg("method"), nb::arg("encode"), nb::arg("turn"),
+           nb::arg("limit"), nb::arg("counts"), nb::arg("translate"))
+      .def("__call__", &ServedCall::answer, nb::arg("frame"));
+  module.def("away", &away, nb::arg("chain"), nb::arg("limit"), nb::arg("what"),
+             nb::arg("request"), nb::arg("pieces"));
 
   module.attr("DirectCall") = make_direct_call_type();
 }

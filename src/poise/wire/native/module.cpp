@@ -99,6 +99,7 @@ struct Names {
     no_buffers = PyMemoryView_FromObject(nb::bytes("", 0).ptr());
   }
   PyObject* frame;
+  PyObject* encode = PyUnicode_InternFromString("encode");
   PyObject* no_buffers;
   std::array<PyObject*, 256> kinds{};
   int version;
@@ -176,6 +177,38 @@ nb::object parse(nb::object data, nb::object buffers) {
     buffers = part(view, std::min(size, start), size);
   }
   return make_frame(head, part(view, frame_head, end), buffers);
+}
+
+nb::bytes zeros(std::size_t length) {
+  static constexpr char all[alignment] = {};
+  return nb::bytes(all, (alignment - length % alignment) % alignment);
+}
+
+nb::list segments(nb::handle codec, nb::handle value, int kind, std::uint16_t tag,
+                  std::uint64_t number, std::uint64_t chain) {
+  const nb::object encoded = nb::steal(
+      PyObject_CallMethodOneArg(codec.ptr(), names().encode, value.ptr()));
+  if (!encoded.is_valid()) throw nb::python_error();
+  const nb::object body = encoded[0], buffers = encoded[1];
+  const std::size_t length = nb::len(body);
+  if (length > UINT32_MAX) raise_wire_error(nb::str("a body of {} B is too large").format(length));
+  const FrameHead head{static_cast<std::uint8_t>(names().version),
+                       static_cast<std::uint8_t>(kind),
+                       tag,
+                       static_cast<std::uint32_t>(length),
+                       number,
+                       chain,
+                       static_cast<std::uint64_t>(monotonic_now())};
+  nb::list pieces;
+  pieces.append(nb::bytes(reinterpret_cast<const char*>(&head), sizeof head));
+  pieces.append(body);
+  if (nb::len(buffers) == 0) return pieces;
+  pieces.append(zeros(frame_head + length));
+  for (nb::handle buffer : buffers) {
+    pieces.append(buffer);
+    pieces.append(zeros(nb::len(buffer)));
+  }
+  return pieces;
 }
 
 void send(Channel& channel, nb::list list, double deadline, std::size_t largest,
@@ -276,5 +309,7 @@ NB_MODULE(_channel, module) {
       .def("ask", &ask, nb::arg("pieces"), nb::arg("deadline"), nb::arg("largest"))
       .def("take", &take, nb::arg("size"), nb::arg("deadline"));
   module.def("parse", &parse, nb::arg("data"), nb::arg("buffers") = nb::none());
+  module.def("segments", &segments, nb::arg("codec"), nb::arg("value").none(), nb::arg("kind"),
+             nb::arg("tag") = 0, nb::arg("number") = 0, nb::arg("chain") = 0);
   module.def("fill", &fill, nb::arg("target"), nb::arg("start"), nb::arg("pieces"));
 }
