@@ -50,7 +50,7 @@ BUGS = [
 
 def check(bounds: Bounds, bug: str = "") -> Report[State]:
     return explore(
-        initial(bounds),
+        initial(bounds, bug),
         Protocol(bounds, bug).successors,
         trouble_of,
         lambda state: is_final(state, bounds),
