@@ -18,6 +18,8 @@ from poise.runtime.runner import Runner
 from poise.runtime.turn import Retired
 from poise.wire.messages import ComponentSpec, State
 
+from .conftest import wait_until
+
 LIMIT = 20.0
 
 

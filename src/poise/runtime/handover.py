@@ -18,7 +18,7 @@ from typing import Any, get_type_hints
 from msgspec import Struct
 
 from poise.errors import RunError, Timeout, UsageError
-from poise.priority import ahead, as_usual
+from poise.priority import ahead, first
 from poise.runtime.component import Component
 from poise.runtime.connectors.wired import entry_codec
 from poise.runtime.runner import Runner
@@ -118,10 +118,11 @@ class Giver:
         """Return what is handed over; it is made when somebody begins to ask."""
         if ask is Ask.STATE:
             if not offset:
-                with as_usual():
-                    self._state_frame = _encoded(self._state())
+                self._state_frame = _encoded(self._state())
             return self._state_frame
-        if not self._decided.wait(limit):
+        with first():
+            is_decided = self._decided.wait(limit)
+        if not is_decided:
             raise Timeout(f"component '{self._runner.spec.name}' is not ready to give")
         if self._why_not:
             raise RunError(self._why_not)

@@ -14,7 +14,6 @@ from msgspec import Struct
 
 from poise.clock import Elapsed
 from poise.errors import RobotError, RunError, UsageError
-from poise.priority import ahead
 from poise.runtime.connectors.counts import Counts
 from poise.runtime.connectors.credits import GRANTS, Credit, Credits, Grants
 from poise.runtime.connectors.direct import DirectPath
