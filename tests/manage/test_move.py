@@ -6,10 +6,12 @@ import contextlib
 import os
 import re
 import signal
+import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -28,13 +30,30 @@ from poise.model.robot import (
     End,
     Robot,
 )
-from poise.wire.messages import Deployment, Order, Outcome
+from poise.wire.messages import (
+    Await,
+    Deployment,
+    Lull,
+    Offer,
+    Open,
+    Order,
+    Outcome,
+    Precopy,
+    Rest,
+)
 from tests.manage.agents import agent
 from tests.runtime.conftest import free_port, wait_until
 
 pytestmark = pytest.mark.slow
 
 LIMIT = 20.0
+ROUNDS = (Offer, Precopy, Await, Lull, Rest, Open)
+"""A kind of step in each round of a move."""
+JOINTS: tuple[tuple[str, str], ...] = (
+    ("source.numbers", "counter.numbers"),
+    ("source.doubles", "counter.doubles"),
+    ("counter.passed", "sink.passed"),
+)
 CODE = '''
 import os, threading
 from typing import Protocol
@@ -151,6 +170,42 @@ class Unactivatable(Counter):
         if self.state.last:
             raise LookupError("no such motor")
 
+class Unsnapshotable(Counter):
+    def snapshot(self) -> Counted:
+        raise LookupError("no such tape")
+
+class Unwritable(Counter):
+    def snapshot(self) -> Counted:
+        return Counted(object(), 0, 0)
+
+class Untyped(Counter):
+    def restore(self, state):
+        self.state = state
+
+class Late(Counter):
+    """Takes longer to restore than its callers wait."""
+
+    def restore(self, state: Counted) -> None:
+        threading.Event().wait(0.3)
+        self.state = state
+
+class Calling(Counter):
+    """Calls whoever calls it, in the same chain."""
+
+    helps: Required[Doubles]
+
+    def double(self, value: int) -> int:
+        return self.helps.double(value)
+
+class Called(Source):
+    """Is called back by what it calls."""
+
+    helps: Provided[Doubles]
+    reentrant = True
+
+    def double(self, value: int) -> int:
+        return 2 * value
+
 class Hanging(Counter):
     def activate(self):
         if self.state.last:
@@ -190,23 +245,22 @@ class Sink(Telling):
 
 
 class Striking:
-    """A fleet that does something before or after a round of orders."""
+    """A fleet that does something before a round of orders."""
 
     def __init__(self, fleet: Fleet) -> None:
         self._fleet = fleet
-        self.round = 0
         self.deploy = fleet.deploy
-        self.before: dict[int, Callable[[], None]] = {}
+        self.before: dict[type, Callable[[], None]] = {}
 
     def __getattr__(self, name: str) -> object:
         return getattr(self._fleet, name)
 
     def order(self, orders: Iterable[tuple[str, Order]]) -> Iterator[Outcome]:
-        strike = self.before.pop(self.round, None)
-        self.round += 1
-        if strike is not None:
-            strike()
-        return self._fleet.order(orders)
+        told = list(orders)
+        kinds = {type(step) for _, order in told for step in order.steps}
+        for kind in kinds & self.before.keys():
+            self.before.pop(kind)()
+        return self._fleet.order(told)
 
 
 class World:
@@ -218,15 +272,16 @@ class World:
         self.striking = Striking(fleet)
         self.journal = journal
         self.extra: tuple[Component, ...] = ()
+        self.source = "Source"
+        self.joints = JOINTS
+        self.limit = 3.0
         self.run: Run
 
     def start(
         self, counter: str, source: str = "left", *, isolated: bool = False
     ) -> Run:
         (self.folder / self.name).mkdir()
-        robot = _robot(
-            self.folder, self.name, counter, isolated=isolated, extra=self.extra
-        )
+        robot = self._robot(counter, isolated=isolated)
         placement = {"source": source, "counter": "left", "sink": "left"}
         placement |= {component.name: "left" for component in self.extra}
         fleet: Fleet = self.striking  # type: ignore[assignment] # it stands in for one
@@ -274,78 +329,88 @@ class World:
             if (component.name, component.state) == ("counter", "active")
         ]
 
-
-def _robot(
-    folder: Path,
-    name: str,
-    counter: str,
-    *,
-    isolated: bool,
-    extra: tuple[Component, ...],
-) -> Robot:
-    implementations = {"source": "Source", "counter": counter, "sink": "Sink"}
-    joints = (
-        ("source.numbers", "counter.numbers"),
-        ("source.doubles", "counter.doubles"),
-        ("counter.passed", "sink.passed"),
-    )
-    architecture = Architecture(
-        name=name,
-        function="one",
-        components=tuple(
-            Component(
-                name=n,
-                implementation=f"moved:{c}",
-                isolated=isolated,
-                parameters={"folder": str(folder / name)},
+    def _robot(self, counter: str, *, isolated: bool) -> Robot:
+        implementations = {"source": self.source, "counter": counter, "sink": "Sink"}
+        architecture = Architecture(
+            name=self.name,
+            function="one",
+            components=tuple(
+                Component(
+                    name=n,
+                    implementation=f"moved:{c}",
+                    isolated=isolated,
+                    parameters={"folder": str(self.folder / self.name)},
+                )
+                for n, c in implementations.items()
             )
-            for n, c in implementations.items()
+            + self.extra,
+            connectors=tuple(
+                Connector(
+                    between=(End(*a.split(".")), End(*b.split("."))), limit=self.limit
+                )
+                for a, b in self.joints
+            ),
         )
-        + extra,
-        connectors=tuple(
-            Connector(between=(End(*a.split(".")), End(*b.split("."))), limit=3.0)
-            for a, b in joints
-        ),
-    )
-    capacity = {"cpu": 1.0, "memory": 1e9}
-    computers = tuple(Computer(name=n, capacity=capacity) for n in ("left", "right"))
-    return Robot(
-        name="moves",
-        folder=str(folder),
-        computers=computers,
-        architectures=(architecture,),
-    )
+        capacity = {"cpu": 1.0, "memory": 1e9}
+        names = ("left", "right")
+        return Robot(
+            name="moves",
+            folder=str(self.folder),
+            computers=tuple(Computer(name=n, capacity=capacity) for n in names),
+            architectures=(architecture,),
+        )
 
 
-@pytest.fixture(scope="module")
-def agents() -> Iterator[tuple[Path, Fleet]]:
-    """Start both agents."""
+class Agents(NamedTuple):
+    """Two agents and their fleet."""
+
+    folder: Path
+    fleet: Fleet
+    processes: Mapping[str, subprocess.Popen[bytes]]
+
+
+def _agents() -> Iterator[Agents]:
     robot = f"moves{os.getpid()}"
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         (folder / "moved.py").write_text(CODE)
         ports = {"left": free_port(), "right": free_port()}
         lifeline, held = os.pipe()
-        for name in ports:
-            stack.enter_context(agent(robot, name, ports, folder, lifeline))
+        processes = {
+            name: stack.enter_context(agent(robot, name, ports, folder, lifeline))
+            for name in ports
+        }
         stack.callback(os.close, held)
         stack.callback(os.close, lifeline)
         ends = {name: f"tcp/127.0.0.1:{port}" for name, port in ports.items()}
         fleet = stack.enter_context(Fleet(robot, ends, SystemClock()))
         fleet.wait_alive(ports, LIMIT)
-        yield folder, fleet
+        yield Agents(folder, fleet, processes)
 
 
-@pytest.fixture
-def world(
-    agents: tuple[Path, Fleet], request: pytest.FixtureRequest
-) -> Iterator[World]:
+agents = pytest.fixture(scope="module", name="agents")(_agents)
+mortals = pytest.fixture(name="mortals")(_agents)
+"""Agents that a test may kill."""
+
+
+def _world(agents: Agents, name: str) -> Iterator[World]:
     """Give each test containers with names, and so back-offs, of their own."""
     journal = Journal(":memory:")
-    world = World(*agents, journal, f"c{abs(hash(request.node.name)) % 10**8}")
+    name = f"c{abs(hash(name)) % 10**8}"
+    world = World(agents.folder, agents.fleet, journal, name)
     yield world
     world.run.stop()
     journal.close()
+
+
+@pytest.fixture
+def world(agents: Agents, request: pytest.FixtureRequest) -> Iterator[World]:
+    yield from _world(agents, request.node.name)
+
+
+@pytest.fixture
+def mortal(mortals: Agents, request: pytest.FixtureRequest) -> Iterator[World]:
+    yield from _world(mortals, request.node.name)
 
 
 def assert_bounded(report: MoveReport) -> None:
@@ -397,6 +462,9 @@ def test_a_publisher_waits_for_a_slow_subscriber_that_moves(world: World) -> Non
         ("Unrestorable", "LookupError: no such map"),
         ("Unactivatable", "LookupError: no such motor"),
         ("Hanging", "is not activated|took over"),
+        ("Unsnapshotable", "LookupError: no such tape"),
+        ("Unwritable", "WireError: a object cannot cross"),
+        ("Untyped", "Untyped.restore: parameter 'state' must say the state's type"),
     ],
 )
 def test_leads_back_when_the_component_cannot_move(
@@ -431,7 +499,7 @@ def test_leads_back_and_says_so_when_the_component_does_not_come_to_rest(
 
 def test_a_move_after_one_that_led_back_succeeds(world: World) -> None:
     run = world.start("Counter")
-    world.striking.before[2] = lambda: world.kill("right", "counter")
+    world.striking.before[Rest] = lambda: world.kill("right", "counter")
     first, second = move(run, "counter", "right"), move(run, "counter", "right")
     assert (first.committed, second.committed) == (False, True), second.reason
     world.works()
@@ -457,34 +525,85 @@ def test_an_implementation_is_replaced_and_its_state_adapted(world: World) -> No
 
 
 @pytest.mark.parametrize("victim", [("left", "counter"), ("right", "counter")])
-@pytest.mark.parametrize("before", [1, 2, 3])
+@pytest.mark.parametrize("before", ROUNDS)
 def test_a_container_that_is_killed_between_two_rounds(
-    world: World, victim: tuple[str, str], before: int
+    world: World, victim: tuple[str, str], before: type
 ) -> None:
-    """Rounds: offer, precopy, hand over, open.
-
-    A new incarnation that is killed before precopy may be there again in time for it.
-    """
     run = world.start("Counter", isolated=True)
     world.striking.before[before] = lambda: world.kill(*victim)
     started = time.monotonic()
     report = move(run, "counter", "right")
     assert time.monotonic() - started < LIMIT
     assert_bounded(report)
-    if victim[0] == "right" and before > 1:
-        assert report.committed == (before == 3)
+    if victim[0] == "right" and before not in {Offer, Precopy}:  # it may be back then
+        assert report.committed == (before is Open)
     world.works()
     world.wait_for(lambda: world.active() == [run.placement()["counter"]])
 
 
-@pytest.mark.parametrize("before", [2, 3])
-def test_a_source_that_is_killed_between_two_rounds(world: World, before: int) -> None:
+@pytest.mark.parametrize("before", [Rest, Open])
+def test_a_source_that_is_killed_between_two_rounds(world: World, before: type) -> None:
     run = world.start("Counter", "right", isolated=True)
     world.striking.before[before] = lambda: world.kill("right", "source")
     report = move(run, "counter", "right")
     assert_bounded(report)
     world.works()
     world.wait_for(lambda: world.active() == [run.placement()["counter"]])
+
+
+@pytest.mark.parametrize("before", [Rest, Open])
+def test_a_sink_that_is_killed_between_two_rounds(world: World, before: type) -> None:
+    run = world.start("Counter", isolated=True)
+    world.striking.before[before] = lambda: world.kill("left", "sink")
+    report = move(run, "counter", "right")
+    assert_bounded(report)
+    world.works()
+    world.wait_for(lambda: world.active() == [run.placement()["counter"]])
+
+
+@pytest.mark.parametrize("before", ROUNDS)
+def test_goes_on_when_the_targets_agent_dies(
+    mortal: World, mortals: Agents, before: type
+) -> None:
+    run = mortal.start("Counter")
+
+    def strike() -> None:
+        mortals.processes["right"].kill()
+        mortals.processes["right"].wait(LIMIT)
+
+    mortal.striking.before[before] = strike
+    report = move(run, "counter", "right")
+    assert_bounded(report)
+    # what had answered before it could be told that all have done so stays gone
+    assert report.committed == (before is Open)
+    if before is not Open:
+        assert run.placement()["counter"] == "left"
+        mortal.works()
+        assert mortal.told("sink")[1] == 0
+
+
+def test_a_caller_that_waits_no_longer_than_its_limit(world: World) -> None:
+    world.limit = 0.1
+    run = world.start("Late")
+    report = move(run, "counter", "right")
+    assert (report.committed, report.reason) == (True, "")
+    world.works()
+    assert world.told("sink")[1] == 0
+    assert world.told("source")[1] > 0
+
+
+@pytest.mark.parametrize("source", ["left", "right"])
+def test_a_chain_that_comes_back_to_its_caller_while_the_callee_moves(
+    world: World, source: str
+) -> None:
+    world.source = "Called"
+    world.joints = (*JOINTS, ("counter.helps", "source.helps"))
+    run = world.start("Calling", source)
+    for target in ("right", "left", "right"):
+        report = move(run, "counter", target)
+        assert (report.committed, report.reason) == (True, "")
+        world.works()
+    assert world.wrong() == 0
 
 
 def _ticker(folder: Path) -> Component:

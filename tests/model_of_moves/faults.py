@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from tests.model_of_moves.calls import break_off, break_off_source
 from tests.model_of_moves.world import Bounds, Incarnation, Side, State
 
 
@@ -22,11 +23,8 @@ class Faults:
 
     def _kills(self, s: State) -> Iterator[tuple[str, State]]:
         if "S" in self._bounds.killed and not s.is_source_dead:
-            dead = _broken_off(s, {"old", "new", ""})._replace(
-                is_source_dead=True,
-                excused=s.excused | set(s.held or ()),
-                olds=tuple(one._replace(inside=-1) for one in s.olds),
-                news=tuple(one._replace(inside=-1) for one in s.news),
+            dead = break_off_source(s, self._bounds)._replace(
+                is_source_dead=True, excused=s.excused | set(s.held or ())
             )
             yield "kill source", _failed(dead, "source")
         sides: tuple[Side, Side] = ("old", "new")
@@ -34,10 +32,25 @@ class Faults:
             for which, one in enumerate(s.all_of(side)):
                 is_there = one.phase not in {"dead", "gone"}
                 if side[0] in self._bounds.killed and is_there:
-                    yield f"kill {side} {which}", _killed(s, side, which, one)
+                    dead = self._killed(s, side, which, one)
+                    yield f"kill {side} {which}", dead
         if "D" in self._bounds.killed and not s.is_sink_dead:
             dead = s._replace(is_sink_dead=True, is_sink_marked=False)
             yield "kill sink", _failed(dead, "sink")
+
+    def _killed(self, s: State, side: Side, which: int, one: Incarnation) -> State:
+        streams = s.streams(side)
+        inside = {
+            *one.inbox,
+            *one.log,
+            *one.kept_back,
+            *streams[which],
+            *streams[which + 1],
+        }
+        dead = s._replace(excused=s.excused | inside)
+        dead = break_off(dead, self._bounds, side, which)
+        dead = dead.with_one(side, which, Incarnation("dead"))
+        return _failed(dead.with_stream(side, which + 1, ()), f"{side} {which}")
 
     def _starts(self, s: State) -> Iterator[tuple[str, State]]:
         if s.is_source_dead:
@@ -64,22 +77,6 @@ class Faults:
         return s._replace(told=told).with_one(side, which, born)
 
 
-def _killed(s: State, side: Side, which: int, one: Incarnation) -> State:
-    streams = s.streams(side)
-    inside = {
-        *one.inbox,
-        *one.log,
-        *one.kept_back,
-        *streams[which],
-        *streams[which + 1],
-    }
-    dead = s._replace(excused=s.excused | inside)
-    if which == 0:
-        dead = _broken_off(dead, {side})
-    dead = dead.with_one(side, which, Incarnation("dead"))
-    return _failed(dead.with_stream(side, which + 1, ()), f"{side} {which}")
-
-
 def _failed(s: State, container: str) -> State:
     """Let the agent answer the orders of a container that ended."""
     orders = tuple(
@@ -90,12 +87,3 @@ def _failed(s: State, container: str) -> State:
     )
     late = frozenset(order for order in s.late if order.container != container)
     return s._replace(orders=orders, late=late)
-
-
-def _broken_off(s: State, paths: set[str]) -> State:
-    """End every call over one of these paths with an error."""
-    calls = tuple(
-        ("error" if path in paths and where != "answered" else where, path)
-        for where, path in s.calls
-    )
-    return s._replace(calls=calls)

@@ -2,7 +2,8 @@
 
 One component is moved, or two neighbours at once, each from a container ``old`` to a
 container ``new``. A source publishes to the first and has callers there; what a
-component gets, it publishes to the next, and the last to a sink. The names of the steps
+component gets, it publishes to the next, and the last to a sink. Calls go from one to
+the other, too. The names of the steps
 are those of `poise.manage.exchange.Exchange`, `poise.runtime.steps.Steps` and what
 they use.
 
@@ -13,26 +14,17 @@ be killed at any moment, and is started anew with what its agent was told last.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
+from tests.model_of_moves.calls import SIDES, Calls
 from tests.model_of_moves.faults import Faults
 from tests.model_of_moves.world import MARK, Bounds, Incarnation, Order, Side, State
 
-STEPS: dict[str, dict[str, tuple[str, ...]]] = {
-    "hand over": {
-        "source": ("Hold",),
-        "old": ("Rest", "Flush, Give"),
-        "sink": ("Flush",),
-        "new": ("Take", "Activate"),
-    },
-    "keep": {"new": ("Open",), "source": ("Release to new",), "old": ("Retire",)},
-    "back": {"old": ("Open",), "source": ("Release to old",)},
-}
 Taken = tuple[State, bool]
 """The state after a step, and whether the step succeeded."""
 
 
-def initial(bounds: Bounds) -> State:
+def initial(bounds: Bounds, bug: str = "") -> State:
     """Return the state after `Exchange._prepare`."""
     count = bounds.movers
     nothing = ((),) * (count + 1)
@@ -41,23 +33,38 @@ def initial(bounds: Bounds) -> State:
         news=(Incarnation("inactive"),) * count,
         to_olds=nothing,
         to_news=nothing,
-        orders=orders_of("hand over", count),
+        orders=hand_over(bounds, bug)[0],
         calls=(("begins", ""),) * len(bounds.callers),
-        runs=(0,) * len(bounds.callers),
     )
 
 
-def orders_of(round_: str, count: int) -> tuple[Order, ...]:
-    """Return the orders of a round."""
-    return tuple(
-        Order(round_, container)
-        for kind in STEPS[round_]
-        for container in (
-            [kind]
-            if kind in {"source", "sink"}
-            else [f"{kind} {k}" for k in range(count)]
-        )
-    )
+def hand_over(bounds: Bounds, bug: str) -> list[tuple[Order, ...]]:
+    """Return the rounds of `Rounds.hand_over`: callers come to rest before callees."""
+    movers = range(bounds.movers)
+    levels = [list(movers)] if bug == "rest at once" else bounds.levels()
+    rounds: list[tuple[Order, ...]] = []
+    for level in levels:
+        resting = {k: ("Rest",) if k in level else () for k in movers}
+        last = len(rounds) == len(levels) - 1
+        steps = {"source": () if rounds else ("Hold",), "sink": ("Flush",) * last}
+        steps |= {f"old {k}": resting[k] + ("Flush, Give",) * last for k in movers}
+        steps |= {f"new {k}": ("Take", "Activate") * last for k in movers}
+        rounds.append(_orders(steps))
+    return rounds
+
+
+def opening(side: Side, bounds: Bounds) -> tuple[Order, ...]:
+    """Return the round of `Rounds.keep`, or of `Rounds.back`."""
+    movers = range(bounds.movers)
+    steps: dict[str, tuple[str, ...]] = {f"{side} {k}": ("Open",) for k in movers}
+    steps["source"] = (f"Release to {side}",)
+    if side == "new":
+        steps |= {f"old {k}": ("Retire",) for k in movers}
+    return _orders(steps)
+
+
+def _orders(steps: Mapping[str, tuple[str, ...]]) -> tuple[Order, ...]:
+    return tuple(Order(name, todo) for name, todo in steps.items() if todo)
 
 
 class Protocol:
@@ -72,6 +79,8 @@ class Protocol:
     def __init__(self, bounds: Bounds, bug: str = "") -> None:
         self._bounds = bounds
         self._bug = bug
+        self._rounds = hand_over(bounds, bug)
+        self._calls = Calls(bounds, bug)
         self._faults = Faults(bounds, bug)
 
     def successors(self, s: State) -> Iterator[tuple[str, State]]:
@@ -91,8 +100,7 @@ class Protocol:
                 yield f"{_said(order)} (late)", taken._replace(late=late)
         yield from self._streams(s)
         yield from self._work(s)
-        for who in range(len(s.calls)):
-            yield from self._call(s, who)
+        yield from self._calls.successors(s)
         yield from self._deployments(s)
         yield from self._faults.successors(s)
 
@@ -106,29 +114,35 @@ class Protocol:
             return
         outcomes = {order.outcome for order in s.orders}
         pending = "sent" in outcomes
+        is_handing_over = s.round.startswith("hand over")
         if outcomes == {"done"}:
             yield f"{s.round} is done", self._next(s, failed=False)
-        elif "failed" in outcomes and (s.round == "hand over" or not pending):
+        elif "failed" in outcomes and (is_handing_over or not pending):
             yield f"{s.round} failed", self._next(_late(s), failed=True)
         elif pending and s.given_up < self._bounds.gives_up:
             s = s._replace(given_up=s.given_up + 1)
             yield f"{s.round} is given up", self._next(s, failed=True)
-            yield f"{s.round} is late", self._next(_late(s), failed=True)
+            if self._bounds.late:
+                yield f"{s.round} is late", self._next(_late(s), failed=True)
 
     def _next(self, s: State, *, failed: bool) -> State:
         if s.round in {"keep", "back"}:
             spec = "new" if s.round == "keep" else "old"
             return s._replace(round="remove", orders=(), spec=spec)
-        following = "back" if failed and self._bug != "ignore failures" else "keep"
-        orders = orders_of(following, self._bounds.movers)
-        return s._replace(round=following, orders=orders)
+        if failed and self._bug != "ignore failures":
+            return s._replace(round="back", orders=opening("old", self._bounds))
+        following = int(s.round.rpartition(" ")[2]) + 1
+        if following < len(self._rounds) and not failed:
+            orders = self._rounds[following]
+            return s._replace(round=f"hand over {following}", orders=orders)
+        return s._replace(round="keep", orders=opening("new", self._bounds))
 
     # poise.runtime.steps.Steps
 
     def _take(self, s: State, order: Order, *, is_late: bool) -> Iterator[Taken]:
         """Yield the states after the next step of an order; nothing: it waits."""
         kind, _, which = order.container.partition(" ")
-        step = STEPS[order.round][kind][order.next]
+        step = order.steps[0]
         if kind == "source":
             if not s.is_source_dead:
                 yield self._at_source(s, step), True
@@ -171,7 +185,11 @@ class Protocol:
             # `Runner.rest`: waits until no chain is inside, marks all streams behind it
             if not old.stays and self._bug != "rest too late":
                 yield s, False
-            elif old.inside < 0 or old.phase == "inactive" or self._bug == "no drain":
+            elif (
+                (old.inside < 0 and not old.outside)
+                or old.phase == "inactive"
+                or self._bug == "no drain"
+            ):
                 phase = "inactive" if old.phase == "inactive" else "rest"
                 resting = s.with_one("old", which, old._replace(phase=phase))
                 yield resting.flowing("old", which + 1, MARK), True
@@ -248,36 +266,6 @@ class Protocol:
                     done = s.with_one(side, which, after)
                     yield f"{side} {which} works", done.flowing(side, which + 1, item)
 
-    def _call(self, s: State, who: int) -> Iterator[tuple[str, State]]:
-        """Follow a call: `Path.function`, `Turn`, `Outlet.again`."""
-        where, path = s.calls[who]
-        if s.is_source_dead or where in {"answered", "error"}:
-            return
-        if where in {"begins", "moved"}:
-            if where == "begins" or path != s.path:
-                yield f"caller {who} calls {s.path}", _at(s, who, "waits", s.path)
-            return
-        side: Side = "old" if path == "old" else "new"
-        one = s.one(side, 0)
-        if one.phase == "dead":
-            yield f"caller {who}: Unavailable", _at(s, who, "error", path)
-        elif where == "waits":
-            # `Turn`: retired, or free, or shut
-            if one.is_retired or one.phase == "gone":
-                yield f"caller {who}: moved", _at(s, who, "moved", path)
-            elif one.phase == "work" and one.inside < 0:
-                runs = tuple(n + (i == who) for i, n in enumerate(s.runs))
-                inside = s.with_one(side, 0, one._replace(inside=who))
-                entered = _at(inside._replace(runs=runs), who, "inside", path)
-                yield f"caller {who} is inside", entered
-        elif where == "inside" and self._bounds.callers[who] == "r":
-            # the callee calls the sink, which calls back in the same chain
-            yield f"caller {who} goes out", _at(s, who, "out", path)
-        else:
-            # a chain that comes back is let in though others wait, also for the rest
-            left = s.with_one(side, 0, one._replace(inside=-1))
-            yield f"caller {who} is answered", _at(left, who, "answered", path)
-
     # poise.runtime.container.Container._apply, told by `Exchange._remove`
 
     def _deployments(self, s: State) -> Iterator[tuple[str, State]]:
@@ -299,12 +287,9 @@ class Protocol:
                 yield f"{name} is told", working(told, kept, which)
         for which, one in enumerate(s.all_of(gone)):
             is_left = one.phase not in {"dead", "gone"} and one.inside < 0
-            if is_left and self._bug != "remove nothing":
+            if is_left and not one.outside and self._bug != "remove nothing":
                 removed = s.with_one(gone, which, one._replace(phase="gone"))
                 yield f"{gone} {which} is removed", removed
-
-
-SIDES: tuple[Side, Side] = ("old", "new")
 
 
 def _late(s: State) -> State:
@@ -346,20 +331,11 @@ def _at_sink(s: State, item: float) -> tuple[str, State]:
 
 
 def _after(order: Order, *, is_done: bool) -> Order:
-    kind = order.container.partition(" ")[0]
     if not is_done:
         return order._replace(outcome="failed")
-    if order.next + 1 == len(STEPS[order.round][kind]):
-        return order._replace(outcome="done")
-    return order._replace(next=order.next + 1)
+    left = order.steps[1:]
+    return order._replace(steps=left, outcome="sent" if left else "done")
 
 
 def _said(order: Order) -> str:
-    kind = order.container.partition(" ")[0]
-    return f"{STEPS[order.round][kind][order.next]} at {order.container}"
-
-
-def _at(s: State, who: int, where: str, path: str) -> State:
-    calls = list(s.calls)
-    calls[who] = (where, path)
-    return s._replace(calls=tuple(calls))
+    return f"{order.steps[0]} at {order.container}"

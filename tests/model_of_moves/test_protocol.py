@@ -22,6 +22,8 @@ BOUNDS = [
     Bounds(messages=1, movers=2, speaks=True),
     Bounds(messages=0, movers=2, callers="c"),
     Bounds(messages=0, movers=2, kills=1, killed="o"),
+    Bounds(messages=0, movers=2, callers="d"),
+    Bounds(messages=0, movers=2, callers="u"),
 ]
 BUGS = [
     ("no drain", Bounds(messages=0, callers="r"), "a chain is inside"),
@@ -40,6 +42,13 @@ BUGS = [
     ("remove nothing", Bounds(messages=1), "stuck"),
     ("speak at once", Bounds(messages=2, speaks=True), "reordered"),
     ("send at birth", Bounds(messages=2, kills=1, killed="S"), "lost"),
+    ("rest at once", Bounds(messages=0, movers=2, callers="d"), "stuck"),
+    ("rest at once", Bounds(messages=0, movers=2, callers="u"), "stuck"),
+    (
+        "rest without them",
+        Bounds(messages=0, movers=2, callers="du", gives_up=1, late=False),
+        "a chain is inside",
+    ),
     (
         "work at birth",
         Bounds(messages=1, kills=1, killed="o"),
@@ -50,7 +59,7 @@ BUGS = [
 
 def check(bounds: Bounds, bug: str = "") -> Report[State]:
     return explore(
-        initial(bounds),
+        initial(bounds, bug),
         Protocol(bounds, bug).successors,
         trouble_of,
         lambda state: is_final(state, bounds),

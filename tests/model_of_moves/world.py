@@ -16,15 +16,29 @@ class Bounds(NamedTuple):
 
     messages: int = 2
     callers: str = ""
-    """A letter each: `c` calls, `r` is called back by what its callee calls."""
+    """A letter each (`tests.model_of_moves.calls`)."""
     movers: int = 1
     """Neighbours that move at once: the first sends to the second."""
     speaks: bool = False
     """Whether `activate` of the last of them publishes a message."""
     kills: int = 0
     gives_up: int = 0
+    """How often the manager gives a round up."""
+    late: bool = True
+    """Whether orders that were given up may be taken later."""
     killed: str = "SonD"
     """Containers that may be killed: source, old, new, sink."""
+
+    @property
+    def is_circle(self) -> bool:
+        """Whether the movers call each other."""
+        return {"d", "u"} <= set(self.callers)
+
+    def levels(self) -> list[list[int]]:
+        """Return in which order the movers come to rest (`poise.manage.levels`)."""
+        if self.is_circle or not {"d", "u"} & set(self.callers):
+            return [list(range(self.movers))]
+        return [[0], [1]] if "d" in self.callers else [[1], [0]]
 
 
 class Incarnation(NamedTuple):
@@ -39,6 +53,8 @@ class Incarnation(NamedTuple):
     gives: bool = False
     inside: int = -1
     """The caller whose chain is inside; -1: none."""
+    outside: tuple[int, ...] = ()
+    """Callers whose chains stepped out, while they wait in a call."""
     inbox: Stream = ()
     log: Stream = ()
     """Its state: what it has worked on."""
@@ -48,12 +64,10 @@ class Incarnation(NamedTuple):
 
 
 class Order(NamedTuple):
-    """The steps of one round for one container."""
+    """The steps of one round for one container, so far as they are not taken."""
 
-    round: str
     container: str
-    next: int = 0
-    """The step to be taken next."""
+    steps: tuple[str, ...]
     outcome: str = "sent"
 
 
@@ -66,7 +80,7 @@ class State(NamedTuple):
     to_olds: tuple[Stream, ...]
     to_news: tuple[Stream, ...]
     # the manager
-    round: str = "hand over"
+    round: str = "hand over 0"
     orders: tuple[Order, ...] = ()
     late: frozenset[Order] = frozenset()
     """Orders for which nobody waits, and that may still be taken."""
@@ -86,8 +100,8 @@ class State(NamedTuple):
     """What the sink received."""
     calls: tuple[tuple[str, str], ...] = ()
     """Each caller: where it is, and its path."""
-    runs: tuple[int, ...] = ()
-    """How often each call was run."""
+    runs: tuple[tuple[tuple[int, int], int], ...] = ()
+    """How often each caller's chain entered each component."""
     excused: frozenset[float] = frozenset()
     """Messages that were in a container when it was killed."""
     kills: int = 0
@@ -136,9 +150,9 @@ def trouble_of(s: State) -> str:
         trouble = "doubled"
     elif list(got) != sorted(got):
         trouble = "reordered"
-    elif any(runs > 1 for runs in s.runs):
+    elif any(runs > 1 for _, runs in s.runs):
         trouble = "a call was run twice"
-    elif any(one.inside >= 0 and one.phase != "work" for one in both):
+    elif any(one.phase != "work" and _has_chains(one) for one in both):
         trouble = "a chain is inside what is at rest"
     elif s.spec == "old" and any(item % 1 for item in got):
         trouble = "what was not kept has spoken"
@@ -148,6 +162,10 @@ def trouble_of(s: State) -> str:
     else:
         trouble = ""
     return trouble
+
+
+def _has_chains(one: Incarnation) -> bool:
+    return one.inside >= 0 or bool(one.outside)
 
 
 def _works(ones: tuple[Incarnation, ...]) -> bool:

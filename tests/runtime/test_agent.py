@@ -288,6 +288,25 @@ def test_runs_a_command_and_starts_it_anew_when_it_ends(manager: Manager) -> Non
     manager.wait_for(lambda status: not status.containers)
 
 
+def test_a_command_that_is_made_inactive_ends_and_its_container_does_not(
+    manager: Manager,
+) -> None:
+    command = ("sleep", "100")
+    manager.deploy("sleeper", command=command)
+    pid = manager.wait_active("sleeper").pid
+    (process,) = children(pid)
+    manager.deploy("sleeper", goal="inactive", command=command)
+    status = manager.wait_for(
+        lambda status: (
+            [c.components[0].state for c in status.containers] == ["inactive"]
+        )
+    )
+    wait_gone(process)
+    assert ([c.pid for c in status.containers], status.faults) == ([pid], ())
+    manager.deploy("sleeper", command=command)
+    assert manager.wait_active("sleeper").pid == pid
+
+
 def test_ends_with_its_lifeline(doomed: Manager) -> None:
     doomed.deploy("quiet")
     container = doomed.wait_active("quiet")

@@ -137,6 +137,27 @@ def test_it_is_seen_when_it_ends_by_itself(
     command.raise_if_ended()  # told once
 
 
+def test_one_that_was_asked_to_end_is_inactive_then(running: Running) -> None:
+    command = running.shell("exec sleep 100")
+    command.aim("inactive")
+    assert wait_readable(command.watched(), LIMIT)
+    command.raise_if_ended()
+    assert command.status().state == "inactive"
+    assert not command.watched()
+
+
+def test_one_that_is_wanted_again_while_it_ends_begins_anew(running: Running) -> None:
+    command = running.shell("trap 'echo bye; exit' TERM; echo up; sleep 9 & wait")
+    running.wait_says("up")
+    command.aim("inactive")
+    command.aim("active")
+    running.wait_says("bye")
+    assert wait_readable(command.watched(), LIMIT)
+    command.raise_if_ended()
+    assert command.status().state == "active"
+    running.wait_says("up")
+
+
 @pytest.mark.parametrize("name", ["no-such-program", "./no-such-file"])
 def test_a_program_that_is_not_there_fails_before_anything_runs(
     running: Running, name: str

@@ -13,12 +13,15 @@ from poise.clock import SystemClock
 from poise.errors import Timeout, UsageError
 from poise.runtime import handover
 from poise.runtime.connectors.counts import Counts
+from poise.runtime.connectors.interface import methods
 from poise.runtime.handover import Ask, Giver
 from poise.runtime.runner import Runner
 from poise.wire import frame
 from poise.wire.frame import Frame
 from poise.wire.messages import ComponentSpec
 from poise.wire.pipe import Pieces
+
+from .conftest import wait_until
 
 LIMIT = 20.0
 
@@ -182,6 +185,19 @@ def test_what_waits_goes_over_in_order(incarnations: Incarnations) -> None:
     assert [v.texts for _, v in new.ends.inboxes["notes"].waiting()] == [
         (str(number),) for number in range(5)
     ]
+
+
+def test_one_way_calls_that_wait_go_over_in_order(incarnations: Incarnations) -> None:
+    old = incarnations.start(Book, active=True)
+    new = incarnations.start(Book, active=False)
+    pipe = rest(old)
+    tag = next(iter(methods(Tells)))
+    feed = old.ends.feed("tells", Counts())
+    for word in ("a", "b"):
+        feed.put((tag, (word,)))
+    handover.take(new, handover.fetch(pipe, Ask.ALL, LIMIT))
+    new.aim("active")
+    wait_until(lambda: texts(new) == ("a", "b"))
 
 
 def test_a_large_state_goes_first_and_then_what_changed(

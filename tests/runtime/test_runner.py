@@ -18,6 +18,8 @@ from poise.runtime.runner import Runner
 from poise.runtime.turn import Retired
 from poise.wire.messages import ComponentSpec, State
 
+from .conftest import wait_until
+
 LIMIT = 20.0
 
 
@@ -225,6 +227,35 @@ def test_a_component_that_is_busy_does_not_come_to_rest(running: Fixture) -> Non
     Slow.go_on.set()
     rest(runner, LIMIT)
     runner.go_on()
+
+
+def test_a_lull_comes_when_all_that_waits_was_worked_on(running: Fixture) -> None:
+    class Slow(Recorder):
+        go_on: ClassVar = threading.Semaphore(0)
+
+        @subscribed(block=5)
+        def note(self, message: Note) -> None:
+            super()._do(message.text)
+            self.go_on.acquire(timeout=LIMIT)
+
+    runner = running.start(Slow)
+    component = reach(runner, "active")
+    receive(runner, "a", "b")
+    component.wait_for("a")
+    with ThreadPoolExecutor(1) as waiter:
+        lull = waiter.submit(runner.wait_lull, LIMIT)
+        wait_until(lambda: runner._awaits_lull)
+        Slow.go_on.release()
+        component.wait_for("b")
+        assert not lull.done()
+        Slow.go_on.release()
+        assert lull.result(LIMIT)
+
+
+def test_a_lull_is_not_waited_for_longer_than_its_limit(running: Fixture) -> None:
+    runner = running.start(Recorder)
+    reach(runner, "active")
+    assert not runner.wait_lull(0.01)
 
 
 def test_waiting_for_marks_has_a_limit(running: Fixture) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from poise.emulate.cgroup_files import Files, Mount, pids, table
@@ -12,6 +13,12 @@ from poise.emulate.usage import Usage, starved_time
 
 _SHARES = 262144
 """The most that the kernel takes: other processes on the CPU hardly count then."""
+_REAL_TIME = 0.2
+"""The share of each CPU that a group's real-time threads may use. They carry orders,
+and do not stand still with the group when its quota is used up: on a computer of its
+own they would not wait for components either."""
+_REAL_TIME_PERIOD = 0.1
+"""The period over which the kernel hands that out [s]."""
 
 
 class V1:
@@ -50,7 +57,20 @@ class V1:
         homes = {which: base / name for which, base in self._bases.items()}
         for file, value in self._settings(homes, limits):
             self._files.write(file, value)
+        self._allow_real_time(homes.get("cpu", Path()))
         return V1Group(homes, len(limits.cpus), self._files)
+
+    def _allow_real_time(self, cpu: Path) -> None:
+        """Let real-time threads run in a group, where kernels ration them and can.
+
+        Without, all threads of the group share its quota.
+        """
+        file = cpu / "cpu.rt_runtime_us"
+        if file.exists():
+            period = round(_REAL_TIME_PERIOD * 1e6)
+            with suppress(OSError):  # other groups have all there is
+                self._files.write(file.with_name("cpu.rt_period_us"), period)
+                self._files.write(file, round(_REAL_TIME * period))
 
     def _settings(
         self, homes: Mapping[str, Path], limits: Limits

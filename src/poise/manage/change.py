@@ -16,10 +16,12 @@ from poise.manage.levels import levels
 from poise.model.robot import Connector
 from poise.wire.messages import (
     Activate,
+    Await,
     Drain,
     Flush,
     Give,
     Hold,
+    Lull,
     Offer,
     Open,
     Precopy,
@@ -29,6 +31,9 @@ from poise.wire.messages import (
     Step,
     Take,
 )
+
+LULL_LIMIT = 0.25
+"""So long is waited for the end of a component's work, before it moves [s]."""
 
 Where = tuple[Incarnation, Step]
 """A step, and an incarnation whose container takes it."""
@@ -95,7 +100,12 @@ class Rounds:
             (new, Precopy(name, new.epoch, number, epochs, self._addresses(new)))
             for name, new in self._news.items()
         ]
-        return [offers, joins]
+        asks: list[Where]
+        asks = [(new, Await(name, new.epoch)) for name, new in self._news.items()]
+        lulls: list[Where] = [
+            (old, Lull(name, old.epoch, LULL_LIMIT)) for name, old in self._olds.items()
+        ]
+        return [offers, joins, asks, *([lulls] if self._is_move else [])]
 
     def hand_over(self) -> list[list[Where]]:
         """Return the rounds from the shut gate until the new ones are ready.

@@ -30,6 +30,7 @@ from poise.errors import RunError
 from poise.manage.change import Change, Rounds, Where
 from poise.manage.deployment import Incarnation
 from poise.manage.run import Run, components_of
+from poise.priority import first
 from poise.wire.messages import Done, Order, Step
 
 PREPARE_LIMIT = 30.0
@@ -92,18 +93,27 @@ class Exchange:
         except RunError as error:
             self._remove(self._change.news)
             return self._outcome(started, str(error))
-        self._shut_at = self._note("prepare", started)
+        self._note("prepare", started)
+        with first():
+            reason = self._exchange()
+        self._remove(self._change.news if reason else self._change.olds)
+        return self._outcome(started, reason)
+
+    def _exchange(self) -> str:
+        """Shut the gate and open it to one side; return why it led back, if it did."""
+        self._shut_at = time.monotonic()
+        reason = ""
         try:
             for steps in self._rounds.hand_over():
                 self._take(steps, self._left())
         except RunError as error:
-            self._note("hand over", self._shut_at)
-            self._open(self._rounds.back())
-            self._remove(self._change.news)
-            return self._outcome(started, str(error))
+            reason = str(error)
         self._note("hand over", self._shut_at)
-        self._keep()
-        return self._outcome(started)
+        if reason:
+            self._open(self._rounds.back())
+        else:
+            self._keep()
+        return reason
 
     def _outcome(self, started: float, reason: str = "") -> Exchanged:
         shut = self._shut_at or time.monotonic()
@@ -135,7 +145,6 @@ class Exchange:
         for new in self._change.news:
             placed[new.component] = new.with_goal("active")
         self._open(self._rounds.keep())
-        self._remove(self._change.olds)
 
     def _open(self, steps: Sequence[Where]) -> None:
         """Let the chosen ones go to work, and all that waits go to them.

@@ -15,6 +15,7 @@ from zenoh.handlers import Callback
 
 from poise.clock import Clock
 from poise.errors import RunError
+from poise.priority import first
 from poise.wire.messages import (
     Accepted,
     AgentStatus,
@@ -74,9 +75,10 @@ class Fleet:
         self._alive: set[str] = set()
         self._lost: set[str] = set()
         # no gossip: it talks to the agents that it was told of, and to no other manager
-        self._session = open_session(
-            connect=tuple(endpoints.values()), gossip=False, lease=1.0
-        )
+        with first():  # zenoh's threads only carry
+            self._session = open_session(
+                connect=tuple(endpoints.values()), gossip=False, lease=1.0
+            )
         self._declared = [
             self._session.declare_subscriber(
                 f"{self._prefix}/status/*", self._on_status

@@ -24,13 +24,13 @@ from msgspec import Struct
 
 from poise.clock import Clock, SystemClock
 from poise.errors import RunError, Unavailable, UsageError
+from poise.priority import go_first
 from poise.runtime import zygote
 from poise.runtime._calls import Reader
 from poise.runtime.children import STOP_LIMIT, BackOff, Child, End
 from poise.runtime.collector import Collector
 from poise.runtime.ledger import new_memory
 from poise.runtime.orders import Orders
-from poise.runtime.priority import as_usual, go_first
 from poise.runtime.requests import Requests, answer
 from poise.runtime.round_trips import RoundTrips
 from poise.runtime.waker import Waker, wait_readable
@@ -136,6 +136,7 @@ class Agent:
         """
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._on_signal)
+        # all of its threads alike: they share an interpreter
         go_first()
         try:
             self._run_in(self._setup)
@@ -166,8 +167,7 @@ class Agent:
             )
             try:
                 if setup.sample_every:
-                    with as_usual():
-                        collector.start()
+                    collector.start()
                 clocks.start()
                 self._clocks = clocks.known
                 self._serve(publisher)

@@ -54,14 +54,20 @@ class Command:
         self._state: State = "unconfigured"
         self._error = ""
         self._process: subprocess.Popen[bytes] | None = None
+        self._goal: Aim = "inactive"
+        self._was_asked_to_end = False
         self._pidfd = -1
         self._began_within = 0.0
         self.account = Account()
 
     def aim(self, goal: Aim) -> None:
-        """Bring it to `goal` at once, but do not wait for its process to end."""
+        """Bring it to `goal` at once, but do not wait for its process to end.
+
+        One that is to be active again before it ended begins anew when it did.
+        """
         if self._state in {"failed", "finalized"}:
             return
+        self._goal = goal
         try:
             if self._state == "unconfigured":
                 self._argv()
@@ -77,6 +83,7 @@ class Command:
             self._error = f"'{self.spec.command[0]}' cannot be started: {error}"
             self._state = "failed"
         if goal != "active" and self._process is not None:
+            self._was_asked_to_end = True
             self._signal(signal.SIGTERM)
         if goal == "finalized" and self._process is None:
             self._state = "finalized"
@@ -86,12 +93,18 @@ class Command:
         return () if self._process is None else (self._pidfd,)
 
     def raise_if_ended(self) -> None:
-        """Raise ChildProcessError when its process ended by itself."""
-        if self._process is not None and wait_readable([self._pidfd], 0.0):
-            code = self._reap()
-            how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
-            self._error = f"its command ended with {how}"
-            raise ChildProcessError(f"component '{self.spec.name}': {self._error}")
+        """Raise ChildProcessError when its process ended, unless it was asked to."""
+        if self._process is None or not wait_readable([self._pidfd], 0.0):
+            return
+        code = self._reap()
+        if self._was_asked_to_end:
+            self._was_asked_to_end = False
+            self._state = "inactive"
+            self.aim(self._goal)
+            return
+        how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+        self._error = f"its command ended with {how}"
+        raise ChildProcessError(f"component '{self.spec.name}': {self._error}")
 
     def wait_ended(self, limit: float) -> bool:
         """Wait up to `limit` [s] for its process, then kill it; whether it is gone."""

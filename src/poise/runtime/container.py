@@ -20,12 +20,12 @@ from pathlib import Path
 from types import FrameType
 
 from poise.errors import RunError, Timeout, Unavailable
+from poise.priority import as_usual, gently, go_first
 from poise.runtime.clock_table import ComputerClock
 from poise.runtime.command import Command
 from poise.runtime.component import Component
 from poise.runtime.implementation import find, specialised
 from poise.runtime.ledger import Incarnation, Ledger
-from poise.runtime.priority import as_usual, gently, go_first
 from poise.runtime.runner import Runner
 from poise.runtime.steps import Steps
 from poise.runtime.waker import Waker, is_writable, wait_readable
@@ -124,13 +124,20 @@ class Container:
                 report_at = self._clock.now() + REPORT_EVERY
 
     def _listen(self, limit: float) -> bool:
-        """Wait up to `limit` [s] for news, and attend to it; whether there was any."""
+        """Wait up to `limit` [s] for news, and attend to it; whether it is to be told.
+
+        An order is not: what it changes will be.
+        """
         agent, waker = self._agent.fileno(), self._waker.fileno()
         ended = [fd for each in self._commands.values() for fd in each.watched()]
         ready = wait_readable([agent, waker, *ended], limit)
-        self._waker.clear()
+        if waker in ready:
+            self._waker.clear()
         if agent in ready:
-            self._hear(control.receive(self._agent, ToContainer).what)
+            what = control.receive(self._agent, ToContainer).what
+            self._hear(what)
+            if isinstance(what, Order) and len(ready) == 1:
+                return False
         if not ready.isdisjoint(ended):
             self._raise_if_ended()
         return bool(ready)

@@ -88,6 +88,10 @@ class Ends:
         inbox.rest(resting=True)
         self.feed(port, Counts()).put(entry)
 
+    def is_empty(self) -> bool:
+        """Return whether no message and no one-way call waits."""
+        return not any(inbox.waiting() for inbox in self.inboxes.values())
+
     def note_mark(self, connector: str, number: int, /) -> None:
         """Take note that all that was sent before this mark has come."""
         with self._marked:

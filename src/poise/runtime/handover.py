@@ -18,6 +18,7 @@ from typing import Any, get_type_hints
 from msgspec import Struct
 
 from poise.errors import RunError, Timeout, UsageError
+from poise.priority import ahead, first
 from poise.runtime.component import Component
 from poise.runtime.connectors.wired import entry_codec
 from poise.runtime.runner import Runner
@@ -119,13 +120,16 @@ class Giver:
             if not offset:
                 self._state_frame = _encoded(self._state())
             return self._state_frame
-        if not self._decided.wait(limit):
+        with first():
+            is_decided = self._decided.wait(limit)
+        if not is_decided:
             raise Timeout(f"component '{self._runner.spec.name}' is not ready to give")
         if self._why_not:
             raise RunError(self._why_not)
         if not self._frame:
             self._state_frame = b""
-            self._frame = _encoded(self._all())
+            with ahead():  # users' code
+                self._frame = _encoded(self._all())
         return self._frame
 
     def _state(self) -> Handover:
@@ -225,6 +229,12 @@ def take(
         runner.ends.preload(port, (received.tag, value))
 
 
+def warm_up(runner: Runner) -> None:
+    """Look up types and codecs now, which `take` would else do while others wait."""
+    for method in (runner.component.restore, runner.component.restore_delta):
+        codec(_type_taken_by(method))
+
+
 def _waiting(runner: Runner) -> list[tuple[str, bytes]]:
     frames = []
     for name, inbox in runner.ends.inboxes.items():
@@ -242,10 +252,14 @@ def _frame_of(state: Struct | None) -> bytes:
 
 
 def _value_of(data: bytes, method: Any) -> Any:  # noqa: ANN401, a user's method
+    return frame.parse(data).value(codec(_type_taken_by(method)))
+
+
+def _type_taken_by(method: Any) -> Any:  # noqa: ANN401, a user's method
     hints = get_type_hints(method)
     name = next(iter(inspect.signature(method).parameters))
     if name not in hints:
         raise UsageError(
             f"{method.__qualname__}: parameter '{name}' must say the state's type"
         )
-    return frame.parse(data).value(codec(hints[name]))
+    return hints[name]

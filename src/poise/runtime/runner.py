@@ -12,11 +12,12 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 from poise.clock import Clock, ComponentClock
 from poise.errors import RunError, Timeout
+from poise.priority import ahead
 from poise.runtime._calls import Account
 from poise.runtime.component import Component, Context, create
 from poise.runtime.connectors.interface import methods
@@ -79,6 +80,8 @@ class Runner:
         self._resting = threading.RLock()
         self._is_resting = True
         self._stays = False
+        self._awaits_lull = False
+        self._lull = threading.Event()
         self._clock = clock
         self._on_change = on_change
         self._timers = timers_of(implementation)
@@ -156,6 +159,25 @@ class Runner:
                 yield
             finally:
                 self.turn.lend(0)
+
+    def wait_lull(self, limit: float) -> bool:
+        """Wait until it has just worked on a timer or message, and none waits.
+
+        Parameters
+        ----------
+        limit
+            Wait no longer than this [s]: some never rest, some have nothing to do.
+
+        Returns
+        -------
+        Whether that was so.
+        """
+        self._lull.clear()
+        self._awaits_lull = True
+        try:
+            return self._lull.wait(limit)
+        finally:
+            self._awaits_lull = False
 
     def rest(self, limit: float) -> None:
         """Come to rest for a move: no code of it runs, and what comes waits.
@@ -271,8 +293,10 @@ class Runner:
         elif hook == "activate":
             # the incarnation before it may still be at work, and goes first
             self.ends.keep_back()
+        # callers wait for one that takes over
+        hurry = ahead() if self._goal == "ready" else nullcontext()
         try:
-            with self.at_rest():
+            with hurry, self.at_rest():
                 getattr(self.component, hook)()
                 if hook == "deactivate" and self.spec.weigh:
                     self._snapshot = _weight(self.component.snapshot())
@@ -382,6 +406,8 @@ class Runner:
         finally:
             self.account.note_done()
             self.turn.leave()
+            if self._awaits_lull and self.ends.is_empty():
+                self._lull.set()
 
 
 def _weight(state: object) -> int:

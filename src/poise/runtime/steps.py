@@ -12,18 +12,21 @@ import time
 from collections import Counter
 
 from poise.errors import PoiseError, RunError, Timeout
+from poise.priority import as_usual
 from poise.runtime.handover import Giver, key_of
 from poise.runtime.runner import Runner
 from poise.runtime.succession import Heir
 from poise.runtime.wiring import Runners, Transports, Wiring
 from poise.wire.messages import (
     Activate,
+    Await,
     Done,
     Drain,
     Failed,
     Flush,
     Give,
     Hold,
+    Lull,
     Offer,
     Open,
     Order,
@@ -86,7 +89,12 @@ class Steps:
             case Offer(component, epoch, number):
                 self._offer(self._runner(component, epoch), number)
             case Precopy():
-                self._precopy(step, deadline)
+                with as_usual():  # a large state takes its time, and nobody waits
+                    self._precopy(step, deadline)
+            case Await(component, epoch):
+                self._heir(self._runner(component, epoch)).ask()
+            case Lull(component, epoch, limit):
+                self._runner(component, epoch).wait_lull(min(limit, _left(deadline)))
             case Rest(component, epoch, mark):
                 self._rest(self._runner(component, epoch), mark, _left(deadline))
             case Flush(component, epoch, connectors, mark):
@@ -102,7 +110,7 @@ class Steps:
             case Activate(component, epoch):
                 self._activate(self._runner(component, epoch), _left(deadline))
             case Open(component, epoch):
-                self._runner(component, epoch).aim("active")
+                self._open(self._runner(component, epoch))
             case Retire(component, epoch):
                 self._runner(component, epoch).turn.retire()
 
@@ -118,6 +126,11 @@ class Steps:
         except KeyError:
             raise RunError(f"component '{runner.spec.name}' offers nothing") from None
 
+    def _open(self, runner: Runner) -> None:
+        runner.aim("active")
+        if runner in self._givers:  # it led back
+            self._givers[runner][1].refuse("it is at work again")
+
     def _rest(self, runner: Runner, mark: int, limit: float) -> None:
         try:
             runner.rest(_REST_SHARE * limit)
@@ -129,7 +142,7 @@ class Steps:
             outlet.mark(mark)
 
     def _drain(self, runner: Runner, deadline: float) -> None:
-        while any(inbox.waiting() for inbox in runner.ends.inboxes.values()):
+        while not runner.ends.is_empty():
             if time.monotonic() > deadline:
                 raise Timeout(
                     f"component '{runner.spec.name}' did not work on all that waits"

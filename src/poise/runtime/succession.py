@@ -18,13 +18,16 @@ It is run for every component in `After`, and asks for the states in `Before` al
 from __future__ import annotations
 
 import inspect
+import threading
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from typing import Any, get_type_hints
 
 import msgspec
 
 from poise.errors import Timeout, UsageError
+from poise.priority import ahead, first
 from poise.runtime import handover
 from poise.runtime.handover import Ask, Handover
 from poise.runtime.implementation import find_function
@@ -39,6 +42,10 @@ _POLL = 0.001
 
 JOIN_LIMIT = 3.0
 """Who does not offer its hand-over within this time is gone [s]: all others wait."""
+
+ASK_LIMIT = 5.0
+"""Old incarnations give within this time after they were asked [s]: the gate is about
+to shut, and is shut for less."""
 
 OpenPipe = Callable[[str, str], Pipe]
 """Opens a pipe by its key and the address of a container."""
@@ -65,6 +72,7 @@ class Heir:
             self._before = before if name in after else {}
         self._open_pipe = open_pipe
         self._pipes: dict[str, Pipe] = {}
+        self._asked: dict[str, Future[Handover]] = {}
 
     def join(self, deadline: float) -> None:
         """Reach all who hand over; fetch a large state already, while they serve.
@@ -91,7 +99,23 @@ class Heir:
                     raise Timeout(f"component '{name}' ({olds[name]}) is not reached")
                 time.sleep(_POLL)
         if self._is_same and handover.offers_delta(self._runner.component):
-            self._take_all(self._fetch(self._runner.spec.name, Ask.STATE, deadline))
+            left = max(0.0, deadline - time.monotonic())
+            pipe = self._pipes[self._runner.spec.name]
+            self._take_all(handover.fetch(pipe, Ask.STATE, left))
+
+    def ask(self) -> None:
+        """Ask the old ones for everything: so the question is there before they give.
+
+        On threads of their own, which only wait.
+        """
+        handover.warm_up(self._runner)
+        for name, pipe in self._pipes.items():
+            asked: Future[Handover] = Future()
+            self._asked[name] = asked
+            with first():
+                threading.Thread(
+                    target=_fetch, args=(pipe, asked), name="heir", daemon=True
+                ).start()
 
     def take_over(self, limit: float) -> None:
         """Take over within `limit` [s], as soon as the old ones give.
@@ -102,15 +126,23 @@ class Heir:
             One cannot give, or whatever `adapt` and `restore` raise.
         """
         deadline = time.monotonic() + limit
-        given = {name: self._fetch(name, Ask.ALL, deadline) for name in self._pipes}
-        if self._is_same:
-            self._take_all(given[self._runner.spec.name])
-        else:
-            self._succeed(given)
+        given = {}
+        for name, asked in self._asked.items():
+            try:
+                given[name] = asked.result(max(0.0, deadline - time.monotonic()))
+            except TimeoutError:
+                text = f"component '{name}' gave nothing within {limit:g} s"
+                raise Timeout(text) from None
+        with ahead():  # users' code
+            if self._is_same:
+                self._take_all(given[self._runner.spec.name])
+            else:
+                self._succeed(given)
         self.close()
 
     def close(self) -> None:
         """Ask no more; harmless when repeated."""
+        self._asked.clear()
         while self._pipes:
             self._pipes.popitem()[1].close()
 
@@ -118,10 +150,6 @@ class Heir:
         if self._is_same:
             return {self._runner.spec.name}
         return set(self._before)
-
-    def _fetch(self, name: str, ask: Ask, deadline: float) -> Handover:
-        left = max(0.0, deadline - time.monotonic())
-        return handover.fetch(self._pipes[name], ask, left)
 
     def _take_all(self, given: Handover) -> None:
         handover.take(self._runner, given, self._adapt)
@@ -140,6 +168,13 @@ class Heir:
         after = self._adapt(parameter(**states))
         with runner.at_rest():
             runner.component.restore(getattr(after, runner.spec.name))
+
+
+def _fetch(pipe: Pipe, asked: Future[Handover]) -> None:
+    try:
+        asked.set_result(handover.fetch(pipe, Ask.ALL, ASK_LIMIT))
+    except Exception as error:  # noqa: BLE001, whoever takes over raises it
+        asked.set_exception(error)
 
 
 def types_of(

@@ -167,6 +167,25 @@ class Precopy(Struct, frozen=True, tag=True):
     addresses: Mapping[str, str]
 
 
+class Await(Struct, frozen=True, tag=True):
+    """New incarnation: ask the old ones already; they answer when they give."""
+
+    component: str
+    epoch: int
+
+
+class Lull(Struct, frozen=True, tag=True):
+    """Old incarnation: wait for the end of its work, at most for `limit` [s].
+
+    Then the gate shuts in the best moment: nobody waits for it, and the next work is
+    far. It need not come, and the step succeeds all the same.
+    """
+
+    component: str
+    epoch: int
+    limit: float
+
+
 class Rest(Struct, frozen=True, tag=True):
     """Old incarnation: come to rest, and send a mark behind all that it sent."""
 
@@ -231,6 +250,8 @@ Step = (
     | Release
     | Offer
     | Precopy
+    | Await
+    | Lull
     | Rest
     | Flush
     | Drain

@@ -1,0 +1,71 @@
+"""Moves the localiser of the demo's robot while it drives, again and again.
+
+It is the scene of `poise demo` alone; a drive takes about 15 s.
+
+Usage: python -m benchmarks.drive [--json] [--times N]
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import sys
+from statistics import median
+
+import msgspec
+from msgspec import Struct
+from rich.console import Console
+
+from poise.cli.demo import EXAMPLES
+from poise.cli.demo_scene import Scene, move_while_driving, told
+
+
+class Drives(Struct, frozen=True, kw_only=True):
+    """What came of all drives; `missed` are deadlines amid the moves."""
+
+    drives: int
+    moved: int
+    void: int
+    missed: int
+    gate_shut_median_s: float
+    gate_shut_max_s: float
+    prepared_median_s: float
+    scenes: tuple[Scene, ...]
+
+
+def main() -> None:
+    """Drive, and print what came of it."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.drive")
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--times", type=int, default=10)
+    options = parser.parse_args()
+    scenes = []
+    for _ in range(options.times):
+        silent = Console(file=io.StringIO())
+        scenes.append(move_while_driving(EXAMPLES, silent))
+        steps = scenes[-1].move.seconds.items()
+        parts = ", ".join(f"{name} {1e3 * s:.1f}" for name, s in steps)
+        void = f"; void: {scenes[-1].void}" if scenes[-1].void else ""
+        sys.stderr.write(f"{told(scenes[-1])}{void}\n  [ms] {parts}\n")
+    gates = [scene.move.gate_shut for scene in scenes]
+    drives = Drives(
+        drives=len(scenes),
+        moved=sum(scene.move.committed for scene in scenes),
+        void=sum(bool(scene.void) for scene in scenes),
+        missed=sum(scene.during[0] for scene in scenes),
+        gate_shut_median_s=median(gates),
+        gate_shut_max_s=max(gates),
+        prepared_median_s=median(scene.move.prepared for scene in scenes),
+        scenes=tuple(scenes),
+    )
+    if options.json:
+        sys.stdout.write(
+            msgspec.json.format(msgspec.json.encode(drives)).decode() + "\n"
+        )
+        return
+    for name in drives.__struct_fields__[:-1]:
+        sys.stdout.write(f"{name:20} {getattr(drives, name)}\n")
+
+
+if __name__ == "__main__":
+    main()

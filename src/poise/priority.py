@@ -1,0 +1,103 @@
+"""Which threads go first: those that carry orders, then what a shut gate waits for.
+
+Then come components, and at last preparations. Those that carry orders are real-time
+threads of the lowest priority where the system allows it (root, or a limit `rtprio`):
+they hardly use the CPU, and so much waits for them. The others differ by their nice
+values. Linux has both for each thread, and gives them to the threads that one starts.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from typing import TypeVar
+
+_USUAL = os.getpriority(os.PRIO_PROCESS, 0)
+_AHEAD, _LAST = _USUAL - 10, 19
+_LOWEST = 1
+"""The lowest real-time priority: a robot's own real-time threads go before."""
+
+T = TypeVar("T")
+
+
+def go_first() -> None:
+    """Let this thread go before all that work, so far as the system allows it.
+
+    For what others wait for and takes next to no CPU time. Users' code is never run
+    so: nothing could stop it.
+    """
+    try:
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_LOWEST))
+    except PermissionError:
+        _be_nice(_AHEAD)
+
+
+@contextmanager
+def first() -> Iterator[None]:
+    """Let this thread, and those that it starts meanwhile, go first for a while."""
+    with _as_before():
+        go_first()
+        yield
+
+
+@contextmanager
+def ahead() -> Iterator[None]:
+    """Let this thread go before components for a while; for users' code, too."""
+    with _as_before():
+        _be_nice(_AHEAD)
+        yield
+
+
+@contextmanager
+def as_usual() -> Iterator[None]:
+    """Let a thread that goes first, and those that it starts, be as all others."""
+    with _as_before():
+        _be_nice(_USUAL)
+        yield
+
+
+def gently(work: Callable[[], T]) -> T:
+    """Run `work` on a thread that gives way to all others, and return what it returns.
+
+    A thread of its own, because only the privileged may take back that they gave way.
+
+    Raises
+    ------
+    BaseException
+        Whatever `work` raises.
+    """
+    future: Future[T] = Future()
+
+    def run() -> None:
+        _be_nice(_LAST)
+        try:
+            future.set_result(work())
+        except BaseException as error:  # noqa: BLE001, the caller gets it
+            future.set_exception(error)
+
+    threading.Thread(target=run, name="gently").start()
+    return future.result()
+
+
+@contextmanager
+def _as_before() -> Iterator[None]:
+    """Put back at the end what this thread is now."""
+    policy, param = os.sched_getscheduler(0), os.sched_getparam(0)
+    nice = os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+    try:
+        yield
+    finally:
+        _be_nice(nice)
+        with contextlib.suppress(PermissionError):
+            os.sched_setscheduler(0, policy, param)
+
+
+def _be_nice(value: int) -> None:
+    """Share the CPU with this nice value, if the system allows it."""
+    with contextlib.suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), value)

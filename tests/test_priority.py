@@ -1,0 +1,91 @@
+"""Threads give way, and those that go first take it back."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+
+import pytest
+
+from poise.priority import ahead, as_usual, first, gently, go_first
+
+USUAL = os.getpriority(os.PRIO_PROCESS, 0)
+REAL_TIME = 1000
+"""What stands for a real-time thread here."""
+
+
+def nice() -> int:
+    if os.sched_getscheduler(0) == os.SCHED_RR:
+        return REAL_TIME
+    return os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+
+
+def may(do: Callable[[], None]) -> bool:
+    """Whether the system allows something, tried on a thread of its own."""
+    outcome: list[bool] = []
+
+    def run() -> None:
+        try:
+            do()
+        except PermissionError:
+            outcome.append(False)
+        else:
+            outcome.append(True)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    return outcome[0]
+
+
+def be_real_time() -> None:
+    os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
+
+
+def be_ahead() -> None:
+    os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), USUAL - 10)
+
+
+def test_gives_way_only_on_a_thread_of_its_own() -> None:
+    before = nice()
+    assert gently(nice) == 19
+    assert nice() == before
+
+
+def test_what_is_raised_gently_is_raised_here() -> None:
+    with pytest.raises(ZeroDivisionError):
+        gently(lambda: 1 // 0)
+
+
+def test_each_goes_before_the_next_so_far_as_it_is_allowed() -> None:
+    before_usual = USUAL - 10 if may(be_ahead) else USUAL
+    at_first = REAL_TIME if may(be_real_time) else before_usual
+    seen: list[int] = []
+
+    def run() -> None:
+        with first():
+            seen.append(nice())
+        seen.append(nice())
+        go_first()
+        with ahead():
+            seen.append(nice())
+            with as_usual():
+                seen.append(nice())
+            seen.append(nice())
+        seen.append(nice())
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    assert seen == [at_first, USUAL, before_usual, USUAL, before_usual, at_first]
+
+
+def test_threads_are_as_the_one_that_starts_them() -> None:
+    seen: list[int] = []
+    with first():
+        seen.append(nice())
+        thread = threading.Thread(target=lambda: seen.append(nice()))
+        thread.start()
+        thread.join()
+    assert seen[0] == seen[1]
