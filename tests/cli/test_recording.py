@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
+from poise.cli.up import Seen
+from poise.manage.estimates import Estimates
 from poise.manage.recording import save
+from poise.model import load
 from poise.wire.recorded import Recorded
 from poise.wire.samples import AgentSample, ComponentSample, ContainerSample
 
@@ -38,6 +43,22 @@ def _folder(tmp_path: Path) -> Path:
     samples = [told(0.2 * k) for k in range(300)]
     save(Recorded(robot="r", samples=samples), tmp_path / "run.recording")
     return tmp_path
+
+
+@pytest.mark.parametrize("ends", [False, True])
+def test_drifts_are_told_until_the_simulated_world_ends(
+    folder: Path, *, ends: bool
+) -> None:
+    """It would need four times as much from 20 s on; the world may end there."""
+    out = io.StringIO()
+    estimates = Estimates(load(folder / "robot.yaml"), None, emulated=True)
+    seen = Seen(estimates, None, Console(file=out, color_system=None))
+    for k in range(300):
+        if ends and k == 100:
+            seen.end()
+        seen.take(told(0.2 * k))
+    assert ("'eye' needs" in out.getvalue()) is not ends
+    assert ("world has ended" in out.getvalue()) is ends
 
 
 @pytest.mark.slow

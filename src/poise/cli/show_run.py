@@ -14,7 +14,9 @@ from poise.units import format_seconds
 
 def show_run(report: RunReport, console: Console) -> None:
     """Print where the components ran, what they used, and how timers kept up."""
-    rows = table("component", "CPU", "timer, period", "missed", "median", "p99")
+    rows = table(
+        "component", "CPU", "timer, period", "missed", "median", "p99", folds=2
+    )
     for computer in report.cpu_share:
         rows.add_row(f"[bold]on {computer}[/]")
         here = (c for c in report.components if c.computer == computer)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 
 import msgspec
 from rich.console import Console
@@ -16,7 +17,7 @@ from poise.manage.desk import AskStatus, RobotStatus, ask
 from poise.manage.estimates import Standing
 from poise.manage.report import clocks_of
 from poise.manage.run import connectors_of
-from poise.wire.messages import TimerStatus
+from poise.wire.messages import ComponentStatus
 
 
 def status_command(robot: Robot = None, as_json: AsJson = False) -> None:
@@ -45,20 +46,32 @@ def status_command(robot: Robot = None, as_json: AsJson = False) -> None:
 
 
 def _components(answer: RobotStatus) -> Table:
-    rows = table(
-        "component", "computer", "state", "CPU", "profile", "errors", "missed deadlines"
-    )
+    titles = "component", "computer", "state", "CPU", "profile", "remarks"
+    rows = table(*titles, folds=len(titles) - 1)
     standings = {each.component: each for each in answer.standings}
     for computer, status in sorted(answer.computers.items()):
         for container in status.containers:
             for component in container.components:
-                missed = ", ".join(map(_missed, component.timers))
-                errors = str(component.errors or "")
-                needs = _needs(standings.get(component.name))
+                standing = standings.get(component.name)
                 rows.add_row(
-                    component.name, computer, component.state, *needs, errors, missed
+                    component.name,
+                    computer,
+                    component.state,
+                    *_needs(standing),
+                    ", ".join(_remarks(component, standing)),
                 )
     return rows
+
+
+def _remarks(component: ComponentStatus, standing: Standing | None) -> Iterator[str]:
+    if component.errors:
+        yield f"{component.errors} errors"
+    if standing is not None and standing.estimate.starved:
+        yield f"starved {standing.estimate.starved:.0%}"
+    for timer in component.timers:
+        if timer.deadline is not None and timer.missed:
+            share = timer.missed / timer.releases
+            yield f"{timer.name} missed {share:.1%} of deadlines"
 
 
 def _needs(standing: Standing | None) -> tuple[str, str]:
@@ -67,13 +80,6 @@ def _needs(standing: Standing | None) -> tuple[str, str]:
         return "", ""
     now, expected = standing.estimate, standing.expected
     error = f" ± {now.error:.1%}" if now.error is not None else ""
-    starved = f", starved {now.starved:.0%}" if now.starved else ""
     colour = "yellow" if now.drift else "default"
-    text = f"[{colour}]{now.mean:.1%}{error}{starved}[/]"
+    text = f"[{colour}]{now.mean:.1%}{error}[/]"
     return text, "" if expected is None else f"{expected:.1%}"
-
-
-def _missed(timer: TimerStatus) -> str:
-    if timer.deadline is None or not timer.releases:
-        return ""
-    return f"{timer.name} {timer.missed / timer.releases:.1%}"

@@ -92,10 +92,12 @@ def up_command(
                     Recorded(robot=robot.name, samples=recording.take()), record
                 )
             )
-        seen = _Seen(estimates, recording if record else None, console)
+        seen = Seen(estimates, recording if record else None, console)
         watching = Watching(seen.take)
-        up = running(robot, decision.placement, book, console.print, watching)
-        run = stack.enter_context(up).run
+        up = stack.enter_context(
+            running(robot, decision.placement, book, console.print, watching)
+        )
+        run = up.run
         if metrics is not None:
             address = ("127.0.0.1", metrics)
             server = MetricsServer(estimates, run.fleet.statuses, address)
@@ -111,6 +113,8 @@ def up_command(
         while not manager.is_stopping:
             desk.serve(manager.answer, _LOOK_EVERY)
             run.raise_on_lost()
+            if up.world is not None and up.world.has_ended():
+                seen.end()
         console.print("stopping")
 
 
@@ -125,7 +129,7 @@ def telemetry() -> type[Telemetry]:
     return Telemetry
 
 
-class _Seen:
+class Seen:
     """Takes what agents tell of what is used."""
 
     def __init__(
@@ -134,9 +138,20 @@ class _Seen:
         self._estimates = estimates
         self._recording = recording
         self._console = console
+        self._has_ended = False
+
+    def end(self) -> None:
+        """Take no more: without a simulated world sensors are silent."""
+        if not self._has_ended:
+            self._has_ended = True
+            self._console.print(
+                "the simulated world has ended: estimates stay as they are"
+            )
 
     def take(self, sample: AgentSample) -> None:
         """Estimate, keep, and say when a demand has shifted."""
+        if self._has_ended:
+            return
         if self._recording is not None:
             self._recording.add(sample)
         for name, drift in self._estimates.take(sample):
