@@ -48,6 +48,7 @@ PUBLIC = {
         "Option",
         "Problem",
         "Result",
+        "Smallest",
         "Step",
         "Terms",
         "Tightest",

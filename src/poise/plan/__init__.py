@@ -15,7 +15,7 @@ from poise.plan.problem import (
 from poise.plan.result import Conflict, Result, Step, Terms, Tightest, Trial
 from poise.plan.robot import problem_of, static
 from poise.plan.schema import schema
-from poise.plan.smallest import smallest
+from poise.plan.smallest import Smallest, smallest
 from poise.plan.solve import solve, trace
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "Option",
     "Problem",
     "Result",
+    "Smallest",
     "Step",
     "Terms",
     "Tightest",

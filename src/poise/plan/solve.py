@@ -10,6 +10,7 @@ from msgspec.structs import replace
 from poise.errors import UsageError
 from poise.plan.admission import admit, alternatives
 from poise.plan.check import check
+from poise.plan.engine import Ask
 from poise.plan.greedy import greedy
 from poise.plan.portfolio import METHODS, Effort, decide
 from poise.plan.problem import Problem
@@ -28,10 +29,12 @@ def solve(
     *,
     steps: int | None = None,
     fewer: bool = False,
+    stop: Ask | None = None,
 ) -> Result:
     """Return the best placement found within `budget` [s].
 
-    Ctrl-C ends the search, and the best placement so far is returned.
+    Ctrl-C in the main thread ends the search, and the best placement so far is
+    returned.
 
     Parameters
     ----------
@@ -48,6 +51,9 @@ def solve(
         the same placement.
     fewer
         Put architectures aside, lowest priority first, when not all fits.
+    stop
+        Asked 50 times a second, in any thread, whether to return the best placement so
+        far, such as ``threading.Event().is_set``. What it raises is raised.
 
     Raises
     ------
@@ -59,7 +65,7 @@ def solve(
     _check_call(budget, method, seed, steps)
     check(problem)
     start = perf_counter()
-    effort = Effort(budget, steps, seed)
+    effort = Effort(budget, steps, seed, stop)
 
     def part(smaller: Problem, share: float) -> Result:
         return decide(smaller, method, effort.share(share))
