@@ -86,6 +86,10 @@ def test_refuses_what_it_does_not_know(two_computers: Problem) -> None:
         plan.solve(two_computers, seed=-1)
     with pytest.raises(UsageError, match="steps"):
         plan.solve(two_computers, steps=-1)
+    with pytest.raises(UsageError, match=r"seed is 1\.5, must be a whole number"):
+        plan.solve(two_computers, seed=1.5)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="stop is 3"):
+        plan.solve(two_computers, stop=3)  # type: ignore[arg-type]
 
 
 def test_ctrl_c_returns_the_best_so_far() -> None:

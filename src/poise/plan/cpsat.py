@@ -24,6 +24,8 @@ LinearExprT = Any
 
 UNITS = 1_000_000
 """In how many parts the scale of F is divided."""
+MOST_VARIABLES = 200_000
+"""With more, setting up the program takes longer than solving it here."""
 PARTS = 10**12
 """In how many parts a limit is divided."""
 LOOK = 0.02
@@ -53,8 +55,15 @@ def solve(
     Raises
     ------
     UsageError
-        When OR-Tools is not installed.
+        When OR-Tools is not installed, or the problem is too large.
     """
+    each = tables.m * (tables.m if tables.distance else 1)
+    variables = tables.n * tables.m + len(tables.first) * each
+    if variables > MOST_VARIABLES:
+        raise UsageError(
+            f"{tables.n} components with {len(tables.first)} connectors on {tables.m} "
+            "computers are too many for 'cpsat'; take 'search'"
+        )
     if stop is not None and stop():
         return Answer([*known], float("-inf"), False, "interrupted", 0)
     try:
@@ -134,11 +143,22 @@ class _Model:
         t = self.tables
         far = max(t.distance, default=1.0)
         costs = [abs(c) for c in t.cost]
+        spreads = (self._widest(k) * weight for k, weight in enumerate(t.spread))
         return (
             t.communication * sum(t.overhead) * far
-            + sum(t.spread) * (1.0 if t.share else max(t.capacity, default=1.0))
+            + sum(spreads)
             + t.n * max(costs, default=0.0)
         ) or 1.0
+
+    def _widest(self, k: int) -> float:
+        """Return about how large the spread of a resource may be."""
+        top = self._top(k)
+        return top * top if self.tables.variance else top
+
+    def _top(self, k: int) -> float:
+        """Return the largest residue of a resource."""
+        t = self.tables
+        return 1.0 if t.share else max(t.capacity[k :: t.r], default=0.0)
 
     def _whole(self, value: float) -> int:
         self.terms += 1
@@ -235,24 +255,23 @@ class _Model:
         return out
 
     def _spread(self, k: int, weight: float) -> list[LinearExprT]:
+        """Return weight x spread, of residues in parts of the largest."""
         t = self.tables
         residues = [self._residue(k, h) for h in range(t.m) if self._counts(k, h)]
-        if len(residues) < 2:  # noqa: PLR2004 - a spread needs two
+        worth = weight * self._widest(k) * self.scale
+        self.terms += t.n + 2
+        if len(residues) < 2 or worth < 1:  # noqa: PLR2004 - a spread needs two
             return []
-        top = max(1.0, *t.capacity[k :: t.r]) if not t.share else 1.0
         if t.variance:
-            return [self._variance(residues, weight, top)]
-        end = round(2 * top * self.scale)
-        high = self.model.new_int_var(-end, end, "")
-        low = self.model.new_int_var(-end, end, "")
+            return [self._variance(residues, worth)]
+        high = self.model.new_int_var(-UNITS, 2 * UNITS, "")
+        low = self.model.new_int_var(-UNITS, 2 * UNITS, "")
         for residue in residues:
             self.model.add(high >= residue)
             self.model.add(low <= residue)
         # Weights are fractions: carry them in a variable of their own.
-        out = self.model.new_int_var(0, 2 * end, "")
-        parts = round(weight * UNITS)
-        self.terms += 1
-        self.model.add(UNITS * out >= parts * (high - low))
+        out = self.model.new_int_var(0, round(3 * worth) + 1, "")
+        self.model.add(UNITS * out >= round(worth) * (high - low))
         return [out]
 
     def _counts(self, k: int, h: int) -> bool:
@@ -262,22 +281,22 @@ class _Model:
     def _residue(self, k: int, h: int) -> LinearExprT:
         t = self.tables
         capacity = t.capacity[h * t.r + k]
-        size = capacity if t.share else 1.0
+        part = (capacity if t.share else self._top(k)) / UNITS or 1.0
+        # What asks for more than there is will not be here.
         used = sum(
-            self._whole(d / size) * self.on[u][h]
+            round(min(d, 2 * capacity) / part) * self.on[u][h]
             for u, d in enumerate(t.demand[k :: t.r])
         )
-        return round(capacity / size * self.scale) - used
+        return round(capacity / part) - used
 
-    def _variance(self, residues: list[Any], weight: float, top: float) -> LinearExprT:
-        """Return weight x variance, by squares of coarser residues."""
+    def _variance(self, residues: list[Any], worth: float) -> LinearExprT:
+        """Return the variance, by squares of coarser residues."""
         count = len(residues)
-        grid = 10_000
+        grid, step = 10_000, UNITS // 10_000
         end = 2 * grid
         shares: list[IntVar] = []
         for residue in residues:
             share = self.model.new_int_var(-end, end, "")
-            step = max(1, round(top * self.scale / grid))
             self.model.add(step * share <= residue)
             self.model.add(step * share > residue - step)
             shares.append(share)
@@ -289,10 +308,10 @@ class _Model:
             square = self.model.new_int_var(0, (count * 2 * end) ** 2, "")
             self.model.add_multiplication_equality(square, [off, off])
             squares.append(square)
-        # weight x sum(off^2) / count^3 / grid^2 x top^2, in units of F.
-        per_unit = count**3 * grid**2 / (weight * top * top * self.scale)
+        # Worth x sum(off^2) / count^3 / grid^2 is in units of F.
+        per_unit = round(count**3 * grid**2 / worth)
         most = count * (count * 2 * end) ** 2
-        out = self.model.new_int_var(0, round(most / per_unit) + 1, "")
-        self.terms += round(weight * top * top * self.scale * 4 / grid)
-        self.model.add(max(1, round(per_unit)) * out >= sum(squares) - round(per_unit))
+        out = self.model.new_int_var(0, most // max(1, per_unit) + 1, "")
+        self.terms += round(worth * 4 / grid) + 1
+        self.model.add(max(1, per_unit) * out >= sum(squares) - per_unit)
         return out

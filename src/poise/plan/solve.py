@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import isfinite
+from math import inf
 from time import perf_counter
 
 from msgspec.structs import replace
@@ -10,13 +10,15 @@ from msgspec.structs import replace
 from poise.errors import UsageError
 from poise.plan.admission import admit, alternatives
 from poise.plan.check import check
-from poise.plan.engine import Ask
+from poise.plan.engine import UNLIMITED, Ask
 from poise.plan.greedy import greedy
 from poise.plan.portfolio import METHODS, Effort, decide
 from poise.plan.problem import Problem
 from poise.plan.result import Result, Step
 from poise.plan.tables import tabulate
 
+LONGEST = 1e9
+"""A budget beyond this is as good as none [s]."""
 LONGEST_TRACE = 20_000
 """How many trials (components x computers) a trace is written down for."""
 
@@ -63,9 +65,11 @@ def solve(
         When the budget, method, seed or steps are not ones.
     """
     _check_call(budget, method, seed, steps)
+    if not (stop is None or callable(stop)):
+        raise UsageError(f"stop is {stop!r}, must be a function or None")
     check(problem)
     start = perf_counter()
-    effort = Effort(budget, steps, seed, stop)
+    effort = Effort(float(min(budget, LONGEST)), steps, seed, stop)
 
     def part(smaller: Problem, share: float) -> Result:
         return decide(smaller, method, effort.share(share))
@@ -89,11 +93,15 @@ def trace(problem: Problem) -> tuple[Step, ...]:
 
 
 def _check_call(budget: float, method: str, seed: int, steps: int | None) -> None:
-    if not (budget >= 0 and isfinite(budget)):
-        raise UsageError(f"budget is {budget} s, must be finite and >= 0")
+    given: object = budget
+    if not (isinstance(given, float | int) and 0 <= given < inf):
+        raise UsageError(f"budget is {budget!r} s, must be finite and >= 0")
     if method not in METHODS:
         raise UsageError(f"no method {method!r} (there are: {', '.join(METHODS)})")
-    if not 0 <= seed < 1 << 62:
-        raise UsageError(f"seed is {seed}, must be in [0, 2^62)")
-    if steps is not None and not 0 <= steps < 1 << 62:
-        raise UsageError(f"steps is {steps}, must be in [0, 2^62)")
+    for name, count in (("seed", seed), ("steps", steps)):
+        if name == "steps" and count is None:
+            continue
+        if not (isinstance(count, int) and 0 <= count < UNLIMITED):
+            raise UsageError(
+                f"{name} is {count!r}, must be a whole number in [0, 2^62)"
+            )
