@@ -45,6 +45,7 @@ PUBLIC = {
         "Connector",
         "Explanation",
         "Link",
+        "More",
         "Option",
         "Problem",
         "Result",

@@ -85,11 +85,20 @@ def plan_command(
     def solved(name: str) -> plan.Result:
         if name == "static":
             return plan.evaluate(problem, _static(robot, problem), "static")
-        return solve(problem, name)
+        return solve(problem, name, why=True)
 
-    def solve(problem: plan.Problem, name: str = method) -> plan.Result:
+    def solve(
+        problem: plan.Problem, name: str = method, *, why: bool = False
+    ) -> plan.Result:
         return plan.solve(
-            problem, budget, name, seed, steps=steps, fewer=fewer, stop=asked.is_set
+            problem,
+            budget,
+            name,
+            seed,
+            steps=steps,
+            fewer=fewer,
+            stop=asked.is_set,
+            why=why,
         )
 
     with _until_ctrl_c() as asked:

@@ -12,7 +12,7 @@ from poise.plan.problem import (
     Link,
     Problem,
 )
-from poise.plan.result import Conflict, Result, Step, Terms, Tightest, Trial
+from poise.plan.result import Conflict, More, Result, Step, Terms, Tightest, Trial
 from poise.plan.robot import problem_of, static
 from poise.plan.schema import schema
 from poise.plan.smallest import Smallest, smallest
@@ -26,6 +26,7 @@ __all__ = [
     "Connector",
     "Explanation",
     "Link",
+    "More",
     "Option",
     "Problem",
     "Result",

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import combinations, product
-from math import prod
+from math import inf, prod
 
 from msgspec.structs import replace
 
 from poise.plan.change import keep_components
 from poise.plan.problem import Architecture, Problem
-from poise.plan.result import Result
+from poise.plan.result import Result, Stopped
 
 MOST_COMBINATIONS = 64
 """How many combinations of alternatives are tried; more are tried one change a time."""
@@ -50,6 +50,22 @@ def admit(problem: Problem, decide: Decide, *, fewer: bool) -> Result:
     aside = tuple(a.name for need in needs if need not in admitted for a in need[:1])
     result = _choose(problem, admitted, decide, 1.0)
     return replace(result, aside=aside)
+
+
+def part_of(problem: Problem, result: Result) -> Problem:
+    """Return the problem without the architectures put aside or not chosen."""
+
+    def need(a: Architecture) -> str:
+        return a.function or f"\0{a.name}"
+
+    aside = {need(a) for a in problem.architectures if a.name in result.aside}
+    kept = tuple(
+        a
+        for a in problem.architectures
+        if need(a) not in aside
+        and result.architectures.get(a.function, a.name) == a.name
+    )
+    return _reduced(problem, kept)
 
 
 def _needs(problem: Problem) -> list[Choice]:
@@ -100,21 +116,41 @@ def _choose(
         product(*needs) if count <= MOST_COMBINATIONS else _one_change_each(needs)
     )
     tried = min(count, MOST_COMBINATIONS)
+    bound: float | None = inf if count <= MOST_COMBINATIONS else None
+    proven = count <= MOST_COMBINATIONS
     for combo in combos:
         lost = _quality_lost(needs, combo) * problem.quality
-        known = None if best is None else best.objective
-        if best is not None and best.feasible and known and lost >= known.total:
-            continue  # F is never negative: this cannot be better
         result = _with_quality(
             decide(_reduced(problem, combo), share / max(1, tried)), lost, needs, combo
         )
+        # What no combination is below, no placement is below.
+        impossible = result.proven and not result.feasible
+        if not impossible and bound is not None:
+            bound = None if result.bound is None else min(bound, result.bound)
+        proven = proven and result.proven
         if best is None or _better(result, best):
             best = result
+        if result.stopped_by == "interrupted" and best.feasible:
+            proven, bound = False, None
+            break
     if best is None:
         return Result(placement={}, feasible=True)
-    # A bound for one combination is none for all of them.
-    several = count > 1
-    return replace(best, bound=None, proven=False) if several else best
+    if count == 1:
+        return best
+    known = best.objective is not None and bound is not None
+    return replace(
+        best,
+        bound=bound if known else None,
+        proven=proven,
+        stopped_by=_stopped(best, proven=proven),
+    )
+
+
+def _stopped(best: Result, *, proven: bool) -> Stopped:
+    """Return why the choice among several ended, when the best ended as it did."""
+    if proven:
+        return "proven" if best.feasible else "infeasible"
+    return "budget" if best.stopped_by in {"proven", "infeasible"} else best.stopped_by
 
 
 def _one_change_each(needs: list[Choice]) -> Iterator[Choice]:

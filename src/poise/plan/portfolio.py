@@ -12,7 +12,7 @@ from poise.plan import cpsat
 from poise.plan.describe import described
 from poise.plan.engine import UNLIMITED, Answer, Ask, Engine
 from poise.plan.greedy import order
-from poise.plan.infeasible import conflict, dead_end
+from poise.plan.infeasible import dead_end
 from poise.plan.problem import Problem
 from poise.plan.result import Result
 from poise.plan.tables import Placed, Tables, tabulate
@@ -188,21 +188,15 @@ _SOLVERS: dict[str, Callable[[Engine, Placed, Effort], tuple[Answer, str]]] = {
 
 
 def _unplaced(tables: Tables, method: str, answer: Answer) -> Result:
-    found = conflict(tables.problem)
-    if found is not None:
-        reason = f"{'; '.join(found.limits)}. Way out: {found.way_out}"
-    elif answer.proven:
+    reason = "no placement was found in the time given; there may be one"
+    if answer.proven:
         reason = "no placement keeps all limits"
-    else:
-        reason = "no placement was found in the time given; there may be one"
-    proven = answer.proven or found is not None
     return _described_as_none(
         tables,
         method,
         reason=reason,
-        conflict=found,
-        proven=proven,
-        stopped_by="infeasible" if proven else answer.stopped_by,
+        proven=answer.proven,
+        stopped_by="infeasible" if answer.proven else answer.stopped_by,
     )
 
 

@@ -8,10 +8,11 @@ from time import perf_counter
 from msgspec.structs import replace
 
 from poise.errors import UsageError
-from poise.plan.admission import admit, alternatives
+from poise.plan.admission import admit, alternatives, part_of
 from poise.plan.check import check
 from poise.plan.engine import UNLIMITED, Ask
 from poise.plan.greedy import greedy
+from poise.plan.infeasible import conflict
 from poise.plan.portfolio import METHODS, Effort, decide
 from poise.plan.problem import Problem
 from poise.plan.result import Result, Step
@@ -23,7 +24,7 @@ LONGEST_TRACE = 20_000
 """How many trials (components x computers) a trace is written down for."""
 
 
-def solve(
+def solve(  # noqa: PLR0913 - each says how to decide, and has a default
     problem: Problem,
     budget: float = 0.1,
     method: str = "auto",
@@ -32,6 +33,7 @@ def solve(
     steps: int | None = None,
     fewer: bool = False,
     stop: Ask | None = None,
+    why: bool = True,
 ) -> Result:
     """Return the best placement found within `budget` [s].
 
@@ -56,6 +58,9 @@ def solve(
     stop
         Asked 50 times a second, in any thread, whether to return the best placement so
         far, such as ``threading.Event().is_set``. What it raises is raised.
+    why
+        Look for what cannot hold together where nothing holds, and for the cheapest way
+        out; that takes up to a second or two on top of the budget.
 
     Raises
     ------
@@ -78,7 +83,20 @@ def solve(
         result = admit(problem, part, fewer=fewer)
     else:
         result = part(problem, 1.0)
+    if why and method != "greedy" and not (result.feasible or result.placement):
+        result = _explained(part_of(problem, result), result, stop)
     return replace(result, seconds=perf_counter() - start, seed=seed)
+
+
+def _explained(problem: Problem, result: Result, stop: Ask | None) -> Result:
+    """Return the result with what cannot hold together, as far as that is found."""
+    found = conflict(problem, stop)
+    if found is None:
+        return result
+    reason = f"{'; '.join(found.limits)}. Way out: {found.way_out}"
+    return replace(
+        result, reason=reason, conflict=found, proven=True, stopped_by="infeasible"
+    )
 
 
 def trace(problem: Problem) -> tuple[Step, ...]:
