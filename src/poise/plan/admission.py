@@ -20,7 +20,7 @@ from poise.plan.result import Result, Stopped
 MOST_COMBINATIONS = 64
 """How many combinations of alternatives are tried; more are tried one change a time."""
 MOST_DROPS = 256
-"""How many sets of architectures of one priority are tried to be put aside."""
+"""How many sets of architectures are tried, before they are tried one by one."""
 
 Decide = Callable[[Problem, float], Result]
 """Solves a problem with a share, in (0, 1], of the budget."""
@@ -43,10 +43,9 @@ def admit(problem: Problem, decide: Decide, *, fewer: bool) -> Result:
     result = _choose(problem, needs, decide, 0.7)
     if result.feasible or not fewer:
         return result
-    admitted: list[Choice] = []
-    for level in sorted({_priority(need) for need in needs}, reverse=True):
-        at_level = [need for need in needs if _priority(need) == level]
-        admitted += _largest(problem, admitted, at_level, decide)
+    priorities = sorted({_priority(need) for need in needs}, reverse=True)
+    levels = [[need for need in needs if _priority(need) == p] for p in priorities]
+    admitted = _Admission(problem, decide).most([], levels)
     aside = tuple(a.name for need in needs if need not in admitted for a in need[:1])
     result = _choose(problem, admitted, decide, 1.0)
     return replace(result, aside=aside)
@@ -80,30 +79,51 @@ def _priority(need: Choice) -> int:
     return max(a.priority for a in need)
 
 
-def _largest(
-    problem: Problem, admitted: list[Choice], level: list[Choice], decide: Decide
-) -> list[Choice]:
-    """Return as many of a level as fit beside those admitted before."""
-    tried = 0
-    for dropped in range(len(level)):
-        for out in combinations(range(len(level)), dropped):
-            kept = [need for i, need in enumerate(level) if i not in out]
-            if _choose(problem, admitted + kept, decide, 0.02).feasible:
-                return kept
-            tried += 1
-            if tried >= MOST_DROPS:
-                return _one_by_one(problem, admitted, level, decide)
-    return []
+class _Admission:
+    """Finds what to keep: as many as possible of the first level, then of the next."""
+
+    def __init__(self, problem: Problem, decide: Decide) -> None:
+        self._problem = problem
+        self._decide = decide
+        self._tried = 0
+
+    def most(self, admitted: list[Choice], levels: list[list[Choice]]) -> list[Choice]:
+        """Return what fits of these levels, beside those admitted before."""
+        if not levels:
+            return admitted
+        level, lower = levels[0], levels[1:]
+        best: list[Choice] | None = None
+        for dropped in range(len(level) + 1):
+            for out in combinations(range(len(level)), dropped):
+                if self._tried >= MOST_DROPS:
+                    return best or self.most(self._one_by_one(admitted, level), lower)
+                kept = [need for i, need in enumerate(level) if i not in out]
+                if kept and not self._fits(admitted + kept):
+                    continue
+                # Of as many of this level, those that leave the most to lower ones.
+                whole = self.most(admitted + kept, lower)
+                if best is None or _counts(whole, lower) > _counts(best, lower):
+                    best = whole
+                if _counts(best, lower) == [len(each) for each in lower]:
+                    return best
+            if best is not None:
+                return best
+        return admitted
+
+    def _one_by_one(self, admitted: list[Choice], level: list[Choice]) -> list[Choice]:
+        for need in level:
+            if self._fits([*admitted, need]):
+                admitted = [*admitted, need]
+        return admitted
+
+    def _fits(self, needs: list[Choice]) -> bool:
+        self._tried += 1
+        return _choose(self._problem, needs, self._decide, 0.02).feasible
 
 
-def _one_by_one(
-    problem: Problem, admitted: list[Choice], level: list[Choice], decide: Decide
-) -> list[Choice]:
-    kept: list[Choice] = []
-    for need in level:
-        if _choose(problem, [*admitted, *kept, need], decide, 0.02).feasible:
-            kept.append(need)
-    return kept
+def _counts(admitted: list[Choice], levels: list[list[Choice]]) -> list[int]:
+    """Return how many of each level are among those admitted."""
+    return [sum(need in admitted for need in level) for level in levels]
 
 
 def _choose(
