@@ -93,7 +93,10 @@ def _explained(problem: Problem, result: Result, stop: Ask | None) -> Result:
     found = conflict(problem, stop)
     if found is None:
         return result
-    reason = f"{'; '.join(found.limits)}. Way out: {found.way_out}"
+    names, limits = ", ".join(found.components), "; ".join(found.limits)
+    if not limits.startswith(names):
+        limits = f"{names} cannot hold together: {limits}"
+    reason = f"{limits}. Way out: {found.way_out}"
     return replace(
         result, reason=reason, conflict=found, proven=True, stopped_by="infeasible"
     )
