@@ -2,6 +2,10 @@
 
 python -m benchmarks.placement [--quick] [--gqap FOLDER] [--json FILE] [--plot FILE]
 
+``quality`` holds short runs against long ones, which take over a minute a robot. They
+are kept in the folder of ``--references``, so that a run that was ended goes on where
+it was.
+
 The folder of ``--gqap`` holds public instances of the generalised quadratic assignment
 problem in the format of Cordeau, Gaudioso, Laporte and Moccia (INFORMS Journal on
 Computing 18(4), 2006), with their best known values in ``best_known.json``.
@@ -36,13 +40,15 @@ def main() -> None:
     for name, section in (
         ("speed", speed.run),
         ("proof", proof.run),
-        ("quality", quality.run),
         ("tight", tight.run),
         ("growth", growth.run),
     ):
         if arguments.only and name not in arguments.only.split(","):
             continue
         report[name] = section(quick=quick)
+    if "quality" in (arguments.only or "quality").split(","):
+        robots = arguments.robots or (3 if quick else 10)
+        report["quality"] = quality.run(robots, Path(arguments.references))
     for name, nodes in (("cut-1k", 1_000), ("cut-10k", 10_000), ("cut-100k", 100_000)):
         if name in arguments.only.split(",") if arguments.only else not quick:
             report[name] = cut.run(nodes)
@@ -75,6 +81,12 @@ def _arguments() -> argparse.Namespace:
         "--only",
         help="sections: speed,proof,quality,tight,growth,cut-1k,cut-10k,cut-100k",
     )
+    parser.add_argument(
+        "--references",
+        default=Path.home() / ".cache" / "poise-benchmarks",
+        help="folder that keeps the long runs of `quality`",
+    )
+    parser.add_argument("--robots", type=int, help="of `quality`, for each row")
     parser.add_argument("--gqap", help="folder of public instances")
     parser.add_argument("--json", help="write all numbers to this file")
     parser.add_argument("--plot", help="write the plot of growth to this SVG file")

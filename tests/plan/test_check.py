@@ -1,14 +1,20 @@
 """Wrong problems are reported whole, by name, before anything is solved."""
 
-from math import inf, nan
+from collections.abc import Callable
+from math import inf, isfinite, nan
 from pathlib import Path
+from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import PoiseError, RobotError, UsageError
 from poise.model.robot import Objective
-from poise.plan import Component, Computer, Connector, Problem
+from poise.plan import Architecture, Component, Computer, Connector, Link, Problem
+from tests.plan.plan_problems import problems
 
 
 def test_reports_all_problems_at_once() -> None:
@@ -36,14 +42,159 @@ def test_reports_all_problems_at_once() -> None:
         assert expected in str(caught.value)
 
 
-@pytest.mark.parametrize("number", [nan, inf, -inf, -1.0, 1e300])
-def test_refuses_numbers_out_of_range(number: float) -> None:
-    problem = Problem(
-        components=(Component(name="a", demand={"cpu": number}),),
-        computers=(Computer(name="one", capacity={"cpu": 1.0}),),
+def robot(number: float = 1.0, **more: Any) -> Problem:
+    """Return a component on two computers that asks for `number`."""
+    return Problem(
+        components=(Component(name="a", demand={"cpu": number}), Component(name="b")),
+        computers=(Computer(name="one", capacity={"cpu": 1.0}), Computer(name="two")),
+        **more,
     )
-    with pytest.raises(RobotError, match="demand of cpu"):
+
+
+HUGE = pytest.param(-(10**5000), id="huge")
+WRONG = [nan, inf, -inf, -1.0, 1e31, 1e300, 5e-324, 10**400, HUGE]
+
+
+@pytest.mark.parametrize("number", WRONG)
+def test_refuses_numbers_out_of_range(number: float) -> None:
+    with pytest.raises(RobotError, match="demand of cpu is"):
+        plan.solve(robot(number))
+
+
+@pytest.mark.parametrize("number", WRONG)
+@pytest.mark.parametrize(
+    ("where", "problem"),
+    [
+        ("capacity of cpu", lambda x: _computer(capacity={"cpu": x})),
+        ("speed", lambda x: _computer(speed=x)),
+        ("price", lambda x: _computer(price=x)),
+        ("move_cost", lambda x: _component(move_cost=x)),
+        ("overhead", lambda x: _joined(overhead=x)),
+        ("traffic", lambda x: _joined(traffic=x)),
+        ("communication", lambda x: robot(objective=Objective(communication=x))),
+        ("balance", lambda x: robot(objective=Objective(balance=x))),
+        ("weight of cpu", lambda x: robot(objective=Objective(weights={"cpu": x}))),
+        ("size of cpu", lambda x: robot(objective=Objective(sizes={"cpu": x}))),
+        ("quality", lambda x: robot(quality=x)),
+        ("distance", lambda x: robot(distance=((0.0, x), (x, 0.0)))),
+    ],
+)
+def test_names_the_number_that_is_wrong(
+    where: str, problem: Callable[[float], Problem], number: float
+) -> None:
+    with pytest.raises(RobotError, match=where):
+        plan.solve(problem(number))
+
+
+def _computer(**fields: Any) -> Problem:
+    one, two = robot().computers
+    return replace(robot(), computers=(replace(one, **fields), two))
+
+
+def _component(**fields: Any) -> Problem:
+    a, b = robot().components
+    return replace(robot(), components=(replace(a, **fields), b))
+
+
+def _joined(**fields: Any) -> Problem:
+    return robot(connectors=(Connector(**{"between": ("a", "b"), **fields}),))
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.0, nan, inf])
+def test_refuses_a_reserve_that_is_no_share(share: float) -> None:
+    with pytest.raises(RobotError, match=r"reserve of cpu is .* must be in \[0, 1\)"):
+        plan.solve(_computer(reserve={"cpu": share}))
+
+
+@pytest.mark.parametrize("cost", [nan, inf, -inf, 1e31, -1e31, 1e-40])
+def test_refuses_a_cost_out_of_range(cost: float) -> None:
+    with pytest.raises(RobotError, match=r"cost\[1\]\[0\]"):
+        plan.solve(robot(cost=((0.0, 1.0), (cost, 0.0))))
+
+
+@pytest.mark.parametrize("bandwidth", [nan, -1.0, -inf, 1e31])
+def test_refuses_a_bandwidth_out_of_range(bandwidth: float) -> None:
+    with pytest.raises(RobotError, match="link one - two: bandwidth"):
+        plan.solve(robot(links=(Link(between=("one", "two"), bandwidth=bandwidth),)))
+
+
+@pytest.mark.parametrize(
+    ("problem", "message"),
+    [
+        (robot("1"), r"Expected `float`, got `str` - at `\$.components"),  # type: ignore[arg-type]
+        (robot(None), "got `null`"),  # type: ignore[arg-type]
+        (replace(robot(), components=("a",)), r"got `str` - at `\$.components"),
+        (_computer(name=7), "computer 7: a name must be text"),
+        (robot(together=(("a", "a"),)), "together: 'a' is there 2 times"),
+        (robot(apart=(("b", "a", "b"),)), "apart: 'b' is there 2 times"),
+        (robot(apart=(("a", "c"),)), "apart: no component is called 'c'"),
+        (_component(present="tow"), "did you mean 'two'"),
+        (_joined(between=("a",)), "connector between a: it must join two"),
+        (robot(objective=Objective(scale="papr")), "scale is 'papr', must be"),  # type: ignore[arg-type]
+        (robot(objective=Objective(spread="std")), "spread is 'std', must be"),  # type: ignore[arg-type]
+        (
+            robot(links=(Link(between=("one", "one"), bandwidth=1.0),)),
+            "link between one, one: it must join two",
+        ),
+        (
+            robot(architectures=(Architecture(name="A", components=("x",)),)),
+            "architecture 'A': no component is called 'x'",
+        ),
+        (
+            robot(architectures=(Architecture(name="A", components=(), priority="1"),)),  # type: ignore[arg-type]
+            "priority is '1', must be a whole number",
+        ),
+    ],
+)
+def test_refuses_what_makes_no_sense(problem: Problem, message: str) -> None:
+    with pytest.raises(RobotError, match=message):
         plan.solve(problem)
+
+
+EXTREMES = st.sampled_from([0.0, 1e-30, 1e-15, 1.0, 1e15, 1e30, 10**29])
+
+
+@settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
+@given(problems(most_components=5, most_computers=3), st.data())
+def test_every_number_in_range_is_solved(problem: Problem, data: st.DataObject) -> None:
+    """Whatever their sizes: an answer in finite numbers that keeps all limits."""
+
+    def some(**fields: str) -> dict[str, Any]:
+        return {
+            field: {"cpu": data.draw(EXTREMES)} if kind else data.draw(EXTREMES)
+            for field, kind in fields.items()
+            if data.draw(st.booleans())
+        }
+
+    problem = replace(
+        problem,
+        components=tuple(
+            replace(c, **some(demand="map", move_cost="")) for c in problem.components
+        ),
+        computers=tuple(replace(h, **some(capacity="map")) for h in problem.computers),
+        connectors=tuple(
+            replace(k, **some(overhead="", traffic="")) for k in problem.connectors
+        ),
+        objective=replace(
+            problem.objective, **some(communication="", balance="", weights="map")
+        ),
+    )
+    for method in ("auto", "greedy", "search"):
+        result = plan.solve(problem, steps=500, method=method)
+        assert result.feasible == (len(result.placement) == len(problem.components))
+        if result.objective is not None:
+            assert isfinite(result.objective.total)
+            assert result.bound is not None
+            assert result.bound <= result.objective.total
+
+
+def test_components_may_ask_for_nothing() -> None:
+    problem = Problem(
+        components=(Component(name="a"), Component(name="b")),
+        computers=(Computer(name="one"), Computer(name="two")),
+    )
+    for method in ("auto", "greedy", "exact", "search"):
+        assert plan.solve(problem, method=method).feasible
 
 
 def test_places_nothing_when_there_is_nothing_to_place() -> None:
@@ -61,14 +212,15 @@ def test_an_empty_problem_is_solved() -> None:
     assert plan.solve(Problem()).feasible
 
 
-@pytest.mark.parametrize("budget", [-1.0, nan])
+@pytest.mark.parametrize("budget", [-1.0, nan, inf, "1", None, -(10**400)])
 def test_refuses_a_budget_that_is_none(budget: float) -> None:
     with pytest.raises(UsageError, match="budget"):
         plan.solve(Problem(), budget=budget)
 
 
-def test_takes_a_budget_of_zero(two_computers: Problem) -> None:
-    assert plan.solve(two_computers, budget=0).feasible
+@pytest.mark.parametrize("budget", [0, 1e-300, 1e300, 10**400])
+def test_takes_any_other_budget(two_computers: Problem, budget: float) -> None:
+    assert plan.solve(two_computers, budget=budget).feasible
 
 
 def test_refuses_a_matrix_of_the_wrong_shape() -> None:

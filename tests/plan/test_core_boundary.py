@@ -3,6 +3,7 @@
 from array import array
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -37,12 +38,20 @@ GOOD: dict[str, Any] = {
 NUMBERS = st.one_of(
     st.floats(), st.integers(-3, 3), st.sampled_from([1 << 31, 1 << 63, -1, 1 << 80])
 )
+BUFFERS = st.builds(
+    lambda values, kind: np.array(values).astype(kind),
+    st.lists(st.sampled_from([0.0, 1.0, 2.0]), max_size=4),
+    st.sampled_from(["f8", "f4", "i4", "i8", "u1", ">f8", "c16", "?", "U3", "O"]),
+)
+ODD = st.sampled_from([np.ones((2, 1)), np.arange(4.0)[::2], b"12345678", 10**5000])
 ANYTHING = st.one_of(
     st.none(),
     NUMBERS,
     st.text(max_size=3),
     st.lists(NUMBERS, max_size=5),
     st.booleans(),
+    BUFFERS,
+    ODD,
 )
 
 
@@ -57,8 +66,64 @@ def test_nothing_crashes_the_interpreter(wrong: dict[str, Any], known: object) -
         core.search([], 0.01, 1000, 1)
         core.exact(known, 0.01, 1000)  # type: ignore[arg-type]
         core.terms(known)  # type: ignore[arg-type]
-    except (TypeError, ValueError, OverflowError, MemoryError):
+        core.feasible(known)  # type: ignore[arg-type]
+        core.walk(known, [([0], [], 0, 1)])  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError, MemoryError, BufferError):
         pass
+
+
+EXTREME = st.sampled_from([0.0, 5e-324, 1e-300, 0.5, 1.0, 2.0, 1e60, 1e150])
+
+
+@settings(max_examples=200, suppress_health_check=[HealthCheck.too_slow])
+@given(st.data())
+def test_every_shape_and_size_has_an_answer(data: st.DataObject) -> None:
+    n, m, r = (data.draw(st.integers(low, 4)) for low in (0, 1, 0))
+    edges = data.draw(st.integers(0, 5)) if n else 0
+
+    def numbers(count: int) -> list[float]:
+        return data.draw(st.lists(EXTREME, min_size=count, max_size=count))
+
+    def units() -> list[int]:
+        unit = st.integers(0, max(n - 1, 0))
+        return data.draw(st.lists(unit, min_size=edges, max_size=edges))
+
+    core = Core(
+        **{
+            **GOOD,
+            "n": n,
+            "m": m,
+            "r": r,
+            "share": data.draw(st.booleans()),
+            "demand": numbers(n * r),
+            "size": numbers(n),
+            "spread": numbers(r),
+            "capacity": numbers(m * r),
+            "limit": numbers(m * r),
+            "restricted": [],
+            "offsets": [0],
+            "allowed": [],
+            "first": units(),
+            "second": units(),
+            "overhead": numbers(edges),
+            "traffic": numbers(edges),
+            "variance": data.draw(st.booleans()),
+            "bandwidth": numbers(m * m) if data.draw(st.booleans()) else [],
+            "apart_first": (some := units()),
+            "apart_second": some[::-1],
+        }
+    )
+    known = data.draw(st.lists(st.integers(-1, m - 1), min_size=n, max_size=n))
+    core.greedy()
+    core.terms(known)
+    core.feasible(known)
+    core.bound()
+    for placed in (
+        core.exact([], 1.0, 500)[0],
+        core.search([], 1.0, 500, 1)[0],
+        core.multilevel(1),
+    ):
+        assert len(placed) in {0, n}
 
 
 @pytest.mark.parametrize(
@@ -83,6 +148,13 @@ def test_says_what_is_wrong(wrong: dict[str, Any], message: str) -> None:
 def test_takes_buffers_as_well_as_lists() -> None:
     core = Core(**{**GOOD, "demand": array("d", [1.0, 1.0]), "first": array("i", [0])})
     assert core.greedy() == Core(**GOOD).greedy()
+
+
+def test_a_placement_of_some_units_is_not_feasible() -> None:
+    """The core read the traffic of the unit that has no computer."""
+    core = Core(**{**GOOD, "bandwidth": [9.0] * 4})
+    assert not core.feasible([1, -1])
+    assert core.feasible([1, 0])
 
 
 def test_refuses_a_known_placement_that_breaks_a_limit() -> None:

@@ -1,5 +1,6 @@
 """`solve`: methods, limits, present placement, interruption."""
 
+import itertools
 import os
 import signal
 import threading
@@ -85,6 +86,10 @@ def test_refuses_what_it_does_not_know(two_computers: Problem) -> None:
         plan.solve(two_computers, seed=-1)
     with pytest.raises(UsageError, match="steps"):
         plan.solve(two_computers, steps=-1)
+    with pytest.raises(UsageError, match=r"seed is 1\.5, must be a whole number"):
+        plan.solve(two_computers, seed=1.5)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="stop is 3"):
+        plan.solve(two_computers, stop=3)  # type: ignore[arg-type]
 
 
 def test_ctrl_c_returns_the_best_so_far() -> None:
@@ -96,6 +101,46 @@ def test_ctrl_c_returns_the_best_so_far() -> None:
     assert time.monotonic() - start < 30
     timer.join()
     assert result.stopped_by == "interrupted"
+    assert result.feasible
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["auto", "exact", "search", "cpsat"])
+def test_any_thread_is_told_to_stop(method: str) -> None:
+    if method == "cpsat":
+        pytest.importorskip("ortools")
+    robot = random_robot(4, 80, 6)
+    asked, results = itertools.count(), []
+
+    def work() -> None:
+        results.append(plan.solve(robot, 600.0, method, stop=lambda: next(asked) > 2))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join(60)
+    (result,) = results
+    assert result.stopped_by == "interrupted"
+    assert result.feasible
+    assert not result.proven
+
+
+def test_what_a_question_to_stop_raises_is_raised() -> None:
+    def ask() -> bool:
+        raise LookupError
+
+    with pytest.raises(LookupError):
+        plan.solve(random_robot(4, 80, 6), 600.0, stop=ask)
+
+
+@pytest.mark.slow
+def test_cpsat_is_never_worse_than_the_greedy() -> None:
+    pytest.importorskip("ortools")
+    robot = random_robot(4, 40, 6)
+    first = plan.solve(robot, method="greedy").objective
+    result = plan.solve(robot, budget=1e-3, method="cpsat")
+    assert first is not None
+    assert result.objective is not None
+    assert result.objective.total <= first.total
     assert result.feasible
 
 

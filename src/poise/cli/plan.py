@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from threading import Event
+from types import FrameType
 from typing import Annotated, Any
 
 import msgspec
@@ -15,7 +19,12 @@ from rich.console import Console
 from poise import plan
 from poise.cli.plan_questions import changed
 from poise.cli.profiles import profiled
-from poise.cli.show_plan import show, show_comparison, show_explanation
+from poise.cli.show_plan import (
+    show,
+    show_comparison,
+    show_explanation,
+    show_smallest,
+)
 from poise.errors import UsageError
 from poise.model import load
 from poise.model.robot import Robot
@@ -76,36 +85,57 @@ def plan_command(
     def solved(name: str) -> plan.Result:
         if name == "static":
             return plan.evaluate(problem, _static(robot, problem), "static")
-        return plan.solve(problem, budget, name, seed, steps=steps, fewer=fewer)
+        return solve(problem, name, why=True)
 
-    if compare is not None:
-        results = {name.strip(): solved(name.strip()) for name in compare.split(",")}
-        _answer_comparison(problem, results, json=json)
-        return
-    extra: dict[str, Any] = {}
-    if smallest:
-        kept, result = plan.smallest(
-            problem, lambda smaller: plan.solve(smaller, budget, method, seed)
+    def solve(
+        problem: plan.Problem, name: str = method, *, why: bool = False
+    ) -> plan.Result:
+        return plan.solve(
+            problem,
+            budget,
+            name,
+            seed,
+            steps=steps,
+            fewer=fewer,
+            stop=asked.is_set,
+            why=why,
         )
-        dropped = [h.name for h in problem.computers if h.name not in kept]
-        problem = plan.without(problem, dropped) if result.feasible else problem
-        extra["computers"] = kept
-    else:
-        result = solved(method)
-    if not result.aside and not result.architectures:
-        result = replace(result, trace=plan.trace(problem))
-    explanation = None
-    if explain is not None and result.placement:
-        explanation = plan.explain(problem, result.placement, explain)
-        extra["explanation"] = explanation
-    if json:
-        _print_json({**as_json(result), **extra})
-    elif explanation is not None:
-        show_explanation(explanation, Console())
-    else:
-        show(problem, result, Console())
-    if not result.feasible:
+
+    with _until_ctrl_c() as asked:
+        if compare is not None:
+            names = [name.strip() for name in compare.split(",")]
+            results = {name: solved(name) for name in names}
+            _answer_comparison(problem, results, json=json)
+            feasible = any(result.feasible for result in results.values())
+        else:
+            few = plan.smallest(problem, solve) if smallest else None
+            result = few.result if few else solved(method)
+            problem = _placed_part(problem, result, few)
+            if not (result.aside or result.architectures):
+                result = replace(result, trace=plan.trace(problem))
+            _answer(problem, result, few, explain, json=json)
+            feasible = result.feasible
+    if asked.is_set():
+        raise typer.Exit(128 + signal.SIGINT)
+    if not feasible:
         raise typer.Exit(1)
+
+
+@contextmanager
+def _until_ctrl_c() -> Iterator[Event]:
+    """Let the first Ctrl-C set an event, and only the second end the command."""
+    asked = Event()
+    before = signal.getsignal(signal.SIGINT)
+
+    def ask(_number: int, _frame: FrameType | None) -> None:
+        asked.set()
+        signal.signal(signal.SIGINT, before)
+
+    signal.signal(signal.SIGINT, ask)
+    try:
+        yield asked
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def read(
@@ -140,6 +170,45 @@ def _static(robot: Robot | None, problem: plan.Problem) -> dict[str, str]:
     return plan.static(robot, problem)
 
 
+def _placed_part(
+    problem: plan.Problem, result: plan.Result, few: plan.Smallest | None
+) -> plan.Problem:
+    """Return the problem of what was placed, on the computers that it was placed on."""
+    if not result.placement:
+        return problem
+    if few:
+        dropped = [h.name for h in problem.computers if h.name not in few.computers]
+        problem = plan.without(problem, dropped) if dropped else problem
+    return plan.keep_components(problem, result.placement)
+
+
+def _answer(
+    problem: plan.Problem,
+    result: plan.Result,
+    few: plan.Smallest | None,
+    explain: str | None,
+    *,
+    json: bool,
+) -> None:
+    extra: dict[str, Any] = {}
+    if few:
+        extra |= {"computers": few.computers, "smallest_proven": few.proven}
+    explanation = None
+    if explain is not None and result.placement:
+        explanation = plan.explain(problem, result.placement, explain)
+        extra["explanation"] = explanation
+    if json:
+        _print_json({**as_json(result), **extra})
+        return
+    console = Console()
+    if few:
+        show_smallest(few, console)
+    if explanation is not None:
+        show_explanation(explanation, console)
+    else:
+        show(problem, result, console)
+
+
 def _answer_comparison(
     problem: plan.Problem, results: dict[str, plan.Result], *, json: bool
 ) -> None:
@@ -147,8 +216,6 @@ def _answer_comparison(
         _print_json({"results": {name: as_json(r) for name, r in results.items()}})
     else:
         show_comparison(problem, results, Console())
-    if not any(result.feasible for result in results.values()):
-        raise typer.Exit(1)
 
 
 def _print_json(value: object) -> None:

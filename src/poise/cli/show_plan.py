@@ -37,6 +37,15 @@ def show(problem: plan.Problem, result: plan.Result, console: Console) -> None:
     console.print(_terms(result), highlight=False)
 
 
+def show_smallest(few: plan.Smallest, console: Console) -> None:
+    """Print on which computers everything fits."""
+    if not few.result.feasible:
+        return
+    known = "no cheaper set will do" if few.proven else "a cheaper set may do"
+    names = ", ".join(few.computers)
+    console.print(f"fits on {len(few.computers)}: {names}; {known}", highlight=False)
+
+
 def bar(
     problem: plan.Problem, result: plan.Result, computer: plan.Computer, resource: str
 ) -> Text:
@@ -127,6 +136,7 @@ def _terms(result: plan.Result) -> str:
     return (
         f"F = {terms.total:.6g} = {' + '.join(parts)} ({result.scale} scale, "
         f"{result.spread}){known}; by {result.method} in {_seconds(result)}"
+        f"{', stopped by Ctrl-C' if result.stopped_by == 'interrupted' else ''}"
     )
 
 

@@ -12,10 +12,10 @@ from poise.plan.problem import (
     Link,
     Problem,
 )
-from poise.plan.result import Conflict, Result, Step, Terms, Tightest, Trial
+from poise.plan.result import Conflict, More, Result, Step, Terms, Tightest, Trial
 from poise.plan.robot import problem_of, static
 from poise.plan.schema import schema
-from poise.plan.smallest import smallest
+from poise.plan.smallest import Smallest, smallest
 from poise.plan.solve import solve, trace
 
 __all__ = [
@@ -26,9 +26,11 @@ __all__ = [
     "Connector",
     "Explanation",
     "Link",
+    "More",
     "Option",
     "Problem",
     "Result",
+    "Smallest",
     "Step",
     "Terms",
     "Tightest",

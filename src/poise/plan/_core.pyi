@@ -1,4 +1,5 @@
 from array import array
+from collections.abc import Callable
 from typing import TypeAlias, final
 
 Numbers: TypeAlias = list[float] | array[float]
@@ -34,10 +35,19 @@ class Core:
     ) -> None: ...
     def greedy(self) -> list[int]: ...
     def exact(
-        self, known: Indexes, seconds: float, steps: int
+        self,
+        known: Indexes,
+        seconds: float,
+        steps: int,
+        stop: Callable[[], bool] | None = None,
     ) -> tuple[list[int], float, bool, str, int]: ...
     def search(
-        self, known: Indexes, seconds: float, steps: int, seed: int
+        self,
+        known: Indexes,
+        seconds: float,
+        steps: int,
+        seed: int,
+        stop: Callable[[], bool] | None = None,
     ) -> tuple[list[int], float, bool, str, int]: ...
     def walk(
         self, placed: Indexes, moves: list[tuple[list[int], list[int], int, int]]

@@ -9,18 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import combinations, product
-from math import prod
+from math import inf, prod
 
 from msgspec.structs import replace
 
 from poise.plan.change import keep_components
 from poise.plan.problem import Architecture, Problem
-from poise.plan.result import Result
+from poise.plan.result import Result, Stopped
 
 MOST_COMBINATIONS = 64
 """How many combinations of alternatives are tried; more are tried one change a time."""
 MOST_DROPS = 256
-"""How many sets of architectures of one priority are tried to be put aside."""
+"""How many sets of architectures are tried, before they are tried one by one."""
 
 Decide = Callable[[Problem, float], Result]
 """Solves a problem with a share, in (0, 1], of the budget."""
@@ -43,13 +43,28 @@ def admit(problem: Problem, decide: Decide, *, fewer: bool) -> Result:
     result = _choose(problem, needs, decide, 0.7)
     if result.feasible or not fewer:
         return result
-    admitted: list[Choice] = []
-    for level in sorted({_priority(need) for need in needs}, reverse=True):
-        at_level = [need for need in needs if _priority(need) == level]
-        admitted += _largest(problem, admitted, at_level, decide)
+    priorities = sorted({_priority(need) for need in needs}, reverse=True)
+    levels = [[need for need in needs if _priority(need) == p] for p in priorities]
+    admitted = _Admission(problem, decide).most([], levels)
     aside = tuple(a.name for need in needs if need not in admitted for a in need[:1])
     result = _choose(problem, admitted, decide, 1.0)
     return replace(result, aside=aside)
+
+
+def part_of(problem: Problem, result: Result) -> Problem:
+    """Return the problem without the architectures put aside or not chosen."""
+
+    def need(a: Architecture) -> str:
+        return a.function or f"\0{a.name}"
+
+    aside = {need(a) for a in problem.architectures if a.name in result.aside}
+    kept = tuple(
+        a
+        for a in problem.architectures
+        if need(a) not in aside
+        and result.architectures.get(a.function, a.name) == a.name
+    )
+    return _reduced(problem, kept)
 
 
 def _needs(problem: Problem) -> list[Choice]:
@@ -64,30 +79,51 @@ def _priority(need: Choice) -> int:
     return max(a.priority for a in need)
 
 
-def _largest(
-    problem: Problem, admitted: list[Choice], level: list[Choice], decide: Decide
-) -> list[Choice]:
-    """Return as many of a level as fit beside those admitted before."""
-    tried = 0
-    for dropped in range(len(level)):
-        for out in combinations(range(len(level)), dropped):
-            kept = [need for i, need in enumerate(level) if i not in out]
-            if _choose(problem, admitted + kept, decide, 0.02).feasible:
-                return kept
-            tried += 1
-            if tried >= MOST_DROPS:
-                return _one_by_one(problem, admitted, level, decide)
-    return []
+class _Admission:
+    """Finds what to keep: as many as possible of the first level, then of the next."""
+
+    def __init__(self, problem: Problem, decide: Decide) -> None:
+        self._problem = problem
+        self._decide = decide
+        self._tried = 0
+
+    def most(self, admitted: list[Choice], levels: list[list[Choice]]) -> list[Choice]:
+        """Return what fits of these levels, beside those admitted before."""
+        if not levels:
+            return admitted
+        level, lower = levels[0], levels[1:]
+        best: list[Choice] | None = None
+        for dropped in range(len(level) + 1):
+            for out in combinations(range(len(level)), dropped):
+                if self._tried >= MOST_DROPS:
+                    return best or self.most(self._one_by_one(admitted, level), lower)
+                kept = [need for i, need in enumerate(level) if i not in out]
+                if kept and not self._fits(admitted + kept):
+                    continue
+                # Of as many of this level, those that leave the most to lower ones.
+                whole = self.most(admitted + kept, lower)
+                if best is None or _counts(whole, lower) > _counts(best, lower):
+                    best = whole
+                if _counts(best, lower) == [len(each) for each in lower]:
+                    return best
+            if best is not None:
+                return best
+        return admitted
+
+    def _one_by_one(self, admitted: list[Choice], level: list[Choice]) -> list[Choice]:
+        for need in level:
+            if self._fits([*admitted, need]):
+                admitted = [*admitted, need]
+        return admitted
+
+    def _fits(self, needs: list[Choice]) -> bool:
+        self._tried += 1
+        return _choose(self._problem, needs, self._decide, 0.02).feasible
 
 
-def _one_by_one(
-    problem: Problem, admitted: list[Choice], level: list[Choice], decide: Decide
-) -> list[Choice]:
-    kept: list[Choice] = []
-    for need in level:
-        if _choose(problem, [*admitted, *kept, need], decide, 0.02).feasible:
-            kept.append(need)
-    return kept
+def _counts(admitted: list[Choice], levels: list[list[Choice]]) -> list[int]:
+    """Return how many of each level are among those admitted."""
+    return [sum(need in admitted for need in level) for level in levels]
 
 
 def _choose(
@@ -100,21 +136,41 @@ def _choose(
         product(*needs) if count <= MOST_COMBINATIONS else _one_change_each(needs)
     )
     tried = min(count, MOST_COMBINATIONS)
+    bound: float | None = inf if count <= MOST_COMBINATIONS else None
+    proven = count <= MOST_COMBINATIONS
     for combo in combos:
         lost = _quality_lost(needs, combo) * problem.quality
-        known = None if best is None else best.objective
-        if best is not None and best.feasible and known and lost >= known.total:
-            continue  # F is never negative: this cannot be better
         result = _with_quality(
             decide(_reduced(problem, combo), share / max(1, tried)), lost, needs, combo
         )
+        # What no combination is below, no placement is below.
+        impossible = result.proven and not result.feasible
+        if not impossible and bound is not None:
+            bound = None if result.bound is None else min(bound, result.bound)
+        proven = proven and result.proven
         if best is None or _better(result, best):
             best = result
+        if result.stopped_by == "interrupted" and best.feasible:
+            proven, bound = False, None
+            break
     if best is None:
         return Result(placement={}, feasible=True)
-    # A bound for one combination is none for all of them.
-    several = count > 1
-    return replace(best, bound=None, proven=False) if several else best
+    if count == 1:
+        return best
+    known = best.objective is not None and bound is not None
+    return replace(
+        best,
+        bound=bound if known else None,
+        proven=proven,
+        stopped_by=_stopped(best, proven=proven),
+    )
+
+
+def _stopped(best: Result, *, proven: bool) -> Stopped:
+    """Return why the choice among several ended, when the best ended as it did."""
+    if proven:
+        return "proven" if best.feasible else "infeasible"
+    return "budget" if best.stopped_by in {"proven", "infeasible"} else best.stopped_by
 
 
 def _one_change_each(needs: list[Choice]) -> Iterator[Choice]:

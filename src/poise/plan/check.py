@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
-from math import isfinite
+from math import inf
+from typing import get_args
+
+from msgspec import ValidationError, convert, to_builtins
 
 from poise.errors import RobotError
+from poise.model.robot import Scale, Spread
 from poise.plan.problem import Problem
 
-LARGEST = 1e60
-"""Numbers beyond this would overflow as they are squared and summed."""
+LEAST, MOST = 1e-30, 1e30
+"""Numbers beyond these would overflow as they are divided, squared and summed."""
 
 
 def check(problem: Problem) -> None:
     """Raise a RobotError that lists everything that is wrong with `problem`."""
-    found = list(problems(problem))
+    try:
+        found = list(problems(problem))
+    except (AttributeError, TypeError, ValueError):
+        # Something in it is of the wrong type: say what.
+        try:
+            convert(to_builtins(problem), Problem)
+        except (ValidationError, TypeError, OverflowError) as error:
+            raise RobotError(f"the problem is wrong: {error}") from None
+        raise
     if found:
         raise RobotError("the problem is wrong:\n  " + "\n  ".join(found))
 
@@ -32,13 +44,16 @@ def problems(problem: Problem) -> Iterator[str]:
         yield f"there are {len(components)} components, but no computers"
     yield from _numbers(problem)
     yield from _names(problem, components, computers)
+    yield from _groups(problem)
     yield from _matrices(problem)
 
 
-def _twice(kind: str, names: list[str]) -> Iterator[str]:
+def _twice(kind: str, names: Sequence[object]) -> Iterator[str]:
     for name, count in Counter(names).items():
         if count > 1:
             yield f"{kind} {name!r} is there {count} times; names must be unique"
+        if not isinstance(name, str):
+            yield f"{kind} {name!r}: a name must be text"
 
 
 def _numbers(problem: Problem) -> Iterator[str]:
@@ -56,17 +71,24 @@ def _numbers(problem: Problem) -> Iterator[str]:
             if not 0 <= share < 1:
                 yield f"{where}reserve of {name} is {share}, must be in [0, 1)"
     for k in problem.connectors:
-        where = f"connector {k.between[0]} - {k.between[1]}: "
+        where = f"connector {' - '.join(k.between)}: "
         yield from _amounts(where, {"overhead": k.overhead, "traffic": k.traffic})
     for link in problem.links:
-        if not link.bandwidth >= 0:
-            names = " - ".join(link.between)
-            yield f"link {names}: bandwidth is {link.bandwidth}, must be >= 0"
+        if link.bandwidth != inf:
+            where = f"link {' - '.join(link.between)}: "
+            yield from _amounts(where, {"bandwidth": link.bandwidth})
     yield from _weights(problem)
 
 
 def _weights(problem: Problem) -> Iterator[str]:
     given = problem.objective
+    for name, value, choices in (
+        ("scale", given.scale, get_args(Scale)),
+        ("spread", given.spread, get_args(Spread)),
+    ):
+        if value not in choices:
+            known = " or ".join(choices)
+            yield f"objective: {name} is {value!r}, must be {known}"
     both = {"communication": given.communication, "balance": given.balance}
     yield from _amounts("objective: ", both)
     yield from _amounts("objective: weight of ", given.weights)
@@ -75,12 +97,45 @@ def _weights(problem: Problem) -> Iterator[str]:
     for a in problem.architectures:
         if not 0 < a.quality <= 1:
             yield f"architecture {a.name!r}: quality is {a.quality}, must be in (0, 1]"
+        yield from _whole(f"architecture {a.name!r}: priority", a.priority)
 
 
 def _amounts(what: str, amounts: Mapping[str, float]) -> Iterator[str]:
     for name, value in amounts.items():
-        if not (isfinite(value) and 0 <= value <= LARGEST):
-            yield f"{what}{name} is {value}, must be in [0, {LARGEST:g}]"
+        if not (value == 0 or LEAST <= value <= MOST):
+            yield f"{what}{name} is {_shown(value)}, must be 0, or {_RANGE}"
+
+
+def _whole(what: str, value: object) -> Iterator[str]:
+    if not isinstance(value, int):
+        yield f"{what} is {value!r}, must be a whole number"
+
+
+_RANGE = f"in [{LEAST:g}, {MOST:g}]"
+
+
+def _shown(value: float) -> str:
+    # A whole number in Python may have more digits than anybody wants to read.
+    if isinstance(value, int) and abs(value) > MOST:
+        return f"{'-' if value < 0 else ''}1e{abs(value).bit_length() * 3 // 10}..."
+    return str(value)
+
+
+def _groups(problem: Problem) -> Iterator[str]:
+    """Yield sets in which something is there twice, and pairs that are none."""
+    for kind, groups in (("together", problem.together), ("apart", problem.apart)):
+        for group in groups:
+            for name, count in Counter(group).items():
+                if count > 1:
+                    yield f"{kind}: {name!r} is there {count} times"
+    for connector in problem.connectors:
+        ends: Sequence[str] = connector.between
+        if len(ends) != 2:  # noqa: PLR2004 - two ends
+            yield f"connector between {', '.join(ends)}: it must join two components"
+    for link in problem.links:
+        if len(set(link.between)) != 2:  # noqa: PLR2004 - two ends
+            names = ", ".join(link.between)
+            yield f"link between {names}: it must join two computers"
 
 
 def _names(
@@ -129,10 +184,21 @@ def _matrices(problem: Problem) -> Iterator[str]:
         if len(table) != rows or any(len(row) != m for row in table):
             widths = sorted({len(row) for row in table})
             yield f"{name} is {len(table)} x {widths}, must be {rows} x {m}"
-        elif any(not isfinite(v) or abs(v) > LARGEST for row in table for v in row):
-            yield f"{name} has a value that is not a finite number up to {LARGEST:g}"
+        elif (wrong := _outlier(table)) is not None:
+            entry, value = wrong
+            yield f"{name}{entry} is {_shown(value)}, must be 0, or of a size {_RANGE}"
         elif name == "distance":
             yield from _metric(problem)
+
+
+def _outlier(table: tuple[tuple[float, ...], ...]) -> tuple[str, float] | None:
+    """Return where a number is that may not be, and the number."""
+    for i, row in enumerate(table):
+        for j, value in enumerate(row):
+            size = -value if value < 0 else value
+            if not (size == 0 or LEAST <= size <= MOST):
+                return f"[{i}][{j}]", value
+    return None
 
 
 def _metric(problem: Problem) -> Iterator[str]:

@@ -1,57 +1,116 @@
 """The placement by OR-Tools CP-SAT: an independent certificate (extra `exact`).
 
-Real numbers become whole ones: demands and limits in millionths of the largest limit,
-rounded so that a placement it finds is one; F in millionths of its own scale. What it
-proves is therefore proven to about a millionth.
+Real numbers become whole ones: demands and limits in parts of 10^12 of the largest
+limit, so that rounding is less than the slack that limits have; F in millionths of its
+own scale. What it proves is therefore proven to about a millionth.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from threading import Thread
 from typing import Any
 
 from poise.errors import UsageError
-from poise.plan.engine import Answer
+from poise.plan.engine import Answer, Ask
+from poise.plan.problem import SLACK
 from poise.plan.tables import Placed, Tables
 
 # OR-Tools may not be installed where this is checked.
 CpModel = Any
+CpSolver = Any
 IntVar = Any
 LinearExprT = Any
 
 UNITS = 1_000_000
-"""In how many parts a limit, or the scale of F, is divided."""
+"""In how many parts the scale of F is divided."""
+MOST_VARIABLES = 200_000
+"""With more, setting up the program takes longer than solving it here."""
+PARTS = 10**12
+"""In how many parts a limit is divided."""
+LOOK = 0.02
+"""How long it may take to notice that it should stop [s]."""
 
 
-def solve(tables: Tables, seconds: float, seed: int) -> Answer:
+def solve(
+    tables: Tables,
+    seconds: float,
+    seed: int,
+    *,
+    known: Sequence[int] = (),
+    workers: int = 2,
+    stop: Ask | None = None,
+) -> Answer:
     """Return the best placement that CP-SAT finds, and its bound.
+
+    Parameters
+    ----------
+    known
+        A placement to start from; empty: none.
+    workers
+        How many threads it may use.
+    stop
+        Asked 50 times a second whether to stop now.
 
     Raises
     ------
     UsageError
-        When OR-Tools is not installed.
+        When OR-Tools is not installed, or the problem is too large.
     """
+    each = tables.m * (tables.m if tables.distance else 1)
+    variables = tables.n * tables.m + len(tables.first) * each
+    if variables > MOST_VARIABLES:
+        raise UsageError(
+            f"{tables.n} components with {len(tables.first)} connectors on {tables.m} "
+            "computers are too many for 'cpsat'; take 'search'"
+        )
+    if stop is not None and stop():
+        return Answer([*known], float("-inf"), False, "interrupted", 0)
     try:
         from ortools.sat.python import cp_model  # noqa: PLC0415 - an extra, and slow
     except ImportError as error:
         raise UsageError("cpsat needs OR-Tools: pip install 'poise[exact]'") from error
     model = _Model(cp_model.CpModel(), tables)
+    model.hint(known)
     solver = cp_model.CpSolver()
     solver.parameters.max_time_in_seconds = max(seconds, 1e-3)
     solver.parameters.random_seed = seed & 0x7FFFFFFF
-    solver.parameters.num_workers = 2
-    status = solver.solve(model.model)
+    solver.parameters.num_workers = workers
+    status, interrupted = _run(solver, model.model, stop)
     bound = float("-inf")
     placed: Placed = []
-    if status in {cp_model.OPTIMAL, cp_model.FEASIBLE}:
+    if status in {"OPTIMAL", "FEASIBLE"}:
         placed = [
             next(h for h in range(tables.m) if solver.boolean_value(row[h]))
             for row in model.on
         ]
         # What rounding may have added to F: half a unit for every term.
         bound = (solver.best_objective_bound - model.terms) / model.scale
-    proven = status in {cp_model.OPTIMAL, cp_model.INFEASIBLE}
-    stopped = "proven" if placed else "infeasible"
-    return Answer(placed, bound, proven, stopped if proven else "budget", 0)  # type: ignore[arg-type]
+    if status in {"OPTIMAL", "INFEASIBLE"}:
+        return Answer(placed, bound, True, "proven" if placed else "infeasible", 0)
+    return Answer(placed, bound, False, "interrupted" if interrupted else "budget", 0)
+
+
+def _run(solver: CpSolver, model: CpModel, stop: Ask | None) -> tuple[str, bool]:
+    """Let the solver run; its status, and whether Ctrl-C or `stop` ended it.
+
+    It runs in a thread of its own, as only from beside it can it be stopped. Its own
+    way with Ctrl-C is switched off: it leaves the process without Python's.
+    """
+    solver.parameters.catch_sigint_signal = False
+    ended: list[str] = []
+    thread = Thread(target=lambda: ended.append(solver.solve(model).name), daemon=True)
+    thread.start()
+    interrupted = False
+    while thread.is_alive():
+        try:
+            thread.join(LOOK)
+            interrupted = interrupted or (stop is not None and stop())
+        except KeyboardInterrupt:
+            interrupted = True
+        if interrupted:
+            solver.stop_search()
+    return ended[0] if ended else "failed", interrupted
 
 
 class _Model:
@@ -73,16 +132,33 @@ class _Model:
         objective += self._spreads()
         model.minimize(sum(objective))
 
+    def hint(self, known: Sequence[int]) -> None:
+        """Let the search begin at a placement."""
+        for row, computer in zip(self.on, known, strict=False):
+            for h, here in enumerate(row):
+                self.model.add_hint(here, h == computer)
+
     def _largest(self) -> float:
         """Return about how large F may be."""
         t = self.tables
         far = max(t.distance, default=1.0)
         costs = [abs(c) for c in t.cost]
+        spreads = (self._widest(k) * weight for k, weight in enumerate(t.spread))
         return (
             t.communication * sum(t.overhead) * far
-            + sum(t.spread) * (1.0 if t.share else max(t.capacity, default=1.0))
+            + sum(spreads)
             + t.n * max(costs, default=0.0)
         ) or 1.0
+
+    def _widest(self, k: int) -> float:
+        """Return about how large the spread of a resource may be."""
+        top = self._top(k)
+        return top * top if self.tables.variance else top
+
+    def _top(self, k: int) -> float:
+        """Return the largest residue of a resource."""
+        t = self.tables
+        return 1.0 if t.share else max(t.capacity[k :: t.r], default=0.0)
 
     def _whole(self, value: float) -> int:
         self.terms += 1
@@ -100,42 +176,34 @@ class _Model:
             for h in range(t.m):
                 self.model.add(self.on[i][h] + self.on[j][h] <= 1)
         for k in range(t.r):
-            unit = max(t.limit[k :: t.r], default=0.0) / UNITS
+            demands = t.demand[k :: t.r]
             for h in range(t.m):
-                self._hold(k, h, unit)
-        self._links()
+                used = [self.on[u][h] for u in range(t.n)]
+                self._hold(demands, used, t.limit[h * t.r + k])
+        if t.bandwidth:
+            self._links()
 
-    def _hold(self, k: int, h: int, unit: float) -> None:
-        t = self.tables
-        limit = t.limit[h * t.r + k]
-        demands = t.demand[k :: t.r]
-        if unit <= 0:
-            for u, demand in enumerate(demands):
-                if demand > 0:
-                    self.model.add(self.on[u][h] == 0)
-            return
-        # Up, but for rounding noise, so that what fits here fits.
-        whole = [-int(-(d / unit - 1e-3) // 1) if d > 0 else 0 for d in demands]
-        self.model.add(
-            sum(w * self.on[u][h] for u, w in enumerate(whole)) <= int(limit / unit)
-        )
+    def _hold(
+        self, amounts: Sequence[float], used: Sequence[LinearExprT], limit: float
+    ) -> None:
+        """Keep the sum of what is used, rounded down, to a limit with its slack."""
+        part = (limit + SLACK * max(1.0, limit)) / PARTS
+        # More than the whole limit is too much, however much it is.
+        whole = [int(min(amount / part, 2.0 * PARTS)) for amount in amounts]
+        pairs = zip(whole, used, strict=True)
+        self.model.add(sum(w * x for w, x in pairs if w) <= PARTS)
 
     def _links(self) -> None:
         t = self.tables
-        if not t.bandwidth:
-            return
+        pairs = [
+            row for row in zip(t.first, t.second, t.traffic, strict=True) if row[2] > 0
+        ]
         for a in range(t.m):
             for b in range(a):
                 limit = t.bandwidth[a * t.m + b]
-                if limit == float("inf"):
-                    continue
-                unit = max(limit, 1e-9) / UNITS
-                sent = [
-                    round(w / unit) * self._both(i, a, j, b)
-                    for i, j, w in zip(t.first, t.second, t.traffic, strict=True)
-                    if w > 0
-                ]
-                self.model.add(sum(sent) <= UNITS)
+                if limit < float("inf"):
+                    apart = [self._both(i, a, j, b) for i, j, _ in pairs]
+                    self._hold([w for *_, w in pairs], apart, limit)
 
     def _both(self, i: int, a: int, j: int, b: int) -> LinearExprT:
         """Return 1 when units i and j are on computers a and b, either way round."""
@@ -187,24 +255,23 @@ class _Model:
         return out
 
     def _spread(self, k: int, weight: float) -> list[LinearExprT]:
+        """Return weight x spread, of residues in parts of the largest."""
         t = self.tables
         residues = [self._residue(k, h) for h in range(t.m) if self._counts(k, h)]
-        if len(residues) < 2:  # noqa: PLR2004 - a spread needs two
+        worth = weight * self._widest(k) * self.scale
+        self.terms += t.n + 2
+        if len(residues) < 2 or worth < 1:  # noqa: PLR2004 - a spread needs two
             return []
-        top = max(1.0, *t.capacity[k :: t.r]) if not t.share else 1.0
         if t.variance:
-            return [self._variance(residues, weight, top)]
-        end = round(2 * top * self.scale)
-        high = self.model.new_int_var(-end, end, "")
-        low = self.model.new_int_var(-end, end, "")
+            return [self._variance(residues, worth)]
+        high = self.model.new_int_var(-UNITS, 2 * UNITS, "")
+        low = self.model.new_int_var(-UNITS, 2 * UNITS, "")
         for residue in residues:
             self.model.add(high >= residue)
             self.model.add(low <= residue)
         # Weights are fractions: carry them in a variable of their own.
-        out = self.model.new_int_var(0, 2 * end, "")
-        parts = round(weight * UNITS)
-        self.terms += 1
-        self.model.add(UNITS * out >= parts * (high - low))
+        out = self.model.new_int_var(0, round(3 * worth) + 1, "")
+        self.model.add(UNITS * out >= round(worth) * (high - low))
         return [out]
 
     def _counts(self, k: int, h: int) -> bool:
@@ -214,22 +281,22 @@ class _Model:
     def _residue(self, k: int, h: int) -> LinearExprT:
         t = self.tables
         capacity = t.capacity[h * t.r + k]
-        size = capacity if t.share else 1.0
+        part = (capacity if t.share else self._top(k)) / UNITS or 1.0
+        # What asks for more than there is will not be here.
         used = sum(
-            self._whole(d / size) * self.on[u][h]
+            round(min(d, 2 * capacity) / part) * self.on[u][h]
             for u, d in enumerate(t.demand[k :: t.r])
         )
-        return round(capacity / size * self.scale) - used
+        return round(capacity / part) - used
 
-    def _variance(self, residues: list[Any], weight: float, top: float) -> LinearExprT:
-        """Return weight x variance, by squares of coarser residues."""
+    def _variance(self, residues: list[Any], worth: float) -> LinearExprT:
+        """Return the variance, by squares of coarser residues."""
         count = len(residues)
-        grid = 10_000
+        grid, step = 10_000, UNITS // 10_000
         end = 2 * grid
         shares: list[IntVar] = []
         for residue in residues:
             share = self.model.new_int_var(-end, end, "")
-            step = max(1, round(top * self.scale / grid))
             self.model.add(step * share <= residue)
             self.model.add(step * share > residue - step)
             shares.append(share)
@@ -241,10 +308,10 @@ class _Model:
             square = self.model.new_int_var(0, (count * 2 * end) ** 2, "")
             self.model.add_multiplication_equality(square, [off, off])
             squares.append(square)
-        # weight x sum(off^2) / count^3 / grid^2 x top^2, in units of F.
-        per_unit = count**3 * grid**2 / (weight * top * top * self.scale)
+        # Worth x sum(off^2) / count^3 / grid^2 is in units of F.
+        per_unit = round(count**3 * grid**2 / worth)
         most = count * (count * 2 * end) ** 2
-        out = self.model.new_int_var(0, round(most / per_unit) + 1, "")
-        self.terms += round(weight * top * top * self.scale * 4 / grid)
-        self.model.add(max(1, round(per_unit)) * out >= sum(squares) - round(per_unit))
+        out = self.model.new_int_var(0, most // max(1, per_unit) + 1, "")
+        self.terms += round(worth * 4 / grid) + 1
+        self.model.add(max(1, per_unit) * out >= sum(squares) - per_unit)
         return out

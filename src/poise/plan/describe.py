@@ -53,9 +53,13 @@ def placed_by_name(tables: Tables, placement: Mapping[str, str]) -> Placed:
 
 
 def described(tables: Tables, placed: Placed, **known: object) -> Result:
-    """Return the result for a complete placement; `known` are further fields of it."""
+    """Return the result for a complete placement; `known` are further fields of it.
+
+    A bound that rounding has put above F is F.
+    """
     problem = tables.problem
     load = objective.loads(tables, placed)
+    terms = objective.terms(tables, placed)
     broken = violations(tables, placed, load)
     fields: dict[str, object] = {
         "placement": {
@@ -64,9 +68,12 @@ def described(tables: Tables, placed: Placed, **known: object) -> Result:
         },
         "feasible": not broken,
         "reason": "; ".join(broken),
-        "objective": objective.terms(tables, placed),
+        "objective": terms,
         "tightest": tightest(tables, load),
         "scale": problem.objective.scale,
         "spread": problem.objective.spread,
     }
+    bound = known.get("bound")
+    if isinstance(bound, float) and not broken:
+        known["bound"] = min(bound, terms.total)
     return Result(**(fields | known))  # type: ignore[arg-type]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import accumulate
 from typing import NamedTuple, cast
 
@@ -9,6 +10,9 @@ from poise.errors import UsageError
 from poise.plan import _core
 from poise.plan.result import Stopped
 from poise.plan.tables import Placed, Tables
+
+Ask = Callable[[], bool]
+"""Tells a solver, which asks 100 times a second, whether to stop now."""
 
 UNLIMITED = 1 << 62
 """A number of steps that no solver reaches."""
@@ -75,10 +79,14 @@ class Engine:
             )
 
     def exact(
-        self, known: Placed, seconds: float = 1e9, steps: int = UNLIMITED
+        self,
+        known: Placed,
+        seconds: float = 1e9,
+        steps: int = UNLIMITED,
+        stop: Ask | None = None,
     ) -> Answer:
         """Search for the optimum and its proof, starting from a known placement."""
-        return _answer(self.core.exact(known, seconds, steps))
+        return _answer(self.core.exact(known, seconds, steps, stop))
 
     def search(
         self,
@@ -86,9 +94,10 @@ class Engine:
         seconds: float = 1e9,
         steps: int = UNLIMITED,
         seed: int = 0,
+        stop: Ask | None = None,
     ) -> Answer:
         """Search until time or steps are used up; never worse than `known`."""
-        return _answer(self.core.search(known, seconds, steps, seed))
+        return _answer(self.core.search(known, seconds, steps, seed, stop))
 
     def total(self, placed: Placed) -> float:
         """Return F of a placement, recomputed from nothing."""

@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple
 
 from msgspec.structs import replace
 
 from poise.model.robot import Objective
 from poise.plan.change import keep_components
-from poise.plan.engine import Engine
+from poise.plan.engine import Ask, Engine
 from poise.plan.limits import obstacle
 from poise.plan.objective import loads
 from poise.plan.problem import Problem
+from poise.plan.relief import Limit, Relief, limits_of
 from poise.plan.result import Conflict
 from poise.plan.tables import Placed, Tables, fits, tabulate
 
-STEPS = 20_000
-"""How many nodes a proof may take while a conflict is made smaller."""
+STEPS = 10_000
+"""How many nodes or search moves one question may take."""
+ALL_STEPS = 2_000_000
+"""How many all proofs together may take, about a second."""
 MOST_COMPONENTS = 60
-"""How many components a conflict is looked for among by leaving out one at a time."""
+"""Up to how many components are left out one by one, to find those that conflict."""
 
 
 class Shortage(NamedTuple):
@@ -28,7 +31,43 @@ class Shortage(NamedTuple):
     units: list[int]
     computers: list[int]
     resource: int
-    short: float
+
+
+class Oracle:
+    """Answers whether a problem can hold, as far as that takes no long time."""
+
+    def __init__(self, stop: Ask | None = None) -> None:
+        self._stop = stop
+        self._left = ALL_STEPS
+
+    def impossible(self, problem: Problem) -> bool:
+        """Whether it is proven that no placement keeps all limits."""
+        placed, proven = self._ask(problem)
+        return proven and placed is None
+
+    def placement(self, problem: Problem) -> Placed | None:
+        """Return a placement that keeps all limits, if one is found."""
+        return self._ask(problem)[0]
+
+    def _ask(self, problem: Problem) -> tuple[Placed | None, bool]:
+        self._left -= len(problem.components) * len(problem.computers)
+        if self._left <= 0 or (self._stop is not None and self._stop()):
+            return None, False
+        aimless = replace(problem, objective=Objective(communication=0.0, balance=0.0))
+        tables = tabulate(replace(aimless, cost=()))
+        if not tables.n:
+            return [], True
+        if next(_shortages(tables), None) is not None:
+            return None, True
+        engine = Engine(tables)
+        answer = None
+        if engine.provable:
+            answer = engine.exact([], steps=STEPS)
+            self._left -= answer.steps
+        if answer is None or not (answer.placed or answer.proven):
+            answer = engine.search([], steps=STEPS)
+            self._left -= answer.steps
+        return answer.placed or None, answer.proven
 
 
 def dead_end(tables: Tables, placed: Placed, order: list[int]) -> str:
@@ -42,247 +81,149 @@ def dead_end(tables: Tables, placed: Placed, order: list[int]) -> str:
     return f"the greedy finds no computer for {_names(tables, [unit])[0]} ({why})"
 
 
-def conflict(problem: Problem) -> Conflict | None:
+def conflict(problem: Problem, stop: Ask | None = None) -> Conflict | None:
     """Return a small set of components and limits that cannot hold together.
 
-    None when it cannot be proven in short time that there is one.
+    None when it cannot be proven in short time that there is one, or when `stop` says
+    that it is enough.
+    """
+    oracle = Oracle(stop)
+    found = _limits_in_conflict(problem, oracle)
+    if found is None:
+        return None
+    part, limits = found
+    way = Relief(oracle, lambda p: _limits_in_conflict(p, oracle)).find(problem, limits)
+    return Conflict(
+        components=tuple(c.name for c in part.components),
+        limits=_sentences(part, limits),
+        way_out=str(way) or _at_least(part),
+        more=way.more(),
+    )
+
+
+def _limits_in_conflict(
+    problem: Problem, oracle: Oracle
+) -> tuple[Problem, list[Limit]] | None:
+    """Return a part of the problem that cannot hold, and the limits that it breaks.
+
+    As small as possible, so far as the oracle can tell: without any one of its
+    components, or of the limits, it can hold.
     """
     tables = tabulate(problem)
-    for i, computers in tables.allowed.items():
-        if not computers:
-            names = _names(tables, [i])
-            return Conflict(
-                components=names,
-                limits=(f"{' and '.join(names)} may run on no common computer",),
-                way_out="let them run apart, or on more computers",
-            )
-    for i, j in tables.apart:
-        if i == j:
-            names = _names(tables, [i])
-            return Conflict(
-                components=names,
-                limits=(f"{' and '.join(names)} must be together, and apart",),
-                way_out="drop one of the two",
-            )
     shortage = min(_shortages(tables), key=lambda s: len(s.units), default=None)
     if shortage is not None:
-        return _explained(tables, shortage)
-    if len(problem.components) > MOST_COMPONENTS:
+        part = keep_components(problem, set(_names(tables, shortage.units)))
+    elif len(problem.components) <= MOST_COMPONENTS:
+        part = problem
+    else:
         return None
-    return _by_leaving_out(problem)
+    if len(part.components) > MOST_COMPONENTS:
+        return part, [k for k in limits_of(part) if k.names in _short(tables, shortage)]
+    if not oracle.impossible(part):
+        return None
+    for component in sorted(part.components, key=lambda c: sum(c.demand.values())):
+        names = {c.name for c in part.components} - {component.name}
+        smaller = keep_components(part, names)
+        if oracle.impossible(smaller):
+            part = smaller
+    limits = []
+    relaxed = part
+    for limit in limits_of(part):
+        without = limit.lifted(relaxed)
+        if oracle.impossible(without):
+            relaxed = without
+        else:
+            limits.append(limit)
+    return part, limits
+
+
+def _short(tables: Tables, shortage: Shortage | None) -> set[tuple[str, ...]]:
+    """Return the computers and the resource that are short, by name."""
+    if shortage is None:
+        return set()
+    resource = tables.resources[shortage.resource]
+    return {(tables.problem.computers[h].name, resource) for h in shortage.computers}
 
 
 def _shortages(tables: Tables) -> Iterator[Shortage]:
     """Yield sets of computers with less than what may run nowhere else needs."""
     everywhere = tuple(range(tables.m))
-    sets = {tables.allowed.get(u, everywhere) for u in range(tables.n)}
-    for computers in sets | {everywhere}:
-        bound = [
-            u
-            for u in range(tables.n)
-            if set(tables.allowed.get(u, everywhere)) <= set(computers)
-        ]
-        for k in range(tables.r):
-            yield from _short_of(tables, bound, list(computers), k)
+    alike: dict[tuple[int, ...], list[int]] = {everywhere: []}
     for u in range(tables.n):
-        yield from _too_large(tables, u)
+        alike.setdefault(tables.allowed.get(u, everywhere), []).append(u)
+    need = {
+        computers: [
+            sum(tables.demand[u * tables.r + k] for u in units) for k in range(tables.r)
+        ]
+        for computers, units in alike.items()
+    }
+    for computers, units in alike.items():
+        if not computers:
+            yield Shortage(units[:1], [], 0)
+            continue
+        inside = [c for c in alike if {*computers}.issuperset(c)]
+        for k in range(tables.r):
+            limits = [tables.limit[h * tables.r + k] for h in computers]
+            if not fits(sum(need[c][k] for c in inside), sum(limits)):
+                bound = [u for c in inside for u in alike[c]]
+                yield Shortage(_largest(tables, bound, sum(limits), k), [*computers], k)
+            for u in units:
+                if not fits(tables.demand[u * tables.r + k], max(limits)):
+                    yield Shortage([u], [*computers], k)
 
 
-def _short_of(
-    tables: Tables, units: list[int], computers: list[int], k: int
-) -> Iterator[Shortage]:
-    limit = sum(tables.limit[h * tables.r + k] for h in computers)
-    demand = {u: tables.demand[u * tables.r + k] for u in units}
-    if fits(sum(demand.values()), limit):
-        return
-    # The largest are enough to overfill them.
+def _largest(tables: Tables, units: list[int], limit: float, k: int) -> list[int]:
+    """Return the largest of the units, as few as are together beyond the limit."""
     some: list[int] = []
     total = 0.0
-    for u in sorted(units, key=lambda u: -demand[u]):
-        some.append(u)
-        total += demand[u]
+    for u in sorted(units, key=lambda u: -tables.demand[u * tables.r + k]):
         if not fits(total, limit):
             break
-    yield Shortage(some, computers, k, sum(demand.values()) - limit)
+        some.append(u)
+        total += tables.demand[u * tables.r + k]
+    return some
 
 
-def _too_large(tables: Tables, unit: int) -> Iterator[Shortage]:
-    computers = tables.allowed.get(unit, tuple(range(tables.m)))
-    for k in range(tables.r):
-        need = tables.demand[unit * tables.r + k]
-        most = max(computers, key=lambda h: tables.limit[h * tables.r + k])
-        has = tables.limit[most * tables.r + k]
-        if not fits(need, has):
-            yield Shortage([unit], [most], k, need - has)
+def _sentences(part: Problem, limits: list[Limit]) -> tuple[str, ...]:
+    """Return the limits for people: what is short as one sum, where it is a sum."""
+    tables = tabulate(part)
+    short = next((s for s in _shortages(tables) if len(s.units) == tables.n), None)
+    if short is None or not short.computers:
+        return tuple(limit.text for limit in limits)
+    others = (limit.text for limit in limits if limit.kind != "capacity")
+    return (_sum_of(tables, short), *others)
 
 
-def _explained(tables: Tables, shortage: Shortage) -> Conflict:
-    names = _names(tables, shortage.units)
-    where = [tables.problem.computers[h].name for h in shortage.computers]
-    resource = tables.resources[shortage.resource]
-    need = sum(tables.demand[u * tables.r + shortage.resource] for u in shortage.units)
-    has = sum(
-        tables.limit[h * tables.r + shortage.resource] for h in shortage.computers
-    )
+def _sum_of(tables: Tables, short: Shortage) -> str:
+    k = short.resource
+    resource = tables.resources[k]
+    names = _names(tables, short.units)
+    where = [tables.problem.computers[h].name for h in short.computers]
+    need = sum(tables.demand[u * tables.r + k] for u in short.units)
+    limits = [tables.limit[h * tables.r + k] for h in short.computers]
     verb = "needs" if len(names) == 1 else "together need"
-    place = where[0] if len(where) == 1 else f"{', '.join(where)} together"
-    lacking = f"{', '.join(names)} {verb} {need:.6g} {resource}"
-    choices = " or ".join(where)
-    held = ""
-    if len(shortage.units) == 1 and len(where) == 1 and tables.m > 1:
-        held = ", the most of all it may run on"
-    return Conflict(
-        components=names,
-        limits=(f"{lacking}; {place} has {has:.6g}{held}",),
-        way_out=f"at least {shortage.short:.6g} more {resource} on {choices}",
-    )
+    sentence = f"{', '.join(names)} {verb} {need:.6g} {resource}"
+    if len(where) == 1:
+        return f"{sentence}; {where[0]} has {limits[0]:.6g}"
+    if fits(need, sum(limits)):
+        most = max(range(len(limits)), key=lambda i: limits[i])
+        return f"{sentence}; {where[most]} has the most, {limits[most]:.6g}"
+    return f"{sentence}; {', '.join(where)} together have {sum(limits):.6g}"
+
+
+def _at_least(part: Problem) -> str:
+    """Return what is short in all, where no way out was found in short time."""
+    tables = tabulate(part)
+    short = next(_shortages(tables), None)
+    if short is None or not short.computers:
+        return "none was found in short time"
+    k = short.resource
+    need = sum(tables.demand[u * tables.r + k] for u in short.units)
+    has = sum(tables.limit[h * tables.r + k] for h in short.computers)
+    where = " or ".join(tables.problem.computers[h].name for h in short.computers)
+    return f"at least {max(need - has, 0.0):.6g} more {tables.resources[k]} on {where}"
 
 
 def _names(tables: Tables, units: list[int]) -> tuple[str, ...]:
     components = tables.problem.components
     return tuple(components[i].name for u in units for i in tables.members[u])
-
-
-def _by_leaving_out(problem: Problem) -> Conflict | None:
-    """Leave out components, then limits, while it stays proven that nothing holds."""
-    problem = replace(problem, objective=Objective(communication=0.0, balance=0.0))
-    if not _impossible(problem):
-        return None
-    whole = problem
-    for component in sorted(problem.components, key=lambda c: sum(c.demand.values())):
-        names = {c.name for c in problem.components} - {component.name}
-        smaller = keep_components(problem, names)
-        if _impossible(smaller):
-            problem = smaller
-    limits: list[str] = []
-    for text, relaxed in _relaxed(problem):
-        if not _impossible(relaxed(problem)):
-            limits.append(text)
-        else:
-            problem = relaxed(problem)
-    return Conflict(
-        components=tuple(c.name for c in problem.components),
-        limits=tuple(limits),
-        way_out=_way_out(whole),
-    )
-
-
-def _impossible(problem: Problem) -> bool:
-    """Whether it is proven that no placement keeps all limits."""
-    tables = tabulate(problem)
-    if any(not computers for computers in tables.allowed.values()):
-        return True
-    engine = Engine(tables)
-    if not engine.provable:
-        return False
-    answer = engine.exact([], steps=STEPS)
-    return answer.proven and not answer.placed and tables.n > 0
-
-
-def _possible(problem: Problem) -> bool:
-    """Whether a placement that keeps all limits is found in short time."""
-    tables = tabulate(problem)
-    return bool(Engine(tables).exact([], steps=STEPS).placed)
-
-
-Relax = Callable[[Problem], Problem]
-
-
-def _relaxed(problem: Problem) -> Iterator[tuple[str, Relax]]:
-    """Yield each limit, in words, and how to lift it."""
-    for resource in problem.resources:
-        for h in problem.computers:
-            has = h.capacity.get(resource, 0.0)
-            text = f"{h.name} has {has:.6g} {resource}"
-            yield text, _lift_capacity(h.name, resource)
-    for c in problem.components:
-        if c.only:
-            why = f" ({c.why})" if c.why else ""
-            text = f"{c.name} may only run on {' or '.join(c.only)}{why}"
-            yield text, _lift_pin(c.name)
-    for link in problem.links:
-        text = f"link {' - '.join(link.between)} carries {link.bandwidth:.6g} B/s"
-        yield text, _lift(links=tuple(k for k in problem.links if k != link))
-    for group in problem.together:
-        if len(group) > 1:
-            rest = tuple(g for g in problem.together if g != group)
-            yield f"together: {', '.join(group)}", _lift(together=rest)
-    for group in problem.apart:
-        if len(group) > 1:
-            rest = tuple(g for g in problem.apart if g != group)
-            yield f"apart: {', '.join(group)}", _lift(apart=rest)
-
-
-def _lift(**fields: object) -> Relax:
-    return lambda problem: replace(problem, **fields)
-
-
-def _lift_capacity(computer: str, resource: str) -> Relax:
-    def relax(problem: Problem) -> Problem:
-        total = sum(c.demand.get(resource, 0.0) for c in problem.components)
-        return with_more(problem, computer, resource, total)
-
-    return relax
-
-
-def with_more(problem: Problem, computer: str, resource: str, more: float) -> Problem:
-    """Return the problem with `more` of a resource usable on a computer."""
-    return replace(
-        problem,
-        computers=tuple(
-            h
-            if h.name != computer
-            else replace(
-                h,
-                capacity={
-                    **h.capacity,
-                    resource: h.capacity.get(resource, 0.0)
-                    + more
-                    / (h.speed if resource == "cpu" else 1.0)
-                    / (1 - h.reserve.get(resource, 0.0)),
-                },
-            )
-            for h in problem.computers
-        ),
-    )
-
-
-def _lift_pin(name: str) -> Relax:
-    def relax(problem: Problem) -> Problem:
-        return replace(
-            problem,
-            components=tuple(
-                replace(c, only=()) if c.name == name else c for c in problem.components
-            ),
-        )
-
-    return relax
-
-
-def _way_out(problem: Problem) -> str:
-    """Return the one capacity whose smallest rise, as a share, lets everything hold."""
-    best: tuple[float, str] | None = None
-    for h in problem.computers:
-        for resource in problem.resources:
-            more = _least_more(problem, h.name, resource)
-            if more is None:
-                continue
-            share = more / max(h.capacity.get(resource, 0.0), 1e-9)
-            text = f"{more:.6g} more {resource} on {h.name}"
-            if best is None or share < best[0]:
-                best = (share, text)
-    return best[1] if best else "no single capacity is enough; lift one of the limits"
-
-
-def _least_more(problem: Problem, computer: str, resource: str) -> float | None:
-    high = sum(c.demand.get(resource, 0.0) for c in problem.components)
-    if high <= 0 or not _possible(with_more(problem, computer, resource, high)):
-        return None
-    low = 0.0
-    while high - low > 1e-3 * high:
-        middle = (low + high) / 2
-        if _possible(with_more(problem, computer, resource, middle)):
-            high = middle
-        else:
-            low = middle
-    return high

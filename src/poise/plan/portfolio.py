@@ -10,9 +10,9 @@ from msgspec import Struct
 
 from poise.plan import cpsat
 from poise.plan.describe import described
-from poise.plan.engine import UNLIMITED, Answer, Engine
+from poise.plan.engine import UNLIMITED, Answer, Ask, Engine
 from poise.plan.greedy import order
-from poise.plan.infeasible import conflict, dead_end
+from poise.plan.infeasible import dead_end
 from poise.plan.problem import Problem
 from poise.plan.result import Result
 from poise.plan.tables import Placed, Tables, tabulate
@@ -29,16 +29,20 @@ PROOF = 0.5
 
 
 class Effort(Struct, frozen=True):
-    """How long to decide: `seconds`, or a number of `steps` to be reproducible."""
+    """How long to decide: `seconds`, or a number of `steps` to be reproducible.
+
+    `stop` may say that it is enough.
+    """
 
     seconds: float
     steps: int | None
     seed: int
+    stop: Ask | None = None
 
     def share(self, part: float) -> Effort:
         """Return a part, in (0, 1], of the effort."""
         steps = None if self.steps is None else int(self.steps * part)
-        return Effort(self.seconds * part, steps, self.seed)
+        return Effort(self.seconds * part, steps, self.seed, self.stop)
 
     @property
     def most_steps(self) -> int:
@@ -50,14 +54,18 @@ class Effort(Struct, frozen=True):
     def exact(self, engine: Engine, known: Placed) -> Answer:
         """Spend it on a proof."""
         if self.steps is not None:
-            return engine.exact(known, steps=self.steps)
-        return engine.exact(known, seconds=self.seconds)
+            return engine.exact(known, steps=self.steps, stop=self.stop)
+        return engine.exact(known, seconds=self.seconds, stop=self.stop)
 
     def search(self, engine: Engine, known: Placed) -> Answer:
         """Spend it on search."""
         if self.steps is not None:
-            return engine.search(known, steps=self.steps, seed=self.seed)
-        return engine.search(known, seconds=self.seconds, seed=self.seed)
+            return engine.search(
+                known, steps=self.steps, seed=self.seed, stop=self.stop
+            )
+        return engine.search(
+            known, seconds=self.seconds, seed=self.seed, stop=self.stop
+        )
 
 
 def decide(problem: Problem, method: str, effort: Effort) -> Result:
@@ -70,7 +78,7 @@ def decide(problem: Problem, method: str, effort: Effort) -> Result:
     if method == "greedy":
         return _greedy(engine, known)
     if method == "cpsat":
-        answer = cpsat.solve(tables, effort.seconds, effort.seed)
+        answer, name = _cpsat(engine, known, effort), "cpsat"
     else:
         answer, finder = _SOLVERS[method](engine, known, effort)
         if answer.proven or _better(engine, answer.placed, known):
@@ -80,7 +88,7 @@ def decide(problem: Problem, method: str, effort: Effort) -> Result:
     return described(
         tables,
         answer.placed,
-        method="cpsat" if method == "cpsat" else name,
+        method=name,
         bound=max(answer.bound, engine.bound()),
         proven=answer.proven,
         stopped_by=answer.stopped_by,
@@ -141,6 +149,15 @@ def _search(engine: Engine, known: Placed, effort: Effort) -> tuple[Answer, str]
     return effort.search(engine, known), "search"
 
 
+def _cpsat(engine: Engine, known: Placed, effort: Effort) -> Answer:
+    answer = cpsat.solve(
+        engine.tables, effort.seconds, effort.seed, known=known, stop=effort.stop
+    )
+    # Its bound is about the same placements, so it holds for a known one too.
+    worse = known and not _better(engine, answer.placed, known)
+    return answer._replace(placed=known) if worse else answer
+
+
 def _auto(engine: Engine, known: Placed, effort: Effort) -> tuple[Answer, str]:
     """Try to prove at once; search a little, try to prove again, and search on."""
     if not engine.provable:
@@ -158,7 +175,8 @@ def _auto(engine: Engine, known: Placed, effort: Effort) -> tuple[Answer, str]:
         return proof, "exact"
     left = max(0.0, effort.seconds - (perf_counter() - start))
     steps = effort.share(1 - PROOF - LOOK_AROUND).steps
-    last = Effort(left, steps, effort.seed + 1).search(engine, proof.placed)
+    rest = Effort(left, steps, effort.seed + 1, effort.stop)
+    last = rest.search(engine, proof.placed)
     return last._replace(bound=max(last.bound, proof.bound)), "search"
 
 
@@ -170,21 +188,15 @@ _SOLVERS: dict[str, Callable[[Engine, Placed, Effort], tuple[Answer, str]]] = {
 
 
 def _unplaced(tables: Tables, method: str, answer: Answer) -> Result:
-    found = conflict(tables.problem)
-    if found is not None:
-        reason = f"{'; '.join(found.limits)}. Way out: {found.way_out}"
-    elif answer.proven:
+    reason = "no placement was found in the time given; there may be one"
+    if answer.proven:
         reason = "no placement keeps all limits"
-    else:
-        reason = "no placement was found in the time given; there may be one"
-    proven = answer.proven or found is not None
     return _described_as_none(
         tables,
         method,
         reason=reason,
-        conflict=found,
-        proven=proven,
-        stopped_by="infeasible" if proven else answer.stopped_by,
+        proven=answer.proven,
+        stopped_by="infeasible" if answer.proven else answer.stopped_by,
     )
 
 

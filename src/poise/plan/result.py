@@ -57,6 +57,25 @@ class Tightest(Struct, frozen=True, kw_only=True):
     used: float
 
 
+class More(Struct, frozen=True, kw_only=True):
+    """A limit to be raised.
+
+    Parameters
+    ----------
+    on
+        A computer, or the two ends of a link.
+    resource
+        Of the computer; or ``bandwidth``.
+    amount
+        By how much its capacity [the resource's unit] or the link's bandwidth
+        [bytes/s] must rise.
+    """
+
+    on: tuple[str, ...]
+    resource: str
+    amount: float
+
+
 class Conflict(Struct, frozen=True, kw_only=True):
     """Why nothing can hold.
 
@@ -67,12 +86,16 @@ class Conflict(Struct, frozen=True, kw_only=True):
     limits
         The limits that they cannot keep together, for people.
     way_out
-        The smallest rise of one capacity after which they can.
+        What has to give way so that the whole problem holds, for people: the smallest
+        rise of one capacity where that is enough.
+    more
+        The rises in `way_out`.
     """
 
     components: tuple[str, ...]
     limits: tuple[str, ...]
     way_out: str
+    more: tuple[More, ...] = ()
 
 
 class Result(Struct, frozen=True, kw_only=True):

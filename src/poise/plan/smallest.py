@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import combinations
+from typing import NamedTuple
 
 from poise.errors import UsageError
 from poise.plan.change import without
@@ -17,26 +18,48 @@ MOST_SETS = 4096
 Decide = Callable[[Problem], Result]
 
 
-def smallest(problem: Problem, decide: Decide) -> tuple[tuple[str, ...], Result]:
+class Smallest(NamedTuple):
+    """The computers on which everything fits, how, and whether no cheaper set will do.
+
+    `proven` is False where a cheaper set was given up undecided, or not looked at.
+    """
+
+    computers: tuple[str, ...]
+    result: Result
+    proven: bool
+
+
+def smallest(problem: Problem, decide: Decide) -> Smallest:
     """Return the cheapest set of computers on which everything fits, and how.
 
     The price of a set is the sum of its computers' prices; with all prices 1, the
     fewest computers. With more than 12 computers, computers are dropped one at a time,
     dearest first, as long as everything fits: a good answer, not always the best.
+    Where nothing fits on all of them, these are returned. A result of `decide` that
+    was interrupted ends the search.
 
     Parameters
     ----------
     decide
         Solves a problem, such as ``lambda problem: solve(problem, 0.05)``.
     """
-    names = [h.name for h in problem.computers]
-    if 2 ** len(names) <= MOST_SETS:
-        for kept in _by_price(problem):
-            result = _try(problem, kept, decide)
-            if result is not None and result.feasible:
-                return kept, result
-        return tuple(names), decide(problem)
+    if 2 ** len(problem.computers) <= MOST_SETS:
+        return _cheapest_first(problem, decide)
     return _drop_one_by_one(problem, decide)
+
+
+def _cheapest_first(problem: Problem, decide: Decide) -> Smallest:
+    proven = True
+    for kept in _by_price(problem):
+        result = _try(problem, kept, decide)
+        if result is None:
+            continue
+        if result.feasible:
+            return Smallest(kept, result, proven)
+        proven = proven and result.proven
+        if result.stopped_by == "interrupted":
+            break
+    return Smallest(tuple(h.name for h in problem.computers), decide(problem), proven)
 
 
 def _by_price(problem: Problem) -> Iterator[tuple[str, ...]]:
@@ -54,26 +77,29 @@ def _try(problem: Problem, kept: tuple[str, ...], decide: Decide) -> Result | No
         smaller = without(problem, dropped) if dropped else problem
     except UsageError:
         return None
-    tables = tabulate(smaller)
-    for k in range(tables.r):
-        if not fits(
-            sum(tables.demand[k :: tables.r]), sum(tables.limit[k :: tables.r])
-        ):
-            return None
-    return decide(smaller)
+    return None if _too_small(smaller) else decide(smaller)
 
 
-def _drop_one_by_one(
-    problem: Problem, decide: Decide
-) -> tuple[tuple[str, ...], Result]:
+def _too_small(problem: Problem) -> bool:
+    """Whether all computers together have less than all components need."""
+    if problem.architectures:
+        return False  # not all of them may have to be placed
+    tables = tabulate(problem)
+    return not all(
+        fits(sum(tables.demand[k :: tables.r]), sum(tables.limit[k :: tables.r]))
+        for k in range(tables.r)
+    )
+
+
+def _drop_one_by_one(problem: Problem, decide: Decide) -> Smallest:
     kept = tuple(h.name for h in problem.computers)
     best = decide(problem)
     dearest = sorted(problem.computers, key=lambda h: -h.price)
     for computer in dearest:
-        if len(kept) == 1 or not best.feasible:
+        if len(kept) == 1 or not best.feasible or best.stopped_by == "interrupted":
             break
         fewer = tuple(name for name in kept if name != computer.name)
         result = _try(problem, fewer, decide)
         if result is not None and result.feasible:
             kept, best = fewer, result
-    return kept, best
+    return Smallest(kept, best, proven=False)

@@ -109,7 +109,7 @@ def tabulate(problem: Problem) -> Tables:
         demand,
         capacity,
         limit,
-        _sizes(problem, resources, demand, limit),
+        _sizes(problem, resources, demand, limit) if r else [0.0] * n,
         _allowed(problem, place, unit_of),
         first,
         second,
@@ -230,7 +230,7 @@ def _sizes(
         a, b = weights
         pairs = zip(demand[::2], demand[1::2], strict=True)
         return [a * x + b * y for x, y in pairs]
-    size = [0.0] * (len(demand) // r if r else 0)
+    size = [0.0] * (len(demand) // r)
     for k, weight in enumerate(weights):
         size = [s + weight * d for s, d in zip(size, demand[k::r], strict=True)]
     return size

@@ -19,7 +19,8 @@ constexpr double kReach = 3.0;  // prices of variance go as far as this many uni
 bool FrontierTree::takes(const Problem& p) {
   int weighed = 0;
   for (int k = 0; k < p.r; ++k) weighed += p.weight[k] > 0;
-  return p.m == 2 && weighed <= kMostWeighed && p.bandwidth.empty() && !p.has_apart();
+  return p.m == 2 && p.r > 0 && weighed <= kMostWeighed && p.bandwidth.empty() &&
+         !p.has_apart();
 }
 
 FrontierTree::FrontierTree(const Problem& problem) : Tree(problem) {

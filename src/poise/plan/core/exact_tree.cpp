@@ -44,6 +44,8 @@ void Exact::Tree::found() {
   for (int d = 0; d < n_; ++d) placed[order_[d]] = at_[d];
   const double total = terms(p_, placed).total();
   if (total >= threshold_) return;
+  // What links carry was added and taken away step by step, and rounded at each.
+  if (!p_.bandwidth.empty() && !feasible(p_, placed)) return;
   set_best(total);
   best_placed_ = std::move(placed);
 }

@@ -96,13 +96,20 @@ const char* named(Reason reason) {
   return "done";
 }
 
-// Whether the user pressed Ctrl-C. Any other exception of a signal handler is passed on
-// by `Core`, once the solver has come back.
-struct Signals {
+// Whether the user pressed Ctrl-C, or `ask` says so. Any other exception of a signal
+// handler, or of `ask`, is passed on by `Core`, once the solver has come back.
+struct Asked {
+  nb::handle ask;  // a callable, or None
   nb::object raised;
   bool operator()() {
     nb::gil_scoped_acquire lock;
-    if (PyErr_CheckSignals() == 0) return false;
+    if (PyErr_CheckSignals() != 0) return keep();
+    if (ask.is_none()) return false;
+    const nb::object answer = nb::steal(PyObject_CallNoArgs(ask.ptr()));
+    const int truth = answer.is_valid() ? PyObject_IsTrue(answer.ptr()) : -1;
+    return truth < 0 ? keep() : truth > 0;
+  }
+  bool keep() {
     if (!PyErr_ExceptionMatches(PyExc_KeyboardInterrupt)) {
       PyObject *type, *value, *trace;
       PyErr_Fetch(&type, &value, &trace);
@@ -135,13 +142,14 @@ class Core {
     return computers_.listed(placed);
   }
 
-  nb::tuple exact(nb::handle known, double seconds, std::int64_t steps) {
+  nb::tuple exact(nb::handle known, double seconds, std::int64_t steps,
+                  nb::handle ask) {
     const Placement start = complete(known);
     if (!Exact::takes(problem_)) throw std::invalid_argument("too large for `exact`");
     if (!start.empty() && !feasible(problem_, start)) {
       throw std::invalid_argument("the placement to start from breaks a limit");
     }
-    return solve(seconds, steps, [&](Stop& stop) {
+    return solve(seconds, steps, ask, [&](Stop& stop) {
       // One prepared tree is kept; a second thread that comes meanwhile grows its own.
       const std::unique_lock<std::mutex> lock(exact_mutex_, std::try_to_lock);
       if (!lock) return Exact(problem_).run(start, stop);
@@ -151,9 +159,9 @@ class Core {
   }
 
   nb::tuple search(nb::handle known, double seconds, std::int64_t steps,
-                   std::uint64_t seed) {
+                   std::uint64_t seed, nb::handle ask) {
     const Placement start = complete(known);
-    return solve(seconds, steps, [&](Stop& stop) {
+    return solve(seconds, steps, ask, [&](Stop& stop) {
       return poise::search(problem_, start, stop, seed);
     });
   }
@@ -203,18 +211,18 @@ class Core {
 
  private:
   template <typename Solver>
-  nb::tuple solve(double seconds, std::int64_t steps, Solver solver) {
+  nb::tuple solve(double seconds, std::int64_t steps, nb::handle ask, Solver solver) {
     if (!(seconds >= 0)) throw std::invalid_argument("seconds must be >= 0");
-    Signals signals;
+    Asked asked{ask, {}};
     Outcome out;
     {
       nb::gil_scoped_release free;
-      Stop stop(seconds, steps, [&] { return signals(); });
+      Stop stop(seconds, steps, [&] { return asked(); });
       out = solver(stop);
     }
-    if (signals.raised.is_valid()) {
-      PyErr_SetObject(reinterpret_cast<PyObject*>(Py_TYPE(signals.raised.ptr())),
-                      signals.raised.ptr());
+    if (asked.raised.is_valid()) {
+      PyErr_SetObject(reinterpret_cast<PyObject*>(Py_TYPE(asked.raised.ptr())),
+                      asked.raised.ptr());
       throw nb::python_error();
     }
     return nb::make_tuple(computers_.listed(out.placed), out.bound, out.proven,
@@ -316,9 +324,10 @@ NB_MODULE(_core, module) {
           nb::arg("communication"), nb::arg("spread"), nb::arg("share"),
           nb::arg("variance"))
       .def("greedy", &Core::greedy)
-      .def("exact", &Core::exact, nb::arg("known"), nb::arg("seconds"), nb::arg("steps"))
+      .def("exact", &Core::exact, nb::arg("known"), nb::arg("seconds"), nb::arg("steps"),
+           nb::arg("stop").none() = nb::none())
       .def("search", &Core::search, nb::arg("known"), nb::arg("seconds"),
-           nb::arg("steps"), nb::arg("seed"))
+           nb::arg("steps"), nb::arg("seed"), nb::arg("stop").none() = nb::none())
       .def("walk", &Core::walk, nb::arg("placed"), nb::arg("moves"))
       .def("multilevel", &Core::multilevel, nb::arg("seed"))
       .def("terms", &Core::terms, nb::arg("placed"))

@@ -275,6 +275,8 @@ bool feasible(const Problem& p, const Placement& placed) {
   std::vector<double> traffic(p.bandwidth.size(), 0.0);
   for (int i = 0; i < p.n; ++i) {
     if (placed[i] < 0 || !p.allowed(i, placed[i])) return false;
+  }
+  for (int i = 0; i < p.n; ++i) {
     for (const std::int32_t other : p.apart(i)) {
       if (placed[other] == placed[i]) return false;
     }

@@ -1,0 +1,186 @@
+"""What is proven, smallest, admitted or chosen is so: all else was tried."""
+
+import itertools
+import math
+from random import Random
+
+import pytest
+from msgspec.structs import replace
+
+from poise import plan
+from poise.model.robot import Objective
+from poise.plan import Architecture, Component, Computer, Connector, Problem, objective
+from poise.plan.limits import violations
+from poise.plan.tables import tabulate
+
+
+def problem(random: Random, components: int, computers: int) -> Problem:
+    """Return a small problem that is fairly full, so that about half can hold."""
+    names = [f"c{i}" for i in range(components)]
+    places = [f"h{i}" for i in range(computers)]
+    ties = itertools.combinations(names, 2)
+    return Problem(
+        components=tuple(
+            Component(
+                name=name,
+                demand={r: random.choice([0.0, 0.5, 1.0, 1.5]) for r in ("cpu", "x")},
+                only=(random.choice(places),) if random.random() < 0.2 else (),
+            )
+            for name in names
+        ),
+        computers=tuple(
+            Computer(
+                name=name,
+                capacity={r: random.choice([1.0, 2.0, 3.0]) for r in ("cpu", "x")},
+                price=random.choice([1.0, 2.0, 5.0]),
+            )
+            for name in places
+        ),
+        connectors=tuple(
+            Connector(between=pair, overhead=random.random())
+            for pair in ties
+            if random.random() < 0.4
+        ),
+        objective=Objective(spread=random.choice(["range", "variance"])),
+    )
+
+
+def least(asked: Problem) -> float:
+    """Return the least F of all placements that keep every limit."""
+    tables = tabulate(asked)
+    every = itertools.product(range(tables.m), repeat=tables.n)
+    return min(
+        (
+            objective.terms(tables, [*x]).total
+            for x in every
+            if not violations(tables, [*x], objective.loads(tables, [*x]))
+        ),
+        default=math.inf,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seeds", [range(start, start + 30) for start in (0, 30, 60)])
+def test_cpsat_proves_the_same(seeds: range) -> None:
+    pytest.importorskip("ortools")
+    for seed in seeds:
+        random = Random(seed)
+        asked = problem(random, random.randint(4, 10), random.randint(2, 3))
+        ours = plan.solve(asked, 60.0, why=False)
+        theirs = plan.solve(asked, 60.0, "cpsat", why=False)
+        assert ours.proven
+        assert theirs.proven
+        assert ours.feasible == theirs.feasible
+        if ours.objective is None or theirs.objective is None:
+            continue
+        assert theirs.objective.total >= ours.objective.total - 1e-9
+        assert theirs.objective.total == pytest.approx(ours.objective.total, abs=2e-3)
+        assert theirs.bound is not None
+        assert theirs.bound <= ours.objective.total + 1e-9
+
+
+@pytest.mark.slow
+def test_no_cheaper_set_of_computers_will_do() -> None:
+    for seed in range(40):
+        asked = problem(Random(seed), 5, 4)
+        prices = {h.name: h.price for h in asked.computers}
+        enough = [
+            sum(prices[name] for name in names)
+            for size in range(1, 5)
+            for names in itertools.combinations(prices, size)
+            if can_hold_on(asked, names)
+        ]
+        few = plan.smallest(asked, lambda p: plan.solve(p, steps=5000, why=False))
+        assert few.result.feasible == bool(enough)
+        assert few.proven
+        if enough:
+            assert sum(prices[name] for name in few.computers) == min(enough)
+            assert can_hold_on(asked, few.computers)
+
+
+def can_hold_on(asked: Problem, names: tuple[str, ...]) -> bool:
+    dropped = {h.name for h in asked.computers} - {*names}
+    if any(c.only and dropped.issuperset(c.only) for c in asked.components):
+        return False
+    return least(plan.without(asked, dropped)) < math.inf
+
+
+def test_smallest_counts_only_the_alternative_that_is_chosen() -> None:
+    """Both alternatives together need more than one computer has; one fits."""
+    asked = Problem(
+        components=tuple(
+            Component(name=name, demand={"cpu": 1.0}) for name in ("good", "plain")
+        ),
+        computers=tuple(Computer(name=h, capacity={"cpu": 1.0}) for h in ("a", "b")),
+        architectures=tuple(
+            Architecture(name=name, components=(name,), function="see", quality=quality)
+            for name, quality in (("good", 1.0), ("plain", 0.5))
+        ),
+    )
+    assert plan.smallest(asked, plan.solve).computers == ("a",)
+
+
+def with_architectures(random: Random, functions: list[str]) -> Problem:
+    """Return a problem of architectures of two components each."""
+    asked = problem(random, 2 * len(functions), 2)
+    return replace(
+        asked,
+        components=tuple(replace(c, only=()) for c in asked.components),
+        architectures=tuple(
+            Architecture(
+                name=f"a{i}",
+                components=(f"c{2 * i}", f"c{2 * i + 1}"),
+                function=function,
+                priority=random.randrange(3),
+                quality=random.choice([1.0, 0.75, 0.5]),
+            )
+            for i, function in enumerate(functions)
+        ),
+    )
+
+
+def without(asked: Problem, dropped: tuple[Architecture, ...]) -> Problem:
+    parts = {name for a in dropped for name in a.components}
+    return plan.keep_components(asked, {c.name for c in asked.components} - parts)
+
+
+@pytest.mark.slow
+def test_as_few_as_possible_are_put_aside_and_the_least_important() -> None:
+    for seed in range(25):
+        asked = with_architectures(Random(seed), ["f", "g", "h", "i"])
+        kept_at_best = max(
+            [kept.count(level) for level in (2, 1, 0)]
+            for size in range(5)
+            for dropped in itertools.combinations(asked.architectures, size)
+            if least(without(asked, dropped)) < math.inf
+            for kept in [[a.priority for a in asked.architectures if a not in dropped]]
+        )
+        result = plan.solve(asked, steps=20_000, fewer=True)
+        aside = tuple(a for a in asked.architectures if a.name in result.aside)
+        kept = [a.priority for a in asked.architectures if a not in aside]
+        assert result.feasible
+        assert [kept.count(level) for level in (2, 1, 0)] == kept_at_best
+        assert len(result.placement) == 2 * len(kept)
+
+
+@pytest.mark.slow
+def test_alternatives_are_chosen_with_the_placement() -> None:
+    for seed in range(25):
+        asked = with_architectures(Random(seed), ["f", "f", "g", "g"])
+        best = math.inf
+        for chosen in itertools.product(
+            asked.architectures[:2], asked.architectures[2:]
+        ):
+            dropped = tuple(a for a in asked.architectures if a not in chosen)
+            lost = sum(
+                max(a.quality for a in asked.architectures if a.function == b.function)
+                - b.quality
+                for b in chosen
+            )
+            best = min(best, least(without(asked, dropped)) + lost)
+        result = plan.solve(asked, steps=50_000, why=False)
+        assert result.feasible == (best < math.inf)
+        assert result.proven
+        if result.objective is not None:
+            assert result.objective.total == pytest.approx(best, abs=1e-9)
+            assert result.bound == pytest.approx(best, abs=1e-9)
