@@ -10,9 +10,9 @@ from typing import Any
 WIDTH, HEIGHT, LEFT, TOP, BOTTOM = 330, 300, 62, 30, 50
 COLOURS = {"greedy_seconds": "#c44", "multilevel_seconds": "#36c", "peak": "#383"}
 PANELS = (
-    ("time [s]", "components", ("greedy_seconds", "multilevel_seconds")),
+    ("CPU time [s]", "components", ("greedy_seconds", "multilevel_seconds")),
     (
-        "time [s], 100,000 components",
+        "CPU time [s], 100,000 components",
         "computers",
         ("greedy_seconds", "multilevel_seconds"),
     ),
