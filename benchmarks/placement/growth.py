@@ -1,31 +1,55 @@
-"""Time and memory against the number of components: fleets."""
+"""CPU time and memory against the numbers of components and computers: fleets."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import log
-from time import perf_counter
+from pathlib import Path
+from time import thread_time
 from typing import Any
 
 from benchmarks.placement.fleets import fleet
 from benchmarks.placement.table import best_of, microseconds, show
 
-FOREVER = 1 << 62
+METHODS = ("greedy", "multilevel")
+
+Point = dict[str, float]
 
 
 def run(*, quick: bool) -> dict[str, Any]:
     sizes = [(1_000, 10), (10_000, 100), (100_000, 1_000)]
     if not quick:
         sizes.append((1_000_000, 1_000))
-    points = [_point(n, m) for n, m in sizes]
+    by_components = [_point(n, m) for n, m in sizes]
+    by_computers = [_point(100_000, m) for m in (10, 100, 1_000)]
+    _table("Fleets", by_components)
+    _table("Fleets of 100,000 components on more and more computers", by_computers)
+    slopes = {
+        f"{what} against {axis}": _slope(points, axis, what)
+        for axis, points in (("components", by_components), ("computers", by_computers))
+        for what in ("greedy_seconds", "multilevel_seconds", "peak")
+    }
+    for name, slope in slopes.items():
+        print(f"{name.replace('_', ', ')}: grows to the power of {slope:.2f}")
+    print()
+    return {
+        "components": by_components,
+        "computers": by_computers,
+        "slopes": slopes,
+    }
+
+
+def _table(title: str, points: list[Point]) -> None:
     show(
-        "Fleets",
+        title,
         [
             "components x computers",
-            "greedy",
+            "greedy, CPU time",
             "F of the greedy",
-            "multilevel",
+            "multilevel, CPU time",
             "F of multilevel",
-            "bytes a component",
+            "bytes a component: the problem",
+            "with all that multilevel needs",
         ],
         [
             [
@@ -34,37 +58,47 @@ def run(*, quick: bool) -> dict[str, Any]:
                 f"{p['greedy']:.4f}",
                 microseconds(p["multilevel_seconds"]),
                 f"{p['multilevel']:.4f}",
-                f"{p['bytes']:.0f}",
+                f"{p['bytes'] / p['components']:.0f}",
+                f"{p['peak'] / p['components']:.0f}",
             ]
             for p in points
         ],
     )
-    slope = _slope(points[0], points[2])
-    print(f"multilevel: time grows as components to the power of {slope:.2f}\n")
-    return {"points": points, "slope": slope}
 
 
-def _point(n: int, m: int) -> dict[str, float]:
+def _point(n: int, m: int) -> Point:
     core = fleet(n, m)
-    start = perf_counter()
-    placed = core.greedy()
-    greedy_seconds = perf_counter() - start
-    if n <= 10_000:
-        greedy_seconds = best_of(core.greedy, 5)
-    start = perf_counter()
-    better = core.multilevel(1)
-    seconds = perf_counter() - start
+    times = 20 if n <= 10_000 else 5 if n <= 100_000 else 1
+    more = _peak(lambda: core.multilevel(1))
+    placed, better = core.greedy(), core.multilevel(1)
     return {
         "components": n,
         "computers": m,
-        "greedy_seconds": greedy_seconds,
+        "greedy_seconds": best_of(core.greedy, times, thread_time),
         "greedy": sum(core.terms(placed)),
-        "multilevel_seconds": seconds,
+        "multilevel_seconds": best_of(lambda: core.multilevel(1), times, thread_time),
         "multilevel": sum(core.terms(better)),
-        "bytes": core.bytes / n,
+        "bytes": core.bytes,
+        "peak": core.bytes + more,
     }
 
 
-def _slope(small: dict[str, float], large: dict[str, float]) -> float:
-    times = large["multilevel_seconds"] / small["multilevel_seconds"]
-    return log(times) / log(large["components"] / small["components"])
+def _peak(call: Callable[[], object]) -> float:
+    """Return by how much this process grew at most [bytes] while `call` ran."""
+    Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+    before = _memory("VmRSS")
+    call()
+    return max(0.0, _memory("VmHWM") - before)
+
+
+def _memory(name: str) -> float:
+    for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+        if line.startswith(name):
+            return 1024 * float(line.split()[1])
+    return 0.0
+
+
+def _slope(points: list[Point], axis: str, what: str) -> float:
+    """Return the power by which it grows, from the first to the last point."""
+    first, last = points[0], points[-1]
+    return log(last[what] / max(first[what], 1e-12)) / log(last[axis] / first[axis])

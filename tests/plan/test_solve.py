@@ -5,6 +5,7 @@ import os
 import signal
 import threading
 import time
+from typing import Any
 
 import pytest
 from msgspec.structs import replace
@@ -13,6 +14,7 @@ from benchmarks.random_robots import random_robot
 from poise import plan
 from poise.errors import UsageError
 from poise.plan import Problem
+from poise.plan.engine import Answer, Engine
 
 
 @pytest.mark.parametrize("method", ["auto", "greedy", "exact", "search"])
@@ -22,6 +24,26 @@ def test_every_method_places_a_robot(method: str) -> None:
     assert result.objective is not None
     assert result.bound is not None
     assert result.bound <= result.objective.total + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("components", "computers", "proofs"), [(30, 4, 2), (60, 6, 1)]
+)
+def test_auto_tries_a_second_proof_where_it_has_a_chance(
+    monkeypatch: pytest.MonkeyPatch, components: int, computers: int, proofs: int
+) -> None:
+    tried: list[int] = []
+    exact = Engine.exact
+
+    def counted(engine: Engine, known: list[int], **limits: Any) -> Answer:
+        tried.append(1)
+        return exact(engine, known, **limits)
+
+    monkeypatch.setattr(Engine, "exact", counted)
+    result = plan.solve(random_robot(0, components, computers), steps=20_000)
+    assert result.feasible
+    assert not result.proven
+    assert len(tried) == proofs
 
 
 @pytest.mark.parametrize("budget", [0.0, 1e-6, 1e-3, 0.05])

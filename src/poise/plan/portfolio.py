@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import log2
 from time import perf_counter
 from typing import Literal, get_args
 
@@ -21,7 +22,13 @@ Method = Literal["auto", "greedy", "exact", "search", "cpsat"]
 METHODS: tuple[str, ...] = get_args(Method)
 
 GLANCE = 5_000
-"""How many nodes a first proof may open, about half a millisecond: often enough."""
+"""How many nodes a first proof may open: on a small robot half a millisecond, and often
+enough."""
+GLANCE_SHARE = 0.1
+"""Which part of the budget it may take: on large robots a node takes microseconds."""
+MOST_PLACEMENTS = 100
+"""Up to 2 to the power of this many placements (50 components on 4 computers) a second
+proof has a chance. On two computers it is the frontier that counts."""
 LOOK_AROUND = 0.15
 """Which part of the budget goes into a first search, so that a proof starts well."""
 PROOF = 0.5
@@ -50,6 +57,13 @@ class Effort(Struct, frozen=True):
         if self.steps is not None:
             return self.steps
         return UNLIMITED if self.seconds > 0 else 0
+
+    def glance(self, engine: Engine, known: Placed) -> Answer:
+        """Spend a little of it on a proof."""
+        most = min(GLANCE, self.most_steps)
+        if self.steps is not None or not most:
+            return engine.exact(known, steps=most)
+        return engine.exact(known, seconds=self.seconds * GLANCE_SHARE, steps=most)
 
     def exact(self, engine: Engine, known: Placed) -> Answer:
         """Spend it on a proof."""
@@ -158,26 +172,33 @@ def _cpsat(engine: Engine, known: Placed, effort: Effort) -> Answer:
     return answer._replace(placed=known) if worse else answer
 
 
+def _may_be_proven(engine: Engine) -> bool:
+    n, m = engine.tables.n, engine.tables.m
+    return m == 2 or n * log2(m) <= MOST_PLACEMENTS  # noqa: PLR2004 - a tree of its own
+
+
 def _auto(engine: Engine, known: Placed, effort: Effort) -> tuple[Answer, str]:
     """Try to prove at once; search a little, try to prove again, and search on."""
     if not engine.provable:
         return _search(engine, known, effort)
     start = perf_counter()
-    glance = engine.exact(known, steps=min(GLANCE, effort.most_steps))
+    glance = effort.glance(engine, known)
     if glance.proven or glance.stopped_by == "interrupted":
         return glance, "exact"
     known = glance.placed
     first = effort.share(LOOK_AROUND).search(engine, known)
     if first.stopped_by == "interrupted":
         return first, "search"
-    proof = effort.share(PROOF).exact(engine, first.placed)
-    if proof.proven or proof.stopped_by == "interrupted":
-        return proof, "exact"
+    before, used = first, LOOK_AROUND
+    if _may_be_proven(engine):
+        before, used = effort.share(PROOF).exact(engine, first.placed), used + PROOF
+        if before.proven or before.stopped_by == "interrupted":
+            return before, "exact"
     left = max(0.0, effort.seconds - (perf_counter() - start))
-    steps = effort.share(1 - PROOF - LOOK_AROUND).steps
+    steps = effort.share(1 - used).steps
     rest = Effort(left, steps, effort.seed + 1, effort.stop)
-    last = rest.search(engine, proof.placed)
-    return last._replace(bound=max(last.bound, proof.bound)), "search"
+    last = rest.search(engine, before.placed)
+    return last._replace(bound=max(last.bound, before.bound)), "search"
 
 
 _SOLVERS: dict[str, Callable[[Engine, Placed, Effort], tuple[Answer, str]]] = {
