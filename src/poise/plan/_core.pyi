@@ -37,7 +37,12 @@ class Core:
         self, known: Indexes, seconds: float, steps: int
     ) -> tuple[list[int], float, bool, str, int]: ...
     def search(
-        self, known: Indexes, seconds: float, steps: int, seed: int
+        self,
+        known: Indexes,
+        seconds: float,
+        steps: int,
+        seed: int,
+        thread_time: bool = False,
     ) -> tuple[list[int], float, bool, str, int]: ...
     def walk(
         self, placed: Indexes, moves: list[tuple[list[int], list[int], int, int]]

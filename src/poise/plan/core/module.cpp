@@ -151,11 +151,11 @@ class Core {
   }
 
   nb::tuple search(nb::handle known, double seconds, std::int64_t steps,
-                   std::uint64_t seed) {
+                   std::uint64_t seed, bool thread_time) {
     const Placement start = complete(known);
     return solve(seconds, steps, [&](Stop& stop) {
       return poise::search(problem_, start, stop, seed);
-    });
+    }, thread_time ? Clock::kThread : Clock::kWall);
   }
 
   // Apply search moves one by one: what each was weighed at, and what is kept after it.
@@ -203,13 +203,14 @@ class Core {
 
  private:
   template <typename Solver>
-  nb::tuple solve(double seconds, std::int64_t steps, Solver solver) {
+  nb::tuple solve(double seconds, std::int64_t steps, Solver solver,
+                  Clock clock = Clock::kWall) {
     if (!(seconds >= 0)) throw std::invalid_argument("seconds must be >= 0");
     Signals signals;
     Outcome out;
     {
       nb::gil_scoped_release free;
-      Stop stop(seconds, steps, [&] { return signals(); });
+      Stop stop(seconds, steps, [&] { return signals(); }, clock);
       out = solver(stop);
     }
     if (signals.raised.is_valid()) {
@@ -318,7 +319,7 @@ NB_MODULE(_core, module) {
       .def("greedy", &Core::greedy)
       .def("exact", &Core::exact, nb::arg("known"), nb::arg("seconds"), nb::arg("steps"))
       .def("search", &Core::search, nb::arg("known"), nb::arg("seconds"),
-           nb::arg("steps"), nb::arg("seed"))
+           nb::arg("steps"), nb::arg("seed"), nb::arg("thread_time") = false)
       .def("walk", &Core::walk, nb::arg("placed"), nb::arg("moves"))
       .def("multilevel", &Core::multilevel, nb::arg("seed"))
       .def("terms", &Core::terms, nb::arg("placed"))

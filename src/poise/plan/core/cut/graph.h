@@ -25,6 +25,7 @@ struct Graph {
   const Edge* begin(int node) const { return edges.data() + start[node]; }
   const Edge* end(int node) const { return edges.data() + start[node + 1]; }
   double total() const;
+  double edge_weight() const;
 };
 
 // The neighbours of a node, for range-for.
