@@ -1,9 +1,10 @@
 #include "bisect.h"
-#include "flow.h"
 
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+
+#include "flow.h"
 
 namespace poise::cut {
 namespace {
@@ -11,8 +12,8 @@ namespace {
 // So few nodes are left when two halves are first made, and so often it is tried.
 constexpr int kFew = 60, kTries = 8;
 // Which part of the effort goes into trying halvings again; and which part of the edges a
-// halving cuts at most for that to be worth it: on graphs without shape all are alike.
-constexpr double kAgain = 0.3, kShapeless = 0.2;
+// halving cuts at most for that to be worth it: where it cuts more, all are alike.
+constexpr double kRetry = 0.3, kShapeless = 0.2;
 // What a joined node may weigh, of the lighter half.
 constexpr double kHeaviest = 0.06;
 constexpr double kTiny = 1e-9;
@@ -34,7 +35,8 @@ struct Halves {
 class Bisection {
  public:
   Bisection(const std::vector<double>& limit, int tries, Stop& stop, Random& random)
-      : limit_(limit), tries_(tries), stop_(stop), random_(random), refiner_(stop, random), flow_(stop, random) {}
+      : limit_(limit), tries_(tries), stop_(stop), random_(random),
+        refiner_(stop, random), flow_(stop, random) {}
 
   // Give the nodes of `graph`, called `nodes` in the whole, the blocks [first, last).
   void divide(const Graph& graph, const std::vector<std::int32_t>& nodes, int first,
@@ -70,7 +72,7 @@ class Bisection {
   Halves best_halves(const Graph& graph, const std::vector<double>& aim,
                      const std::vector<double>& most, int blocks) {
     const auto k = static_cast<double>(limit_.size());
-    const double until = stop_.spent() + kAgain * blocks / k / std::ceil(std::log2(k));
+    const double until = stop_.spent() + kRetry * blocks / k / std::ceil(std::log2(k));
     Halves best = halve(graph, aim, most);
     const double shapeless = kShapeless * graph.edge_weight();
     for (int i = 1; i < tries_ && stop_.spent() < until; ++i) {
@@ -149,7 +151,8 @@ Blocks bisect(const Graph& graph, const std::vector<double>& limit, int tries, S
   Blocks out(graph.size(), 0);
   std::vector<std::int32_t> nodes(graph.size());
   std::iota(nodes.begin(), nodes.end(), 0);
-  Bisection(limit, tries, stop, random).divide(graph, nodes, 0, static_cast<int>(limit.size()), out);
+  const auto blocks = static_cast<int>(limit.size());
+  Bisection(limit, tries, stop, random).divide(graph, nodes, 0, blocks, out);
   return out;
 }
 
