@@ -1,9 +1,10 @@
 """Communication alone, with limits: against METIS and KaHIP.
 
 Every block may hold 3 % more nodes than the mean, rounded up twice as KaHIP does it;
-all three get that same limit. Each has 1 s on one core. METIS and KaHIP `eco` stop by
-themselves: stated are one call, and the best that keeps the limit of as many calls with
-different seeds as end within the second (at least one).
+all three get that same limit. Each has 1 s of its thread's CPU time: other work on the
+machine takes nothing from it. METIS and KaHIP `eco` stop by themselves: stated are one
+call, and the best that keeps the limit of as many calls with different seeds as end in
+the second (at least one).
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from collections.abc import Callable
 from math import ceil
 from multiprocessing import get_context
 from random import Random
-from time import perf_counter
+from time import thread_time
 from typing import Any, NamedTuple
 
 from benchmarks.placement.graphs import KINDS, Pairs
@@ -20,8 +21,8 @@ from benchmarks.placement.table import show
 from poise.plan._core import Core
 
 SECONDS = 1.0
-LONGEST = 10.0
-"""After how long [s] a single call is given up."""
+LONGEST = 60.0
+"""After how long [s, by the clock] the calls are given up."""
 BLOCKS = (2, 8, 64)
 EXCESS = 0.03
 SEED = 7
@@ -149,9 +150,9 @@ def _repeat(pipe: Any, partitioner: Partitioner, graph: Graph, blocks: int) -> N
     spent = longest = 0.0
     try:
         while not said or spent + longest < SECONDS:
-            start = perf_counter()
+            start = thread_time()
             part = partitioner(graph, blocks, len(said))
-            taken = perf_counter() - start
+            taken = thread_time() - start
             said.append((taken, part))
             spent += taken
             longest = max(longest, taken)
@@ -214,4 +215,4 @@ def _search(graph: Graph, blocks: int, seed: int) -> list[int]:
         False,
         False,
     )
-    return core.search([], SECONDS, 1 << 62, seed)[0]
+    return core.search([], SECONDS, 1 << 62, seed, thread_time=True)[0]

@@ -2,6 +2,7 @@
 
 import itertools
 from random import Random
+from time import thread_time
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -117,3 +118,10 @@ def test_fills_to_the_last_place() -> None:
     # Four squares cut 40; of 760 connectors, placing at random would cut 570.
     assert cut(engine, answer) < 80
     assert [answer.placed.count(h) for h in range(4)] == [100] * 4
+
+
+def test_counts_seconds_on_a_core_when_told_to() -> None:
+    engine = even(*grid(400, Random(1)), 4)
+    before = thread_time()
+    engine.core.search([], 0.05, 1 << 62, 1, thread_time=True)
+    assert thread_time() - before >= 0.05

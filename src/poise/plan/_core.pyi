@@ -49,6 +49,7 @@ class Core:
         steps: int,
         seed: int,
         stop: Callable[[], bool] | None = None,
+        thread_time: bool = False,
     ) -> tuple[list[int], float, bool, str, int]: ...
     def walk(
         self, placed: Indexes, moves: list[tuple[list[int], list[int], int, int]]

@@ -148,9 +148,9 @@ class Core {
     nb::gil_scoped_release free;
     Greedy greedy(problem_);
     Placement placed;
-    const auto start = Stop::Clock::now();
+    const Stop watch(0.0, 1, nullptr);
     for (int i = 0; i < times; ++i) greedy.run(placed);
-    return std::chrono::duration<double>(Stop::Clock::now() - start).count() / times;
+    return watch.elapsed() / times;
   }
 
   nb::tuple exact(nb::handle known, double seconds, std::int64_t steps,
@@ -170,11 +170,11 @@ class Core {
   }
 
   nb::tuple search(nb::handle known, double seconds, std::int64_t steps,
-                   std::uint64_t seed, nb::handle ask) {
+                   std::uint64_t seed, nb::handle ask, bool thread_time) {
     const Placement start = complete(known);
     return solve(seconds, steps, ask, [&](Stop& stop) {
       return poise::search(problem_, start, stop, seed);
-    });
+    }, thread_time ? Clock::kThread : Clock::kWall);
   }
 
   // Apply search moves one by one: what each was weighed at, and what is kept after it.
@@ -222,13 +222,14 @@ class Core {
 
  private:
   template <typename Solver>
-  nb::tuple solve(double seconds, std::int64_t steps, nb::handle ask, Solver solver) {
+  nb::tuple solve(double seconds, std::int64_t steps, nb::handle ask, Solver solver,
+                  Clock clock = Clock::kWall) {
     if (!(seconds >= 0)) throw std::invalid_argument("seconds must be >= 0");
     Asked asked{ask, {}};
     Outcome out;
     {
       nb::gil_scoped_release free;
-      Stop stop(seconds, steps, [&] { return asked(); });
+      Stop stop(seconds, steps, [&] { return asked(); }, clock);
       out = solver(stop);
     }
     if (asked.raised.is_valid()) {
@@ -339,7 +340,8 @@ NB_MODULE(_core, module) {
       .def("exact", &Core::exact, nb::arg("known"), nb::arg("seconds"), nb::arg("steps"),
            nb::arg("stop").none() = nb::none())
       .def("search", &Core::search, nb::arg("known"), nb::arg("seconds"),
-           nb::arg("steps"), nb::arg("seed"), nb::arg("stop").none() = nb::none())
+           nb::arg("steps"), nb::arg("seed"), nb::arg("stop").none() = nb::none(),
+           nb::arg("thread_time") = false)
       .def("walk", &Core::walk, nb::arg("placed"), nb::arg("moves"))
       .def("multilevel", &Core::multilevel, nb::arg("seed"))
       .def("terms", &Core::terms, nb::arg("placed"))

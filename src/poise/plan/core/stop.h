@@ -1,6 +1,8 @@
 // When a solver must stop: by clock, by count, or because the user says so.
 #pragma once
 
+#include <time.h>
+
 #include <algorithm>
 #include <chrono>
 #include <cstdint>
@@ -10,14 +12,17 @@ namespace poise {
 
 enum class Reason { kDone, kProven, kBudget, kInterrupted, kInfeasible };
 
+// What seconds are counted by: a clock on the wall, or the time that the calling thread
+// has had on a core, for comparisons on a machine that has other work.
+enum class Clock { kWall, kThread };
+
 // Counts steps (search moves tried, nodes opened) against a limit, and looks at the clock
 // and at the user every now and then. With an infinite time it is deterministic.
 class Stop {
  public:
-  using Clock = std::chrono::steady_clock;
-
-  Stop(double seconds, std::int64_t steps, std::function<bool()> interrupted)
-      : start_(Clock::now()), seconds_(seconds), limit_(steps),
+  Stop(double seconds, std::int64_t steps, std::function<bool()> interrupted,
+       Clock clock = Clock::kWall)
+      : clock_(clock), start_(now()), seconds_(seconds), limit_(steps),
         interrupted_(std::move(interrupted)) {}
 
   // Add `steps`; true when it is time to stop. Cheap: looks at the clock only when
@@ -44,9 +49,7 @@ class Stop {
   Reason reason() const { return reason_; }
   std::int64_t steps() const { return steps_; }
   double seconds() const { return seconds_; }
-  double elapsed() const {
-    return std::chrono::duration<double>(Clock::now() - start_).count();
-  }
+  double elapsed() const { return now() - start_; }
 
   // Which part of the time or the steps is used up, whichever is more.
   double spent() const {
@@ -69,12 +72,23 @@ class Stop {
   static constexpr std::int64_t kStepsPerLook = 2048;
   static constexpr double kSecondsPerAsk = 0.01;
 
+  double now() const {
+    using Wall = std::chrono::steady_clock;
+    if (clock_ == Clock::kWall) {
+      return std::chrono::duration<double>(Wall::now().time_since_epoch()).count();
+    }
+    timespec time;
+    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &time);
+    return static_cast<double>(time.tv_sec) + 1e-9 * static_cast<double>(time.tv_nsec);
+  }
+
   void stop(Reason reason) {
     stopped_ = true;
     reason_ = reason;
   }
 
-  Clock::time_point start_;
+  Clock clock_;
+  double start_;
   double seconds_;
   std::int64_t limit_;
   std::function<bool()> interrupted_;

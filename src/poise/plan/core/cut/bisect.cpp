@@ -4,19 +4,39 @@
 #include <cmath>
 #include <numeric>
 
+#include "flow.h"
+
 namespace poise::cut {
 namespace {
 
 // So few nodes are left when two halves are first made, and so often it is tried.
 constexpr int kFew = 60, kTries = 8;
+// Which part of the effort goes into trying halvings again; and which part of the edges a
+// halving cuts at most for that to be worth it: where it cuts more, all are alike.
+constexpr double kRetry = 0.3, kShapeless = 0.2;
 // What a joined node may weigh, of the lighter half.
 constexpr double kHeaviest = 0.06;
 constexpr double kTiny = 1e-9;
 
+// A division into two, and how good it is.
+struct Halves {
+  Halves() = default;
+  Halves(const Graph& graph, const std::vector<double>& most, Blocks found)
+      : block(std::move(found)), cut(cut_of(graph, block)),
+        over(Refiner::excess(graph, most, block)) {}
+  bool better_than(const Halves& other) const {
+    return over != other.over ? over < other.over : cut < other.cut;
+  }
+  Blocks block;
+  std::int64_t cut = 0;
+  double over = 0;
+};
+
 class Bisection {
  public:
-  Bisection(const std::vector<double>& limit, Stop& stop, Random& random)
-      : limit_(limit), random_(random), refiner_(stop, random) {}
+  Bisection(const std::vector<double>& limit, int tries, Stop& stop, Random& random)
+      : limit_(limit), tries_(tries), stop_(stop), random_(random),
+        refiner_(stop, random), flow_(stop, random) {}
 
   // Give the nodes of `graph`, called `nodes` in the whole, the blocks [first, last).
   void divide(const Graph& graph, const std::vector<std::int32_t>& nodes, int first,
@@ -38,40 +58,50 @@ class Bisection {
       aim[side] = total * room[side] / all;
       most[side] = std::min(aim[side] * slack, std::max(room[side], aim[side]));
     }
-    const Blocks halves = halve(graph, aim, most);
+    const Halves halves = best_halves(graph, aim, most, last - first);
     for (const int side : {0, 1}) {
       std::vector<std::int32_t> mine;
-      const Graph half = extract(graph, halves, side, mine);
+      const Graph half = extract(graph, halves.block, side, mine);
       for (std::int32_t& u : mine) u = nodes[u];
       divide(half, mine, side == 0 ? first : middle, side == 0 ? middle : last, out);
     }
   }
 
  private:
-  Blocks halve(const Graph& graph, const std::vector<double>& aim,
+  // The best of several, as long as `blocks` of all blocks have not had their share of time.
+  Halves best_halves(const Graph& graph, const std::vector<double>& aim,
+                     const std::vector<double>& most, int blocks) {
+    const auto k = static_cast<double>(limit_.size());
+    const double until = stop_.spent() + kRetry * blocks / k / std::ceil(std::log2(k));
+    Halves best = halve(graph, aim, most);
+    const double shapeless = kShapeless * graph.edge_weight();
+    for (int i = 1; i < tries_ && stop_.spent() < until; ++i) {
+      if (static_cast<double>(best.cut) > shapeless) break;
+      Halves other = halve(graph, aim, most);
+      if (other.better_than(best)) best = std::move(other);
+    }
+    return best;
+  }
+
+  Halves halve(const Graph& graph, const std::vector<double>& aim,
                const std::vector<double>& most) {
     const Levels levels(graph, {}, kFew, kHeaviest * std::min(aim[0], aim[1]), random_);
     const Graph& smallest = levels.smallest();
-    Blocks best;
-    double least_over = 0;
-    std::int64_t least_cut = 0;
+    Halves best;
     for (int i = 0; i < kTries; ++i) {
       Blocks block = grown(smallest, aim[1]);
       refiner_.run(smallest, most, block);
-      const double over = Refiner::excess(smallest, most, block);
-      const std::int64_t cut = cut_of(smallest, block);
-      if (!best.empty() && (over > least_over || (over == least_over && cut >= least_cut))) {
-        continue;
-      }
-      best = std::move(block);
-      least_over = over;
-      least_cut = cut;
+      Halves found(smallest, most, std::move(block));
+      if (best.block.empty() || found.better_than(best)) best = std::move(found);
     }
+    Blocks block = std::move(best.block);
     for (int level = levels.count() - 1; level > 0; --level) {
-      best = levels.up(level, best);
-      refiner_.run(levels.at(level - 1), most, best);
+      block = levels.up(level, block);
+      const Graph& finer = levels.at(level - 1);
+      refiner_.run(finer, most, block);
+      if (flow_.run(finer, most, block) > 0) refiner_.run(finer, most, block);
     }
-    return best;
+    return Halves(graph, most, std::move(block));
   }
 
   // Block 1 grows from a random node, by what is tied to it most, until it weighs `aim`.
@@ -106,19 +136,23 @@ class Bisection {
   }
 
   const std::vector<double>& limit_;
+  int tries_;
+  Stop& stop_;
   Random& random_;
   Refiner refiner_;
+  Flow flow_;
   Queue queue_;
 };
 
 }  // namespace
 
-Blocks bisect(const Graph& graph, const std::vector<double>& limit, Stop& stop,
+Blocks bisect(const Graph& graph, const std::vector<double>& limit, int tries, Stop& stop,
               Random& random) {
   Blocks out(graph.size(), 0);
   std::vector<std::int32_t> nodes(graph.size());
   std::iota(nodes.begin(), nodes.end(), 0);
-  Bisection(limit, stop, random).divide(graph, nodes, 0, static_cast<int>(limit.size()), out);
+  const auto blocks = static_cast<int>(limit.size());
+  Bisection(limit, tries, stop, random).divide(graph, nodes, 0, blocks, out);
   return out;
 }
 

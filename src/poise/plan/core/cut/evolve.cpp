@@ -8,8 +8,14 @@
 namespace poise::cut {
 namespace {
 
-// So many nodes for each block are left when blocks are first made.
-constexpr int kEnough[] = {100, 40};
+// Of divisions from nothing, one in so many is made with care and the others quickly: what
+// is made with care is good, but all of it alike.
+constexpr int kCareful = 3;
+// So many nodes for each block are left when blocks are first made, and so often each
+// halving is tried; with care, and quickly.
+constexpr struct {
+  int enough, tries;
+} kWays[] = {{200, 8}, {40, 1}};
 // What a joined node may weigh, in shares of the mean of the smallest level's nodes.
 constexpr double kHeaviest = 1.5;
 // And when a division is made better.
@@ -105,10 +111,10 @@ class Evolution {
   }
 
   Division fresh() {
-    const int k = static_cast<int>(limit_.size());
-    const int enough = std::max(kEnough[random_.below(2)] * k, 200);
+    const auto [many, tries] = kWays[fresh_++ % kCareful == 0 ? 0 : 1];
+    const int enough = std::max(many * static_cast<int>(limit_.size()), 200);
     const Levels levels(graph_, {}, enough, kHeaviest * total_ / enough, random_);
-    return grown(levels, bisect(levels.smallest(), limit_, stop_, random_));
+    return grown(levels, bisect(levels.smallest(), limit_, tries, stop_, random_));
   }
 
   // Refine on every level, from the smallest on.
@@ -189,6 +195,7 @@ class Evolution {
   double total_;
   std::vector<Division> all_;
   std::int64_t best_ = -1;
+  int fresh_ = 0;  // how many were made from nothing
 };
 
 }  // namespace

@@ -81,9 +81,9 @@ bool Flow::find_touches() {
       if (!known) touches_.push_back({a, b, u});
     }
     border += touches_.size() > before;
+    if (2 * border > g.size()) return false;
   }
   stop_.after(g.size() / 8 + 1);
-  if (2 * border > g.size()) return false;
   std::sort(touches_.begin(), touches_.end(), [](const Touch& x, const Touch& y) {
     return std::tie(x.a, x.b, x.node) < std::tie(y.a, y.b, y.node);
   });

@@ -13,6 +13,12 @@ constexpr double kWorthwhile = 0.95;
 
 double Graph::total() const { return std::accumulate(weight.begin(), weight.end(), 0.0); }
 
+double Graph::edge_weight() const {
+  double twice = 0;
+  for (const Edge& e : edges) twice += e.weight;
+  return twice / 2;
+}
+
 std::int64_t cut_of(const Graph& g, const Blocks& block) {
   std::int64_t twice = 0;
   for (int u = 0; u < g.size(); ++u) {

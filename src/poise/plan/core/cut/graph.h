@@ -24,7 +24,8 @@ struct Graph {
   int size() const { return static_cast<int>(weight.size()); }
   const Edge* begin(int node) const { return edges.data() + start[node]; }
   const Edge* end(int node) const { return edges.data() + start[node + 1]; }
-  double total() const;
+  double total() const;        // of all nodes
+  double edge_weight() const;  // of all edges, each counted once
 };
 
 // The neighbours of a node, for range-for.

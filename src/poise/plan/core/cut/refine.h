@@ -29,6 +29,8 @@ class Refiner {
     std::int32_t node, from;
   };
 
+  void count_ties();
+  void find_border();
   void relieve();
   std::int64_t round(int seeds, int patience);
   std::int64_t search(int patience);
@@ -37,6 +39,7 @@ class Refiner {
   void tell_neighbours(int node, int from, int to);
   void move(int node, int to);
   bool on_border(int node) const;
+  void list(int node);
 
   Stop& stop_;
   Random& random_;
@@ -46,7 +49,12 @@ class Refiner {
   Queue queue_;
   std::vector<double> load_;
   std::vector<std::int32_t> tie_, near_;  // of the node at hand, by block
-  std::vector<std::int32_t> border_;
+  // What nodes with at least half as many neighbours as there are blocks are tied to each
+  // block; and where that begins for each node, -1 for those with fewer.
+  std::vector<std::int32_t> ties_, row_;
+  // The border, and what may have come to it in this round; when each was listed last.
+  std::vector<std::int32_t> border_, beside_;
+  std::vector<std::uint32_t> listed_;
   std::vector<std::uint32_t> moved_;  // the last round in which each node was moved
   std::uint32_t round_ = 0;
   std::vector<Move> moves_;
