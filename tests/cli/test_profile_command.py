@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from poise.estimate import profile_file
-
-from .conftest import Poise
+from tests.command import Poise
 
 ROBOT = """\
 robot: r

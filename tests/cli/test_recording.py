@@ -11,8 +11,7 @@ import pytest
 from poise.manage.recording import save
 from poise.wire.recorded import Recorded
 from poise.wire.samples import AgentSample, ComponentSample, ContainerSample
-
-from .conftest import Poise
+from tests.command import Poise
 
 ROBOT = """\
 robot: r
