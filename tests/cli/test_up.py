@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import sqlite3
 import subprocess
 import textwrap
 import threading
 import time
+import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -21,7 +23,7 @@ from poise.manage.transit import transit
 from poise.manage.transition import plan_transition
 from poise.model import load
 from tests.command import POISE, run_poise
-from tests.runtime.conftest import wait_until
+from tests.runtime.conftest import free_port, wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -100,21 +102,37 @@ tasks:
   work: {{actions: [{{name: work, functions: [work]}}]}}
 objective: {{communication: 1, balance: 0}}
 """
+ALTERNATIVE = """
+  resting:
+    function: work
+    home: left
+    quality: 0.5
+    components:
+      sleeper: {{implementation: "asked:Writer", cpu: 1%, memory: 20 MiB}}
+tasks:"""
 TOGETHER = {"first": "left", "second": "left", "reader": "left"}
 
 
 @pytest.fixture
-def robot(tmp_path: Path) -> Path:
+def robot(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
     (tmp_path / "asked.py").write_text(textwrap.dedent(CODE))
     path = tmp_path / "robot.yaml"
-    path.write_text(ROBOT.format(name=NAME, folder=tmp_path))
+    text = getattr(request, "param", ROBOT)
+    path.write_text(text.format(name=NAME, folder=tmp_path))
     return path
 
 
 @pytest.fixture
-def up(robot: Path) -> Iterator[Path]:
+def port() -> int:
+    return free_port()
+
+
+@pytest.fixture
+def up(robot: Path, port: int) -> Iterator[Path]:
     """Start the robot; end it afterwards, whether or not the test did."""
     argv = [*POISE, "up", str(robot), "--placement", "static"]
+    argv += ["--journal", str(robot.with_name("journal")), "--metrics", str(port)]
+    argv += ["--record", str(robot.with_name("recording"))]
     with subprocess.Popen(argv, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert any("is up" in line for line in process.stdout)
@@ -134,6 +152,9 @@ def status() -> RobotStatus:
     return answer
 
 
+@pytest.mark.parametrize(
+    "robot", [ROBOT.replace("\ntasks:", ALTERNATIVE)], indirect=True
+)
 def test_a_running_robot_does_what_it_is_asked(up: Path) -> None:
     code, said = poise("move", "reader", "right", "--json")
     assert code == 0
@@ -157,10 +178,36 @@ def test_a_running_robot_does_what_it_is_asked(up: Path) -> None:
     assert code == 0
     for name in TOGETHER:
         assert name in said
+    code, said = poise("status", "--json")
+    assert code == 0
+    assert json.loads(said)["placement"]["reader"] == "right"
+
+    code, said = poise("replace", "working", "resting")
+    assert code == 0
+    assert "resting runs now" in said
+    assert set(status().placement) == {"sleeper"}
 
     assert poise("stop")[0] == 0
     wait_until(lambda: not is_up())
-    assert up.exists()
+    journal = sqlite3.connect(up / "journal")
+    told = [what for (what,) in journal.execute("SELECT what FROM entries")]
+    journal.close()
+    assert any("reader" in what for what in told)
+
+
+def test_what_it_uses_is_told_and_recorded(up: Path, port: int) -> None:
+    wait_until(lambda: 'cpu_cores{component="first"' in metrics(port))
+    assert poise("stop")[0] == 0
+    wait_until(lambda: not is_up())
+    table = up / "table.csv"
+    run_poise("recording", "export", up / "recording", "--to", table)
+    assert "first" in table.read_text()
+
+
+def metrics(port: int) -> str:
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=20) as told:
+        text: str = told.read().decode()
+        return text
 
 
 def is_up() -> bool:
