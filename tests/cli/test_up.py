@@ -65,9 +65,14 @@ class Stubborn(Worker):
         raise LookupError("not from elsewhere")
 
 class Reader(Component):
+    """Needs 15 % of a core."""
+
     @subscribed(keep=10)
     def numbers(self, message: Number):
         self.last = message.value
+        until = time.thread_time() + 0.0075
+        while time.thread_time() < until:
+            pass
 
 class Writer(Reader):
     pass
@@ -224,7 +229,7 @@ def test_what_needs_more_than_it_did_gets_room(up: Path) -> None:
     assert "best as it is (proven the best)" in said
 
     wait_long(is_steady)
-    (up / "first").touch()  # with the reader's 15 % more than there is
+    (up / "first").touch()  # with what the others need, more than there is
     wait_long(is_better_elsewhere)
     said = at_last("balance", "--dry-run")
     assert "short" in said

@@ -227,6 +227,7 @@ def running(
                 computers.endpoints,
                 SystemClock(),
                 gate.take if look.take else None,
+                lease=computers.lease,
             )
         )
         fleet.wait_alive(computers.endpoints, AGENT_LIMIT, computers.raise_if_ended)
