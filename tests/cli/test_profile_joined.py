@@ -10,8 +10,7 @@ import pytest
 from poise.estimate import profile_file
 from poise.estimate.profile import Profile
 from poise.estimate.store import Store
-
-from .conftest import Poise
+from tests.command import Poise
 
 ROBOT = """\
 robot: joined

@@ -15,6 +15,10 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from poise.errors import RunError
+
+_MOST_TRIES = 10
+
 
 @contextlib.contextmanager
 def scratch_folder(prefix: str) -> Iterator[Path]:
@@ -26,6 +30,11 @@ def scratch_folder(prefix: str) -> Iterator[Path]:
     ----------
     prefix
         Begins the folder's name, and no other program's.
+
+    Raises
+    ------
+    RunError
+        Where temporary files lie, no folder can be locked.
     """
     _sweep(prefix)
     folder, lock = _made(prefix)
@@ -37,13 +46,16 @@ def scratch_folder(prefix: str) -> Iterator[Path]:
 
 
 def _made(prefix: str) -> tuple[Path, int]:
-    while True:
+    for _ in range(_MOST_TRIES):
         folder = Path(tempfile.mkdtemp(prefix=prefix))
         lock = _lock(folder)
-        if lock is not None and folder.exists():
+        if lock is None:
+            continue
+        if folder.exists():
             return folder, lock
-        if lock is not None:  # somebody swept before it was locked
-            os.close(lock)
+        os.close(lock)  # somebody swept before it was locked
+    where = tempfile.gettempdir()
+    raise RunError(f"no folder in {where} can be locked: choose another by TMPDIR")
 
 
 def _sweep(prefix: str) -> None:
@@ -60,11 +72,9 @@ def _lock(folder: Path) -> int | None:
         opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     except OSError:
         return None
-    try:
+    with contextlib.suppress(OSError):
         if os.fstat(opened).st_uid == os.getuid():
             fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return opened
-    except BlockingIOError:
-        pass
     os.close(opened)
     return None
