@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 POISE = (sys.executable, "-m", "poise")
-LIMIT = 110.0
+LIMIT = 200.0
 """Far longer than any command of a test takes [s]; pytest gives up a little later."""
 
 Poise = Callable[..., subprocess.CompletedProcess[str]]

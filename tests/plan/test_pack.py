@@ -124,9 +124,14 @@ def test_search_finds_what_a_link_without_bandwidth_leaves() -> None:
     names = [f"c{i}" for i in range(6)]
     problem = Problem(
         components=tuple(
-            Component(name=name, only=("h1",) if name == "c4" else ()) for name in names
+            Component(
+                name=name, demand={"cpu": 0.0}, only=("h1",) if name == "c4" else ()
+            )
+            for name in names
         ),
-        computers=(Computer(name="h0"), Computer(name="h1")),
+        computers=tuple(
+            Computer(name=name, capacity={"cpu": 1.0}) for name in ("h0", "h1")
+        ),
         connectors=(
             Connector(between=("c5", "c0"), overhead=0.0),
             Connector(between=("c1", "c0"), traffic=1.0),
