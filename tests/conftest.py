@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -16,7 +17,6 @@ from poise.cli.scratch import scratch_folder
 from poise.emulate import sweep
 from poise.emulate.remains import Remains, registry
 from tests.command import Poise, run_poise
-from tests.runtime.conftest import wait_until
 
 # an example that takes long on a busy machine is no fault
 settings.register_profile("poise", deadline=None)
@@ -39,12 +39,14 @@ def _leaves_nothing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         patch.setenv("TMPDIR", name)
         patch.setattr(tempfile, "tempdir", None)
         yield
-        wait_until(lambda: not _processes(place))
+        deadline = time.monotonic() + 20.0
+        while _processes(place) and time.monotonic() < deadline:
+            time.sleep(0.01)
         # as the next run does, for tests that kill one
         sweep()
         with scratch_folder("poise-run-"), scratch_folder("poise-agent-"):
             pass
-        assert [*_files(place), *_emulations(place)] == []
+        assert [*_processes(place), *_files(place), *_emulations(place)] == []
 
 
 def _processes(place: Path) -> list[str]:
