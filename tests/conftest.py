@@ -1,7 +1,76 @@
 """What all tests share."""
 
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import msgspec
+import pytest
 from hypothesis import settings
+
+from poise.cli.scratch import scratch_folder
+from poise.emulate import sweep
+from poise.emulate.remains import Remains, registry
+from tests.command import Poise, run_poise
 
 # an example that takes long on a busy machine is no fault
 settings.register_profile("poise", deadline=None)
 settings.load_profile("poise")
+
+
+@pytest.fixture
+def poise(tmp_path: Path) -> Poise:
+    """Return what runs `poise` in the test's folder."""
+    return partial(run_poise, cwd=tmp_path)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _leaves_nothing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Hold that no process, file or emulated computer outlives all tests."""
+    tmp_path_factory.getbasetemp()  # pytest keeps its own, elsewhere
+    with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory() as name:
+        place = Path(name)
+        place.chmod(0o755)  # some tests are another user
+        patch.setenv("TMPDIR", name)
+        patch.setattr(tempfile, "tempdir", None)
+        yield
+        deadline = time.monotonic() + 20.0
+        while _processes(place) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        # as the next run does, for tests that kill one
+        sweep()
+        with scratch_folder("poise-run-"), scratch_folder("poise-agent-"):
+            pass
+        assert [*_processes(place), *_files(place), *_emulations(place)] == []
+
+
+def _processes(place: Path) -> list[str]:
+    """Return the processes that have their temporary files in a folder."""
+    mark, found = f"TMPDIR={place}".encode(), []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (process / "environ").read_bytes().split(b"\0")
+        except OSError:  # it has ended, or is another user's
+            continue
+        if any(word.startswith(mark) for word in words):
+            found.append(process.name)
+    return found
+
+
+def _files(place: Path) -> list[Path]:
+    desk = place / f"poise-{os.getuid()}"  # stays, for the sockets of robots that run
+    return [*(path for path in place.iterdir() if path != desk), *desk.glob("*")]
+
+
+def _emulations(place: Path) -> list[Path]:
+    return [
+        file
+        for file in registry().glob("*.json")
+        if str(place)
+        in str(msgspec.json.decode(file.read_bytes(), type=Remains).folders)
+    ]

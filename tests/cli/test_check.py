@@ -7,8 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from poise.cli.main import COMMANDS, build
-
 ROOT = Path(__file__).parents[2]
 POISE = "import sys; from poise.cli.main import main; sys.exit(main())"
 
@@ -105,16 +103,6 @@ def test_an_interrupt_ends_with_130() -> None:
     )
     done = poise("check", "robot.yaml", before=interrupt)
     assert (done.returncode, done.stderr) == (130, "")
-
-
-@pytest.mark.slow
-def test_help_gives_an_example_of_every_command() -> None:
-    for command in (
-        build([name]).registered_commands[i] for i, name in enumerate(COMMANDS)
-    ):
-        told = poise(command.name or "", "--help").stdout
-        assert "Example" in told
-        assert f"poise {command.name} " in told.partition("Example")[2] + " "
 
 
 @pytest.mark.slow

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from poise.estimate import profile_file
-
-from .conftest import Poise
+from poise.model import load
+from tests.command import Poise
 
 ROBOT = """\
 robot: r
@@ -40,8 +40,12 @@ while True:
 def test_measures_command_line_components(tmp_path: Path, poise: Poise) -> None:
     (tmp_path / "robot.yaml").write_text(ROBOT)
     (tmp_path / "burn.py").write_text(BURN)
-    done = poise("profile", "robot.yaml", "--for", "5s", "--warm-up", "1s")
+    times = ("--for", "4s", "--warm-up", "0.5s")
+    done = poise("profile", "robot.yaml", *times, "--on", "main", "--write")
     assert done.returncode == 0, done.stdout + done.stderr
+    assert "demands written to " in done.stdout
+    written = {c.name: c.demand for c in load(tmp_path / "robot.yaml").components()}
+    assert written["burner"]["cpu"] > written["idler"]["cpu"]
     profile = profile_file.read(tmp_path / "profile.yaml")
     burner, idler = profile.components["burner"], profile.components["idler"]
     # a machine that is busy may give it less, never more

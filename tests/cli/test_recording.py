@@ -16,8 +16,7 @@ from poise.manage.recording import save
 from poise.model import load
 from poise.wire.recorded import Recorded
 from poise.wire.samples import AgentSample, ComponentSample, ContainerSample
-
-from .conftest import Poise
+from tests.command import Poise
 
 ROBOT = """\
 robot: r

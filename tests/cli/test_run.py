@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,9 +18,9 @@ from poise.cli.run import run_command
 from poise.emulate.remains import sweep
 from poise.errors import PoiseError
 from poise.runtime.waker import wait_readable
+from tests.command import POISE, run_poise
 
 LIMIT = 60.0
-POISE = (sys.executable, "-m", "poise")
 _started: list[int] = []
 HELLO = Path(__file__).parents[2] / "examples" / "hello" / "robot.yaml"
 
@@ -130,13 +129,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("leaves_nothing")]
 def test_a_run_ends_with_a_report_and_prints_nothing_else(tmp_path: Path) -> None:
     report = tmp_path / "report"
     arguments = ["--task", "greet", "--for", "1.3s", "--report", str(report), "--json"]
-    result = subprocess.run(
-        [*POISE, "run", str(HELLO), *arguments],
-        capture_output=True,
-        text=True,
-        timeout=LIMIT,
-        check=False,
-    )
+    result = run_poise("run", HELLO, *arguments)
     told = json.loads(result.stdout)
     # a machine too busy for the emulation makes the run void, which is told by code 1
     assert result.returncode == (1 if told["void"] else 0), result.stderr
@@ -265,9 +258,3 @@ def test_nothing_survives_a_manager_that_is_killed(robot: Write) -> None:
         os.close(pidfd)
     process.communicate(timeout=LIMIT)
     sweep()  # as the next run does
-
-
-@pytest.mark.parametrize("command", ["run", "agent"])
-def test_help_has_an_example(command: str) -> None:
-    said = CliRunner().invoke(build([command]), [command, "--help"]).output
-    assert f"Example: poise {command}" in said

@@ -13,8 +13,7 @@ from poise.estimate import profile_file
 from poise.estimate.profile import ComponentProfile, Profile
 from poise.estimate.spread import Spread
 from poise.estimate.store import Store
-
-from .conftest import Poise
+from tests.command import Poise
 
 ROBOT = """\
 robot: r

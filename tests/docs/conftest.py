@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,7 +11,6 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 Write = Callable[[str, Path], list[str]]
-Poise = Callable[..., subprocess.CompletedProcess[str]]
 
 
 @pytest.fixture
@@ -28,20 +25,3 @@ def write_files() -> Write:
         return [name for name, _ in found]
 
     return write
-
-
-@pytest.fixture
-def poise(tmp_path: Path) -> Poise:
-    """Return what runs `poise` in the test's folder."""
-
-    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, "-m", "poise", *arguments],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
-
-    return run

@@ -7,15 +7,15 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from subprocess import CompletedProcess
 
 import pytest
+
+from tests.command import Poise
 
 ROOT = Path(__file__).parents[2]
 HELLO = ROOT / "examples/hello"
 
 Write = Callable[[str, Path], list[str]]
-Poise = Callable[..., CompletedProcess[str]]
 
 
 def test_the_readme_shows_the_hello_example(write_files: Write, tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from poise.emulate.remains import Remains, registry
 from poise.errors import RobotError, RunError, UsageError
 from poise.model.robot import Computer, Robot
 
+LIMIT = 60.0
 BURN = "import time\nend = time.monotonic() + 1.2\nwhile time.monotonic() < end: pass"
 STUBBORN = (
     "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN);"
@@ -67,7 +68,7 @@ def test_nothing_is_left_after_close(
     assert child.stdout
     assert child.stdout.readline() == b"ready\n"
     emulation.close(ask=0.05)
-    assert child.wait(timeout=10) == -9
+    assert child.wait(timeout=LIMIT) == -9
     assert left_of(listed) == []
     emulation.close()
     child.stdout.close()
@@ -149,7 +150,7 @@ def test_sweep_removes_what_a_killed_owner_left(
         assert file.exists()
         owner.kill()
     assert Path("/proc", pid).exists()
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + LIMIT
     # Another emulation that starts at this moment may be sweeping it already. And a
     # process that was killed stays until the machine's first process reaps it.
     while left_of(listed) or Path("/proc", pid).exists():
@@ -193,7 +194,7 @@ def test_missing_tool_is_said_and_done_without(
     with Emulation(two_computers, tmp_path, probe=host) as emulation:
         assert any(missing in sentence for sentence in emulation.without)
         child = emulation.computers["legs"].popen(["true"])
-        assert child.wait(timeout=20) == 0
+        assert child.wait(timeout=LIMIT) == 0
 
 
 @pytest.mark.slow
@@ -214,7 +215,7 @@ def test_computers_that_share_a_cpu_and_ask_for_too_much_are_starved(
         before = [computer.usage() for computer in computers]
         argv = [sys.executable, "-c", BURN]
         children = [computer.popen(argv) for computer in computers]
-        assert [child.wait(timeout=60) for child in children] == [0, 0, 0]
+        assert [child.wait(timeout=LIMIT) for child in children] == [0, 0, 0]
         after = [computer.usage() for computer in computers]
         assert any("which it has not got" in each for each in emulation.without)
         # Each has a third of the CPU and was promised nine tenths.
@@ -233,7 +234,7 @@ def test_user_without_rights_runs_it_all_the_same(tmp_path: Path) -> None:
         [sys.executable, "-c", WITHOUT_RIGHTS, str(tmp_path / "run")],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=LIMIT,
         check=False,
     )
     assert done.returncode == 0, done.stderr
@@ -274,7 +275,7 @@ def test_user_namespace_is_enough_for_the_network(
         [*enter, "sh", "-c", script, "sh", sys.executable, "-c", NETWORK, tmp_path],
         input=msgspec.json.encode(two_computers),
         capture_output=True,
-        timeout=60,
+        timeout=LIMIT,
         check=False,
     )
     assert done.returncode == 0, done.stderr.decode()
@@ -314,5 +315,5 @@ def test_version_2_groups_hold_real_processes(
         assert child.stdout.readline() == b"up\n"
         assert brain.running() == [child.pid]
         assert brain.usage().used > 0
-        child.communicate(timeout=20)
+        child.communicate(timeout=LIMIT)
         assert brain.running() == []

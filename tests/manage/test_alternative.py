@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from poise.clock import SystemClock
 from poise.errors import UsageError
 from poise.manage.alternative import replace_architecture
 from poise.manage.fleet import Fleet
@@ -24,52 +21,14 @@ from poise.model.robot import (
     End,
     Robot,
 )
-from tests.manage.agents import agent
-from tests.runtime.conftest import free_port, wait_until
+from tests.manage.agents import TELLING, Told, two_agents
 
 pytestmark = pytest.mark.slow
 
 LIMIT = 20.0
-CODE = '''
-import os
-from typing import Protocol
-from poise import Component, Message, Provided, Published, Required, every, subscribed
-from poise.errors import CallError
-
-class Number(Message):
-    value: int
-
-class Doubles(Protocol):
-    def double(self, value: int) -> int: ...
-
-class Telling(Component):
-    """Writes numbers where the test reads them at once."""
-
-    def configure(self):
-        path = os.path.join(self.parameters["folder"], self.name)
-        self.file = os.open(path, os.O_CREAT | os.O_WRONLY)
-
-    def tell(self, *numbers):
-        os.pwrite(self.file, b"".join(b"%10d" % n for n in numbers), 0)
-
-class Source(Telling):
-    numbers: Published[Number]
-    doubles: Required[Doubles]
-
-    def configure(self):
-        super().configure()
-        self.sent = self.answered = self.refused = 0
-
-    @every(0.005)
-    def produce(self):
-        self.sent += 1
-        self.numbers.publish(Number(self.sent))
-        try:
-            self.answered += self.doubles.double(self.sent) == 2 * self.sent
-        except CallError:
-            self.refused += 1
-        self.tell(self.answered, self.refused)
-
+CODE = (
+    TELLING
+    + '''
 class Sink(Telling):
     """Counts the sums that are not those of all numbers so far."""
 
@@ -171,32 +130,19 @@ class Broke(Message):
 def misadapt(before: Before) -> Broke:
     return Broke(Both(before.counter.count, before.adder.sum))
 '''
+)
 
 
-class World:
+class World(Told):
     """Two agents, and a robot with alternatives for what is between its ends."""
 
-    def __init__(self, folder: Path, fleet: Fleet) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, fleet: Fleet, place: Path) -> None:
+        super().__init__(place)
         self.journal = Journal(":memory:")
         placement = dict.fromkeys(("source", "sink", "counter"), "left")
         placement["adder"] = "right"
-        robot = _robot(folder)
+        robot = _robot(folder, place)
         self.run = Run(robot, placement, fleet, self.journal, str(folder))
-
-    def told(self, component: str) -> tuple[int, int]:
-        """Return what a component tells: progress, and what went wrong."""
-        with contextlib.suppress(FileNotFoundError):
-            said = (self.folder / component).read_bytes()
-            if said:
-                return int(said[:10]), int(said[10:])
-        return 0, 0
-
-    def works(self) -> None:
-        """Wait until sums come, and calls are answered."""
-        for component in ("sink", "source"):
-            before = self.told(component)[0]
-            wait_until(lambda b=before, c=component: self.told(c)[0] not in {0, b})  # type: ignore[misc]
 
     def active(self) -> set[str]:
         """Return what is active, by what was said last."""
@@ -207,7 +153,7 @@ class World:
         }
 
 
-def _robot(folder: Path) -> Robot:
+def _robot(folder: Path, place: Path) -> Robot:
     def architecture(name: str, function: str, *components: str) -> Architecture:
         return Architecture(
             name=name,
@@ -216,7 +162,7 @@ def _robot(folder: Path) -> Robot:
                 Component(
                     name=each,
                     implementation=f"replaced:{each.title()}",
-                    parameters={"folder": str(folder)},
+                    parameters={"folder": str(place)},
                 )
                 for each in components
             ),
@@ -248,28 +194,22 @@ def _robot(folder: Path) -> Robot:
     )
 
 
+@pytest.fixture(scope="module")
+def agents() -> Iterator[tuple[Path, Fleet]]:
+    """Start both agents."""
+    with two_agents(f"replaces{os.getpid()}", "replaced", CODE) as found:
+        yield found
+
+
 @pytest.fixture
-def world() -> Iterator[World]:
-    """Start both agents and the robot."""
-    robot = f"replaces{os.getpid()}"
-    with contextlib.ExitStack() as stack:
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        (folder / "replaced.py").write_text(CODE)
-        ports = {"left": free_port(), "right": free_port()}
-        lifeline, held = os.pipe()
-        for name in ports:
-            stack.enter_context(agent(robot, name, ports, folder, lifeline))
-        stack.callback(os.close, held)
-        stack.callback(os.close, lifeline)
-        ends = {name: f"tcp/127.0.0.1:{port}" for name, port in ports.items()}
-        fleet = stack.enter_context(Fleet(robot, ends, SystemClock()))
-        fleet.wait_alive(ports, LIMIT)
-        world = World(folder, fleet)
-        stack.callback(world.journal.close)
-        world.run.start()
-        world.works()
-        yield world
-        world.run.stop()
+def world(agents: tuple[Path, Fleet], tmp_path: Path) -> Iterator[World]:
+    """Start the robot."""
+    world = World(*agents, tmp_path)
+    world.run.start()
+    world.works()
+    yield world
+    world.run.stop()
+    world.journal.close()
 
 
 def test_the_alternative_goes_on_where_the_architecture_stopped(world: World) -> None:
@@ -277,7 +217,7 @@ def test_the_alternative_goes_on_where_the_architecture_stopped(world: World) ->
     assert (report.committed, report.reason) == (True, "")
     assert set(world.run.placement()) == {"source", "sink", "whole"}
     world.works()
-    assert (world.told("sink")[1], world.told("source")[1]) == (0, 0)
+    assert world.wrong() == 0
     world.run.fleet.wait_news(
         lambda: world.active() == {"source", "sink", "whole"}, LIMIT
     )
@@ -290,7 +230,7 @@ def test_all_goes_on_as_before_when_one_component_cannot_restore(world: World) -
     assert "LookupError: no such sum" in report.reason
     assert set(world.run.placement()) == {"source", "sink", "counter", "adder"}
     world.works()
-    assert (world.told("sink")[1], world.told("source")[1]) == (0, 0)
+    assert world.wrong() == 0
     before = {"source", "sink", "counter", "adder"}
     world.run.fleet.wait_news(lambda: world.active() == before, LIMIT)
     assert world.active() == before

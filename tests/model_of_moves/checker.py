@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Hashable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from typing import Generic, NamedTuple, TypeVar
 
 S = TypeVar("S", bound=Hashable)
@@ -43,46 +42,46 @@ def explore(
     A state with trouble; else one that is stuck before the end; else one from which no
     end can be reached; else none.
     """
-    came_from: dict[S, tuple[S, str] | None] = {initial: None}
-    before: dict[S, list[S]] = {}
-    ends: list[S] = []
-    waiting = deque([initial])
-    while waiting:
-        state = waiting.popleft()
+    # a state is hashed once for each way to it, which is what all of this takes longest
+    numbers, states = {initial: 0}, [initial]
+    came_from: list[tuple[int, str]] = [(0, "")]
+    before: list[list[int]] = [[]]
+    ends: list[int] = []
+    for number, state in enumerate(states):  # which grow
         trouble = trouble_of(state)
         followers = () if trouble else tuple(successors(state))
         if is_final(state):
-            ends.append(state)
+            ends.append(number)
         elif not trouble and not followers:
             trouble = f"stuck: {state}"
         if trouble:
-            return Report(len(came_from), trouble, _way(came_from, state))
+            return Report(len(states), trouble, _way(came_from, number))
         for name, follower in followers:
-            before.setdefault(follower, []).append(state)
-            if follower not in came_from:
-                came_from[follower] = (state, name)
-                waiting.append(follower)
-    lost = _first_without_end(came_from, before, ends)
+            then = numbers.setdefault(follower, len(states))
+            if then == len(states):
+                states.append(follower)
+                came_from.append((number, name))
+                before.append([])
+            before[then].append(number)
+    lost = _first_without_end(before, ends)
     if lost is not None:
-        return Report(len(came_from), f"no end: {lost}", _way(came_from, lost))
-    return Report(len(came_from), "", ())
+        return Report(len(states), f"no end: {states[lost]}", _way(came_from, lost))
+    return Report(len(states), "", ())
 
 
-def _first_without_end(
-    found: Iterable[S], before: dict[S, list[S]], ends: list[S]
-) -> S | None:
+def _first_without_end(before: list[list[int]], ends: list[int]) -> int | None:
     good, waiting = set(ends), list(ends)
     while waiting:
-        for state in before.get(waiting.pop(), ()):
-            if state not in good:
-                good.add(state)
-                waiting.append(state)
-    return next((state for state in found if state not in good), None)
+        for number in before[waiting.pop()]:
+            if number not in good:
+                good.add(number)
+                waiting.append(number)
+    return next((number for number in range(len(before)) if number not in good), None)
 
 
-def _way(came_from: dict[S, tuple[S, str] | None], state: S) -> tuple[str, ...]:
+def _way(came_from: list[tuple[int, str]], number: int) -> tuple[str, ...]:
     names: list[str] = []
-    while (step := came_from[state]) is not None:
-        state, name = step
+    while number:
+        number, name = came_from[number]
         names.append(name)
     return tuple(reversed(names))

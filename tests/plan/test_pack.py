@@ -6,7 +6,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from poise.plan import Component, Computer, Problem, objective
+from poise.plan import Component, Computer, Connector, Link, Problem, objective
 from poise.plan.engine import Engine
 from poise.plan.limits import violations
 from poise.plan.tables import Placed, Tables, tabulate
@@ -117,3 +117,30 @@ def test_the_step_limit_ends_the_search_for_what_does_not_exist(steps: int) -> N
     assert not answer.placed
     assert answer.stopped_by == "budget"
     assert answer.steps <= steps + 2000
+
+
+def test_search_finds_what_a_link_without_bandwidth_leaves() -> None:
+    """All that talks must go where the last one is pinned; nothing else counts."""
+    names = [f"c{i}" for i in range(6)]
+    problem = Problem(
+        components=tuple(
+            Component(
+                name=name, demand={"cpu": 0.0}, only=("h1",) if name == "c4" else ()
+            )
+            for name in names
+        ),
+        computers=tuple(
+            Computer(name=name, capacity={"cpu": 1.0}) for name in ("h0", "h1")
+        ),
+        connectors=(
+            Connector(between=("c5", "c0"), overhead=0.0),
+            Connector(between=("c1", "c0"), traffic=1.0),
+            Connector(between=("c4", "c0"), traffic=3.0),
+        ),
+        links=(Link(between=("h0", "h1"), bandwidth=0.0),),
+    )
+    tables = tabulate(problem)
+    for seed in range(4):
+        placed = Engine(tables).search([], steps=20_000, seed=seed).placed
+        assert placed
+        assert keeps_limits(tables, placed)

@@ -25,7 +25,7 @@ from trot.packets import (
 pytestmark = pytest.mark.slow
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "trot"
-LIMIT = 10.0
+LIMIT = 60.0
 
 Process = subprocess.Popen[bytes]
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
-import tempfile
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from poise.cli.options import parse_option
+from poise.cli.scratch import scratch_folder
 from poise.errors import UsageError
 from poise.runtime.agent import Agent, AgentSetup
 from poise.units import SECONDS
@@ -56,7 +57,8 @@ def agent_command(
         level="WARNING",
     )
     logging.getLogger("poise.component").setLevel("INFO")
-    with tempfile.TemporaryDirectory(prefix="poise-agent-") as temporary:
+    own = contextlib.nullcontext(folder) if folder else scratch_folder("poise-agent-")
+    with own as place:
         Agent(
             AgentSetup(
                 robot=robot,
@@ -65,7 +67,7 @@ def agent_command(
                 port=port,
                 door=door,
                 peers=tuple(endpoint(each) for each in peer or ()),
-                folder=str(folder or temporary),
+                folder=str(place),
                 lifeline=lifeline,
                 sample_every=parse_option("--sample-every", sample_every, SECONDS),
             )

@@ -38,6 +38,11 @@ class Computers:
         Computer -> the process of its agent, where it was started here.
     faster
         Computer -> how many times more CPU it has than the robot file says.
+
+    Attributes
+    ----------
+    lease
+        An agent that is silent for this time [s] is lost.
     """
 
     def __init__(
@@ -51,6 +56,8 @@ class Computers:
         self.endpoints = endpoints
         self.faster = faster or {}
         self._agents = agents or {}
+        # nothing can cut off agents that were started here, but they may be starved
+        self.lease = 10.0 if agents else 1.0
         self.without = without
         self._make_watch = watch
         self._watch: StarvationWatch | None = None

@@ -7,7 +7,6 @@ world, and the manager's run.
 from __future__ import annotations
 
 import contextlib
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -20,6 +19,7 @@ from poise.cli.check import find_problems
 from poise.cli.computers import Computers, Say, computers_of
 from poise.cli.keeping import keeping
 from poise.cli.profiles import profiled
+from poise.cli.scratch import scratch_folder
 from poise.cli.world import World, world_of
 from poise.clock import SystemClock
 from poise.errors import RobotError
@@ -214,7 +214,7 @@ def running(
     """
     _check_runnable(robot, placement)
     with contextlib.ExitStack() as stack:
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="poise-")))
+        folder = stack.enter_context(scratch_folder("poise-run-"))
         look = watching or Watching()
         gate = _Gate(look.take or _forget)
         computers = stack.enter_context(
@@ -227,6 +227,7 @@ def running(
                 computers.endpoints,
                 SystemClock(),
                 gate.take if look.take else None,
+                lease=computers.lease,
             )
         )
         fleet.wait_alive(computers.endpoints, AGENT_LIMIT, computers.raise_if_ended)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import signal
 import sys
 from collections.abc import Sequence
@@ -46,7 +47,8 @@ def build(arguments: Sequence[str]) -> typer.Typer:
         if name == asked:
             module, function = where.split(":")
             loaded = importlib.import_module(f"poise.cli.{module}")
-            app.command(name)(getattr(loaded, function))
+            command = getattr(loaded, function)
+            app.command(name, help=_flowing(inspect.getdoc(command) or ""))(command)
         else:
             app.command(name, help=help_)(_not_loaded)
     return app
@@ -70,6 +72,13 @@ def main() -> None:
         # The reader, such as `head`, has seen enough.
         sys.stderr.close()
         sys.exit(1)
+
+
+def _flowing(text: str) -> str:
+    """Return help whose paragraphs fill the terminal's width, whatever that is."""
+    about, examples, commands = text.partition("\n\nExamples\n")
+    paragraphs = (" ".join(each.split("\n")) for each in about.split("\n\n"))
+    return "\n\n".join(paragraphs) + examples + commands
 
 
 def _not_loaded() -> None:

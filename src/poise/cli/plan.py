@@ -36,7 +36,7 @@ def plan_command(
     method: Annotated[
         str, typer.Option(help="auto, greedy, exact, search, cpsat or static.")
     ] = "auto",
-    budget: Annotated[float, typer.Option(help="Time to decide [s].")] = 0.1,
+    budget: Annotated[float, typer.Option(help="Time to decide, in seconds.")] = 0.1,
     seed: Annotated[int, typer.Option(help="Seed of the search.")] = 0,
     steps: Annotated[
         int | None, typer.Option(help="Steps instead of time: reproducible.")

@@ -150,10 +150,15 @@ class Desk:
             )
         if _is_alive(self._path):
             raise UsageError(f"robot '{robot}' runs already; `poise stop` ends it")
-        self._path.unlink(missing_ok=True)
+        for left in folder.glob("*.sock"):  # by managers that were killed
+            if not _is_alive(left):
+                left.unlink(missing_ok=True)
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._listener.bind(os.fspath(self._path))
+        # under its name only when it is alive
+        draft = self._path.with_suffix(f".{os.getpid()}")
+        self._listener.bind(os.fspath(draft))
         self._listener.listen(8)
+        draft.rename(self._path)
 
     def serve(self, answer: Callable[[Asked], Answered], limit: float) -> None:
         """Answer one asker if one comes within `limit` [s]; it may raise PoiseError."""

@@ -59,6 +59,9 @@ class Fleet:
         Computer -> zenoh endpoint of its agent.
     on_sample
         Called with every sample, on zenoh's thread; must not block.
+    lease
+        An agent that is cut off counts as lost after this time [s]; one that ends, at
+        once.
     """
 
     def __init__(
@@ -67,6 +70,7 @@ class Fleet:
         endpoints: Mapping[str, str],
         clock: Clock,
         on_sample: Callable[[AgentSample], object] | None = None,
+        lease: float = 1.0,
     ) -> None:
         self._prefix = f"poise/{robot}"
         self._clock = clock
@@ -77,7 +81,7 @@ class Fleet:
         # no gossip: it talks to the agents that it was told of, and to no other manager
         with first():  # zenoh's threads only carry
             self._session = open_session(
-                connect=tuple(endpoints.values()), gossip=False, lease=1.0
+                connect=tuple(endpoints.values()), gossip=False, lease=lease
             )
         self._declared = [
             self._session.declare_subscriber(

@@ -147,10 +147,12 @@ class Agent:
 
     def _run_in(self, setup: AgentSetup) -> None:
         prefix = f"poise/{setup.robot}"
+        # beside its manager it is never cut off, but may have to wait for its turn
+        lease = 1.0 if setup.lifeline is None else 10.0
         with (
             Door(Path(setup.folder), setup.address, setup.door) as door,
             open_session(
-                listen=[self._endpoint()], connect=setup.peers, lease=1.0
+                listen=[self._endpoint()], connect=setup.peers, lease=lease
             ) as session,
         ):
             self._door = str(door)

@@ -134,10 +134,10 @@ def test_serves_metrics_and_nothing_else(robot: Robot, steady: Sampler) -> None:
     server = MetricsServer(estimates, dict, ("127.0.0.1", 0))
     at = f"http://127.0.0.1:{server.port}"
     try:
-        with urllib.request.urlopen(f"{at}/metrics", timeout=5) as answer:
+        with urllib.request.urlopen(f"{at}/metrics", timeout=20) as answer:
             assert answer.read().decode() == to_prometheus(estimates, {})
         with pytest.raises(urllib.error.HTTPError) as refused:
-            urllib.request.urlopen(f"{at}/other", timeout=5)
+            urllib.request.urlopen(f"{at}/other", timeout=20)
         refused.value.close()
         assert refused.value.code == 404
     finally:

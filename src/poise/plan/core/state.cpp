@@ -62,6 +62,7 @@ void State::reset(const Placement& placed) {
   }
   balance_ = balance_now();
   over_links_ = 0;
+  overfull_ = 0;
   traffic_.assign(p_.bandwidth.size(), 0.0);
   if (p_.bandwidth.empty()) return;
   for (int i = 0; i < p_.n; ++i) {
@@ -73,7 +74,9 @@ void State::reset(const Placement& placed) {
     for (int b = 0; b < a; ++b) {
       const double limit = p_.bandwidth[a * p_.m + b] + kSlack;
       const double used = traffic_[a * p_.m + b];
-      if (used > limit * (1 + kSlack)) over_links_ += used / limit - 1;
+      if (used <= limit * (1 + kSlack)) continue;
+      over_links_ += used / limit - 1;
+      ++overfull_;
     }
   }
 }
@@ -266,10 +269,12 @@ double State::shift_traffic(int unit, int to) {
     if (a == b) return;
     const double limit = p_.bandwidth[a * m + b] + kSlack, last = limit * (1 + kSlack);
     double& used = traffic_[a * m + b];
-    const double before = used > last ? used / limit - 1 : 0.0;
+    const bool was_over = used > last;
+    const double before = was_over ? used / limit - 1 : 0.0;
     used += traffic;
     traffic_[b * m + a] = used;
     change += (used > last ? used / limit - 1 : 0.0) - before;
+    overfull_ += (used > last) - was_over;
   };
   for (const Neighbour& other : p_.neighbours(unit)) {
     if (other.traffic <= 0) continue;
@@ -370,7 +375,7 @@ void State::settle(int a, int b) {
   balance_ = balance_now();
   // Sums of many small steps must not keep a limit broken that holds again.
   if (std::fabs(excess_) < 1e-12) excess_ = 0;
-  if (std::fabs(over_links_) < 1e-12) over_links_ = 0;
+  if (overfull_ == 0) over_links_ = 0;
 }
 
 }  // namespace poise

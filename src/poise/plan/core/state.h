@@ -41,7 +41,7 @@ class State {
   double paid() const { return paid_; }
   double balance() const { return balance_; }
   double excess() const { return excess_ + over_links_ + conflicts_; }
-  bool feasible() const { return excess_ <= 0 && over_links_ <= 0 && conflicts_ == 0; }
+  bool feasible() const { return excess_ <= 0 && overfull_ == 0 && conflicts_ == 0; }
 
   // Weigh a search move: `out` leaves `a` for `b`, `back` leaves `b` for `a`; either may
   // be empty. `weigh_paid` gives the part of communication and linear cost alone, quickly.
@@ -99,6 +99,7 @@ class State {
   std::vector<double> traffic_;                // (m, m)
   double paid_ = 0, balance_ = 0, excess_ = 0, over_links_ = 0;
   int conflicts_ = 0;  // pairs that must be apart and are not
+  int overfull_ = 0;   // links; `over_links_` is a sum of many steps, and not exact
 };
 
 }  // namespace poise

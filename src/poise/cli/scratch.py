@@ -1,0 +1,80 @@
+"""Temporary folders, of which even a killed process leaves none for long.
+
+A process holds a lock on its folder while it lives, and so do those that it forks. The
+next one finds the folders that nobody holds any more, and removes them. Who tidies up
+`/tmp` by age, such as systemd-tmpfiles, leaves alone what is locked.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from poise.errors import RunError
+
+_MOST_TRIES = 10
+
+
+@contextlib.contextmanager
+def scratch_folder(prefix: str) -> Iterator[Path]:
+    """Make a folder of this process's own, and remove it afterwards.
+
+    Those of `prefix` that processes left which were killed are removed first.
+
+    Parameters
+    ----------
+    prefix
+        Begins the folder's name, and no other program's.
+
+    Raises
+    ------
+    RunError
+        Where temporary files lie, no folder can be locked.
+    """
+    _sweep(prefix)
+    folder, lock = _made(prefix)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        os.close(lock)
+
+
+def _made(prefix: str) -> tuple[Path, int]:
+    for _ in range(_MOST_TRIES):
+        folder = Path(tempfile.mkdtemp(prefix=prefix))
+        lock = _lock(folder)
+        if lock is None:
+            continue
+        if folder.exists():
+            return folder, lock
+        os.close(lock)  # somebody swept before it was locked
+    where = tempfile.gettempdir()
+    raise RunError(f"no folder in {where} can be locked: choose another by TMPDIR")
+
+
+def _sweep(prefix: str) -> None:
+    for folder in Path(tempfile.gettempdir()).glob(f"{prefix}*"):
+        lock = _lock(folder)
+        if lock is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+            os.close(lock)
+
+
+def _lock(folder: Path) -> int | None:
+    """Lock a folder of this user's; None when that cannot be, as when it is held."""
+    try:
+        opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    except OSError:
+        return None
+    with contextlib.suppress(OSError):
+        if os.fstat(opened).st_uid == os.getuid():
+            fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return opened
+    os.close(opened)
+    return None

@@ -1,0 +1,39 @@
+"""`poise calibrate` as users run it."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from poise.cli.profiles import STORE
+from poise.estimate.store import Store
+from tests.command import Poise
+
+HELLO = Path(__file__).parents[2] / "examples" / "hello"
+
+
+@pytest.fixture(autouse=True)
+def _robot(tmp_path: Path) -> None:
+    for name in ("hello.py", "robot.yaml"):
+        shutil.copy(HELLO / name, tmp_path)
+
+
+@pytest.mark.slow
+def test_measures_speeds_and_costs_and_keeps_them(poise: Poise, tmp_path: Path) -> None:
+    done = poise("calibrate", "robot.yaml", "--for", "2s")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "loops per CPU second" in done.stdout
+    assert "kept in the store" in done.stdout
+    with Store(tmp_path / STORE) as store:
+        costs = store.latest_costs("hello")
+    assert list(costs) == ["direct", "local", "remote"]
+    assert 0 < costs["direct"].source.call < costs["remote"].source.call
+
+
+@pytest.mark.slow
+def test_knows_the_robots_computers(poise: Poise) -> None:
+    done = poise("calibrate", "robot.yaml", "--reference", "middle")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "--reference middle: the computers are left, right" in done.stderr

@@ -1,0 +1,42 @@
+"""The whole demo, with drives that are too short to reach the goal."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from tests.command import LIMIT
+
+SHORT = """
+from poise.cli import demo
+from poise.cli.main import main
+
+demo._DRIVE, demo._MOVE_AT, demo._CALLS = 3.0, 1.0, 1.0
+main()
+"""
+
+
+@pytest.mark.slow
+def test_drives_moves_and_calls() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", SHORT, "demo", "--json"],
+        capture_output=True,
+        text=True,
+        timeout=LIMIT,
+        check=False,
+    )
+    assert done.returncode == 1, done.stderr  # for the outcome is not the paper's
+    report = json.loads(done.stdout)
+    assert [drive["placement"] for drive in report["runs"]] == ["static", "auto"]
+    static, auto = report["runs"]
+    assert set(static["where"].values()) < set(auto["where"].values())
+    for drive in report["runs"]:
+        assert not drive["goal_reached"]
+        assert drive["cpu_share"].keys() == {"main", "vision"}
+        assert drive["pose_age"]["count"] > 0
+    assert report["scene"]["move"]["component"] == "localiser"
+    assert {"direct", "message"} == report["calls"].keys()
+    assert all(call["count"] > 0 for call in report["calls"].values())

@@ -1,0 +1,85 @@
+"""Where running robots are found, and what is left of those that were killed."""
+
+from __future__ import annotations
+
+import socket
+import tempfile
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from poise.errors import UsageError
+from poise.manage.desk import Answered, Asked, AskStop, Desk, Refusal, Stopping, ask
+
+LIMIT = 20.0
+
+
+@pytest.fixture(autouse=True)
+def folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Give this test a folder for desks of its own."""
+    with tempfile.TemporaryDirectory() as runtime:  # pytest's are too long for sockets
+        monkeypatch.setenv("XDG_RUNTIME_DIR", runtime)
+        yield Path(runtime) / "poise"
+
+
+@pytest.fixture
+def desk() -> Iterator[Desk]:
+    desk = Desk("first")
+    yield desk
+    desk.close()
+
+
+def test_answers_whoever_asks(desk: Desk) -> None:
+    asked: list[Asked] = []
+
+    def answer(what: Asked) -> Answered:
+        asked.append(what)
+        return Answered(Stopping())
+
+    with ThreadPoolExecutor() as pool:
+        answered = pool.submit(ask, None, AskStop())
+        # to be found, it is connected to once before
+        while not answered.done():
+            desk.serve(answer, 0.05)
+        assert answered.result(LIMIT) == Stopping()
+    assert asked == [Asked(AskStop())]
+
+
+def test_a_refusal_is_the_askers_error(desk: Desk) -> None:
+    with ThreadPoolExecutor() as pool:
+        answered = pool.submit(ask, "first", AskStop())
+        while not answered.done():
+            desk.serve(lambda _: Answered(Refusal("not today")), 0.05)
+        with pytest.raises(UsageError, match="not today"):
+            answered.result(LIMIT)
+
+
+@pytest.mark.usefixtures("desk")
+def test_a_robot_runs_once() -> None:
+    with pytest.raises(UsageError, match="robot 'first' runs already"):
+        Desk("first")
+
+
+@pytest.mark.usefixtures("desk")
+def test_of_several_robots_one_is_to_be_named() -> None:
+    other = Desk("second")
+    with pytest.raises(UsageError, match=r"several robots run \(first, second\)"):
+        ask(None, AskStop())
+    other.close()
+    with pytest.raises(UsageError, match=r"'third' does not run here \(running"):
+        ask("third", AskStop())
+
+
+def test_what_a_killed_manager_left_is_removed(folder: Path) -> None:
+    folder.mkdir()
+    for name in ("first", "killed"):
+        with socket.socket(socket.AF_UNIX) as left:
+            left.bind(str(folder / f"{name}.sock"))
+    with pytest.raises(UsageError, match="no robot runs here"):
+        ask(None, AskStop())
+    desk = Desk("first")
+    assert [file.name for file in folder.iterdir()] == ["first.sock"]
+    desk.close()
+    assert list(folder.iterdir()) == []
