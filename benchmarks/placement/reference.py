@@ -58,8 +58,8 @@ def reference(problem: plan.Problem, folder: Path) -> Reference:
         return msgspec.json.decode(path.read_bytes(), type=Reference)
     tables = tabulate(problem)
     engine = Engine(tables)
-    start = engine.greedy()
-    known = [] if -1 in start else start
+    greedy = engine.greedy()
+    known = [] if -1 in greedy else greedy
 
     start = process_time()
     placed = engine.search(known, steps=SEARCH, seed=2).placed
