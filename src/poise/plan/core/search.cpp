@@ -12,6 +12,9 @@ namespace {
 
 // Which part of the time goes into cooling, when there is climbing to be done after it.
 constexpr int kCoolingShare = 5;
+// No first cooling is longer, though there be time for it: who stops the search early is
+// to have something good by then. Each later one may be twice as long.
+constexpr std::int64_t kLongestFirst = 1 << 20;
 // From here on, joining units first is worth it.
 constexpr int kManyUnits = 400;
 // How hot each cooling begins, in mean changes of F: the first keeps much of where it
@@ -55,7 +58,8 @@ void Search::run(const Placement& start) {
     length += length / 2;
   }
   if (p_.n < kFewUnits * p_.m) {
-    start_over(start, std::max(length, stop_.steps_left() / kShortShare));
+    const std::int64_t share = stop_.steps_left() / kShortShare;
+    start_over(start, std::max(length, std::min(share, kLongestFirst)));
     return;
   }
   length = std::max(64 * static_cast<std::int64_t>(p_.n),
@@ -63,7 +67,7 @@ void Search::run(const Placement& start) {
   if (p_.n >= kManyUnits) length = 64 * static_cast<std::int64_t>(p_.n);
   for (int round = 0; !stop_.look(); ++round) {
     if (round > 0) state_.reset(best_);
-    cool(length, kHeats[round % 4]);
+    cool(std::min(length, kLongestFirst << std::min(round, 20)), kHeats[round % 4]);
     climb(kPatience);
   }
 }
