@@ -62,8 +62,9 @@ class Effort(Struct, frozen=True):
         """Spend a little of it on a proof."""
         most = min(GLANCE, self.most_steps)
         if self.steps is not None or not most:
-            return engine.exact(known, steps=most)
-        return engine.exact(known, seconds=self.seconds * GLANCE_SHARE, steps=most)
+            return engine.exact(known, steps=most, stop=self.stop)
+        seconds = self.seconds * GLANCE_SHARE
+        return engine.exact(known, seconds, most, self.stop)
 
     def exact(self, engine: Engine, known: Placed) -> Answer:
         """Spend it on a proof."""
