@@ -65,12 +65,12 @@ class Stubborn(Worker):
         raise LookupError("not from elsewhere")
 
 class Reader(Component):
-    """Needs 15 % of a core."""
+    """Needs 10 % of a core, and what comes with it: less than the file says."""
 
     @subscribed(keep=10)
     def numbers(self, message: Number):
         self.last = message.value
-        until = time.thread_time() + 0.0075
+        until = time.thread_time() + 0.005
         while time.thread_time() < until:
             pass
 
@@ -107,23 +107,14 @@ tasks:
   work: {{actions: [{{name: work, functions: [work]}}]}}
 objective: {{communication: 1, balance: 0}}
 """
-ALTERNATIVE = """
-  resting:
-    function: work
-    home: left
-    quality: 0.5
-    components:
-      sleeper: {{implementation: "asked:Writer", cpu: 1%, memory: 20 MiB}}
-tasks:"""
 TOGETHER = {"first": "left", "second": "left", "reader": "left"}
 
 
 @pytest.fixture
-def robot(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+def robot(tmp_path: Path) -> Path:
     (tmp_path / "asked.py").write_text(textwrap.dedent(CODE))
     path = tmp_path / "robot.yaml"
-    text = getattr(request, "param", ROBOT)
-    path.write_text(text.format(name=NAME, folder=tmp_path))
+    path.write_text(ROBOT.format(name=NAME, folder=tmp_path))
     return path
 
 
@@ -157,9 +148,6 @@ def status() -> RobotStatus:
     return answer
 
 
-@pytest.mark.parametrize(
-    "robot", [ROBOT.replace("\ntasks:", ALTERNATIVE)], indirect=True
-)
 def test_a_running_robot_does_what_it_is_asked(up: Path) -> None:
     code, said = poise("move", "reader", "right", "--json")
     assert code == 0
@@ -186,11 +174,6 @@ def test_a_running_robot_does_what_it_is_asked(up: Path) -> None:
     code, said = poise("status", "--json")
     assert code == 0
     assert json.loads(said)["placement"]["reader"] == "right"
-
-    code, said = poise("replace", "working", "resting")
-    assert code == 0
-    assert "resting runs now" in said
-    assert set(status().placement) == {"sleeper"}
 
     assert poise("stop")[0] == 0
     wait_until(lambda: not is_up())
