@@ -40,6 +40,9 @@ GATE_LIMIT = 1.4
 OPEN_LIMIT = 0.4
 """Opening takes no longer than this [s], so that a gate is shut for 2 s at most: these
 two, and `MARGIN` for each answer that does not come."""
+LINGER = 0.1
+"""The old ones are there for so long after the gate opened [s]: a caller that chose its
+way before, and got no CPU since, is told there that they moved."""
 REMOVE_LIMIT = 2.0
 """What is not wanted any more is gone after this time [s]; else the journal says so."""
 
@@ -96,6 +99,8 @@ class Exchange:
         self._note("prepare", started)
         with first():
             reason = self._exchange()
+        if not reason:
+            time.sleep(LINGER)
         self._remove(self._change.news if reason else self._change.olds)
         return self._outcome(started, reason)
 
