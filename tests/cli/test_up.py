@@ -202,11 +202,10 @@ def is_up() -> bool:
 
 
 def test_what_needs_more_than_it_did_gets_room(up: Path) -> None:
-    code, said = poise("balance", "--dry-run")
-    assert code == 0
+    wait_long(is_steady)
+    said = at_last("balance", "--dry-run")
     assert "best as it is (proven the best)" in said
 
-    wait_long(is_steady)
     (up / "first").touch()  # with the reader's 15 % more than there is
     wait_long(is_better_elsewhere)
     said = at_last("balance", "--dry-run")
