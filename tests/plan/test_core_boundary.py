@@ -75,7 +75,7 @@ def test_nothing_crashes_the_interpreter(wrong: dict[str, Any], known: object) -
 EXTREME = st.sampled_from([0.0, 5e-324, 1e-300, 0.5, 1.0, 2.0, 1e60, 1e150])
 
 
-@settings(max_examples=200, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=1000, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
 def test_every_shape_and_size_has_an_answer(data: st.DataObject) -> None:
     n, m, r = (data.draw(st.integers(low, 4)) for low in (0, 1, 0))

@@ -82,8 +82,11 @@ POISE_WIDE void raise(double& high, double& second, const double* values, int co
   second = std::max(std::min(most, other), std::max(more, less));
 }
 
-// All that is within rounding of F.
-double near(double total) { return total + 1e-12 * std::max(1.0, std::fabs(total)); }
+// All that is within rounding of F; numbers that overflowed are within nothing's.
+double near(double total) {
+  const double rounding = 1e-12 * std::max(1.0, std::fabs(total));
+  return rounding < kInfinity ? total + rounding : total;
+}
 
 int first_below(const double* total, double limit) {
   int h = 0;
