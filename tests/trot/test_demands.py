@@ -184,7 +184,7 @@ def test_uses_the_cpu_that_was_profiled(name: str) -> None:
     component = COMPONENTS[name]
     built = started(component).component
     profiled = pytest.approx(PROFILE.components[name].cpu.mean, rel=0.1, abs=0.006)
-    used = []
+    used: list[float] = []
     while profiled not in used and len(used) < MOST_TRIES:
         calls = events(component, built)
         used.append(sum(rate * cpu_time(call) for rate, call in calls))
