@@ -41,7 +41,7 @@ from poise.wire.messages import (
     Precopy,
     Rest,
 )
-from tests.manage.agents import agent
+from tests.manage.agents import TELLING, agent
 from tests.runtime.conftest import free_port, wait_until
 
 pytestmark = pytest.mark.slow
@@ -54,48 +54,9 @@ JOINTS: tuple[tuple[str, str], ...] = (
     ("source.doubles", "counter.doubles"),
     ("counter.passed", "sink.passed"),
 )
-CODE = '''
-import os, threading
-from typing import Protocol
-from poise import Component, Message, Provided, Published, Required, every, subscribed
-from poise.errors import CallError
-
-class Number(Message):
-    value: int
-
-class Doubles(Protocol):
-    def double(self, value: int) -> int: ...
-
-class Telling(Component):
-    """Writes numbers where the test reads them at once."""
-
-    def configure(self):
-        path = os.path.join(self.parameters["folder"], self.name)
-        self.file = os.open(path, os.O_CREAT | os.O_WRONLY)
-
-    def tell(self, *numbers):
-        os.pwrite(self.file, b"".join(b"%10d" % n for n in numbers), 0)
-
-class Source(Telling):
-    """Publishes numbers, and asks for them to be doubled."""
-
-    numbers: Published[Number]
-    doubles: Required[Doubles]
-
-    def configure(self):
-        super().configure()
-        self.sent = self.answered = self.refused = 0
-
-    @every(0.002)
-    def produce(self):
-        self.sent += 1
-        self.numbers.publish(Number(self.sent))
-        try:
-            self.answered += self.doubles.double(self.sent) == 2 * self.sent
-        except CallError:
-            self.refused += 1
-        self.tell(self.answered, self.refused)
-
+CODE = (
+    TELLING
+    + '''
 class Counted(Message):
     last: int
     wrong: int
@@ -242,6 +203,7 @@ class Sink(Telling):
         self.last = message.value
         self.tell(self.last, self.wrong)
 '''
+)
 
 
 class Striking:
