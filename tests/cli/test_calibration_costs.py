@@ -1,4 +1,5 @@
 import pytest
+from msgspec.structs import replace
 
 from poise.cli.calibration_costs import costs_of
 from poise.cli.calibration_robots import EMPTY, PAIRS, TICKING, Pair
@@ -58,6 +59,31 @@ def test_finds_what_each_end_of_each_kind_costs() -> None:
         assert costs.source.byte == pytest.approx(PER_BYTE[kind])
     assert found["remote"].target.message == pytest.approx(FIXED["remote"] / 2)
     assert found["direct"].target.call == 0  # in the source's process
+
+
+def test_the_last_of_a_start_does_not_count() -> None:
+    samples = [*sample(1.0, 0), *sample(3.0, 100), *sample(5.0, 200), *sample(7.0, 300)]
+    late = [
+        replace(each, containers=tuple(map(started, each.containers)))
+        for each in samples[2:]
+    ]
+    found = costs_of([*samples[:2], *late], SPEEDS)
+    assert found["remote"].source.call == pytest.approx(2 * FIXED["remote"])
+
+
+def started(container: ContainerSample) -> ContainerSample:
+    """Return what the one that ticks tells when it was still starting until then."""
+    return replace(container, cpu=container.cpu + 0.5 * (container.name == TICKING))
+
+
+def test_does_not_believe_that_a_connector_costs_nothing() -> None:
+    samples = [*sample(1.0, 0), *map(busy, sample(9.0, 400))]
+    with pytest.raises(RunError, match=r"local connector drown .* a longer --for"):
+        costs_of(samples, SPEEDS)
+
+
+def busy(told: AgentSample) -> AgentSample:
+    return replace(told, containers=tuple(map(started, told.containers)))
 
 
 def test_counts_in_cores_of_the_reference_computer() -> None:

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -153,6 +154,8 @@ def test_a_chain_whose_first_thread_ended_comes_in(others: ThreadPoolExecutor) -
     beginning = threading.Thread(target=go, args=(chain, LONG, lambda: None))
     beginning.start()
     beginning.join(LONG)
+    while Path(f"/proc/self/task/{beginning.native_id}").exists():
+        time.sleep(0.001)  # `join` returns a little before the thread's end
     assert others.submit(comes_in, chain, LONG).result(LONG)
 
 

@@ -4,11 +4,17 @@ A call costs what its pair uses more than two containers of the same kind that a
 silent: the source's has the same steps, the target's does nothing. So the steps and
 what containers use anyway cancel out, and what is left is the call: encoding it, waking
 the other end, and all that is cold by then, for whoever talks in steps talks so.
+
+What a container uses is the median over the samples' intervals, all alike in what they
+hold: what only some hold, as the last of its start, does not count.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import statistics
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 
 from msgspec import Struct
 
@@ -40,37 +46,38 @@ def costs_of(
     Raises
     ------
     RunError
-        A container told nothing.
+        A container told nothing, or a connector seems to cost nothing.
     """
     uses, computers = _uses(samples, speeds)
     kinds = KINDS if len(computers) > 1 else KINDS[:-1]
-    return {kind: _fitted(uses, kind) for kind in kinds}
+    costs = {kind: _fitted(uses, kind) for kind in kinds}
+    for kind, both in costs.items():
+        if kind != "direct" and not both.source.call * both.source.message:
+            raise RunError(
+                f"calls and messages of a {kind} connector drown in what else goes on"
+                " here; try again when less does, or with a longer --for"
+            )
+    return costs
 
 
 def _uses(
     samples: Iterable[AgentSample], speeds: Mapping[str, float]
 ) -> tuple[dict[Pair, Use], set[str]]:
-    first: dict[str, ContainerSample] = {}
-    last: dict[str, ContainerSample] = {}
+    told: dict[str, list[ContainerSample]] = defaultdict(list)
     where: dict[str, str] = {}
     for sample in samples:
         for container in sample.containers:
-            first.setdefault(container.name, container)
-            last[container.name] = container
+            told[container.name].append(container)
             where[container.name] = sample.computer
     for name in (EMPTY, TICKING, *(name for pair in PAIRS for name in pair.containers)):
-        if name not in last or last[name].at <= first[name].at:
+        if name not in told or told[name][-1].at <= told[name][0].at:
             raise RunError(f"container '{name}' told nothing; try again")
-    used = {
-        name: (last[name].cpu - each.cpu) / (last[name].at - each.at)
-        for name, each in first.items()
-        if last[name].at > each.at
-    }
+    used = {name: _cores(each) for name, each in told.items()}
     found = {}
     for pair in PAIRS:
-        source = pair.containers[0]
-        seconds = last[source].at - first[source].at
-        count = _count(last[source]) - _count(first[source])
+        source = told[pair.containers[0]]
+        seconds = source[-1].at - source[0].at
+        count = _count(source[-1]) - _count(source[0])
         if count <= 0:
             raise RunError(f"the pair '{pair.name}' did not talk; try again")
         spent = [
@@ -79,6 +86,13 @@ def _uses(
         ]
         found[pair] = Use(spent[0], sum(spent[1:]))
     return found, set(where.values())
+
+
+def _cores(samples: Sequence[ContainerSample]) -> float:
+    """Return the CPU time a container uses [cores]."""
+    return statistics.median(
+        (b.cpu - a.cpu) / (b.at - a.at) for a, b in pairwise(samples) if b.at > a.at
+    )
 
 
 def _count(sample: ContainerSample) -> int:
