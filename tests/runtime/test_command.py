@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -41,16 +43,20 @@ class Running:
 
     def wait_says(self, what: str) -> None:
         said = ""
+        deadline = time.monotonic() + LIMIT
         while what not in said:
+            assert time.monotonic() < deadline, said
             assert wait_readable([self._end], LIMIT)
-            said += os.read(self._end, 100).decode()
+            with contextlib.suppress(BlockingIOError):  # one began as another ended
+                said += os.read(self._end, 100).decode()
 
     def wait_over(self) -> None:
         """Wait until nobody has the pipe open any more."""
         while True:
             assert wait_readable([self._end], LIMIT)
-            if not os.read(self._end, 100):
-                return
+            with contextlib.suppress(BlockingIOError):
+                if not os.read(self._end, 100):
+                    return
 
     def close(self) -> None:
         for command in self._commands:
