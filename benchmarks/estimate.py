@@ -3,7 +3,8 @@
 Four questions, each with the goal that `GOALS` gives:
 
 - Is the profile right? Components whose CPU is known run alone and 24 together, half
-  of them in calls from others; the largest error of any of them, in cores.
+  of them in calls from others; the largest error of any of them, in cores. And six of
+  them are profiled as `poise profile` does: memory that they hold, what they send.
 - Is the prediction right? T-Rot is placed and run; what each computer used against
   what the profile says that it would use.
 - Is drift found, and nothing else? Time until a component that begins to use half as
@@ -27,12 +28,16 @@ from pathlib import Path
 import msgspec
 
 from benchmarks.synthetic import robots
+from benchmarks.synthetic.workers import RATE
 from poise.cli.launch import Watching, decide, prepared, running
+from poise.cli.measure_alone import measure_alone
 from poise.cli.profiles import read_profile
+from poise.cli.stand import EMPTY, stand_of
 from poise.estimate.predict import predicted_cpu
 from poise.manage.estimates import Estimates
 from poise.manage.journal import Journal
 from poise.manage.measure import measure
+from poise.manage.profiling import Subject, figures
 from poise.manage.recording import Recording
 from poise.model.robot import Robot
 from poise.runtime._calls import Account
@@ -42,6 +47,8 @@ from poise.wire.samples import SAMPLE_EVERY, AgentSample
 TROT = Path(__file__).parents[1] / "examples" / "trot" / "robot.yaml"
 GOALS = {
     "worst_cpu_error": "5 % of the truth or 0.01 cores, whichever is larger",
+    "worst_memory_error": "5 % of the truth or 1 % of the computer's, 10 MiB [bytes]",
+    "worst_traffic_error": 0.05,
     "prediction_error": 0.05,
     "drift_found_s": 3.0,
     "false_alarms": 0,
@@ -175,6 +182,44 @@ def profiles(lengths: Lengths) -> dict[str, object]:
     }
 
 
+def needs(lengths: Lengths) -> dict[str, object]:
+    """Profile six whose memory and traffic are known, as `poise profile` does."""
+    robot = robots.together()
+    name, computer = robot.architectures[0].name, robot.computers[0].name
+    stands = [stand_of(robot, name, computer, apart=apart) for apart in (False, True)]
+    typical, apart = (
+        measure_alone(each, lengths.seconds, WARM_UP, _silent, lambda _: None)
+        for each in stands
+    )
+    subject = Subject(
+        robot=robot,
+        computer=computer,
+        names=stands[0].measured,
+        empty=EMPTY,
+        versions=dict.fromkeys(stands[0].measured, ""),
+        speed=1.0,
+    )
+    found = figures(subject, [typical], apart)
+    memory = {
+        name: found.components[name].memory - truth
+        for name, truth in robots.held(robot).items()
+        if name in found.components
+    }
+    rates = {n: c.rate / RATE - 1 for n, c in found.connectors.items()}
+    sizes = {
+        n: found.connectors[n].size / truth - 1
+        for n, truth in robots.sizes(robot).items()
+        if n in found.connectors
+    }
+    return {
+        "worst_memory_error": max(map(abs, memory.values())),
+        "worst_traffic_error": max(map(abs, [*rates.values(), *sizes.values()])),
+        "memory_errors": memory,
+        "rate_errors": rates,
+        "size_errors": sizes,
+    }
+
+
 def predictions(lengths: Lengths) -> dict[str, object]:
     """Run T-Rot where Poise puts it, and compare with what its profile predicts."""
     robot = prepared(TROT, _silent)
@@ -260,6 +305,7 @@ def counting_seconds() -> float:
 
 PARTS = {
     "profile": profiles,
+    "needs": needs,
     "prediction": predictions,
     "drift": drifts,
     "overhead": overhead,

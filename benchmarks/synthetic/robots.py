@@ -45,6 +45,25 @@ def truths(robot: Robot) -> dict[str, float]:
     return {c.name: float(c.parameters["cpu"]) for c in robot.components()}
 
 
+def held(robot: Robot) -> dict[str, float]:
+    """Return component -> memory that it holds [bytes], of those that hold any."""
+    return {
+        c.name: float(c.parameters["memory"])
+        for c in robot.components()
+        if "memory" in c.parameters
+    }
+
+
+def sizes(robot: Robot) -> dict[str, float]:
+    """Return connector -> what its messages hold [bytes], of those with messages."""
+    parameters = {c.name: c.parameters for c in robot.components()}
+    return {
+        str(connector): float(parameters[connector.between[0].component]["size"])
+        for connector in robot.all_connectors()
+        if connector.between[0].port == "blocks"
+    }
+
+
 def light(num: int) -> Robot:
     """Return a robot with `num` nearly idle components, ten in each container."""
     return _many("Light", num // 10, 10)
