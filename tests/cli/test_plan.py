@@ -82,6 +82,16 @@ def test_compares_methods_side_by_side() -> None:
     assert "█" in text
 
 
+def test_five_methods_fit_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In 80 columns, each row on one line: without bars."""
+    monkeypatch.setenv("COLUMNS", "80")
+    text = call(ROBOT, "--compare", "static,greedy,exact,search,auto").stdout
+    terms = [line for line in text.splitlines() if line.startswith("communication ")]
+    assert len(terms[0].split()) == 6
+    assert max(map(len, text.splitlines())) <= 80
+    assert "█" not in text
+
+
 def test_asks_what_if(problem_file: Path) -> None:
     more = call(problem_file, "--add", "three:cpu=200%,memory=4GiB", "--json")
     assert json.loads(more.stdout)["feasible"]

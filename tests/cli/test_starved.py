@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from poise.cli.launch import Watching, running
 from poise.emulate import look
-from poise.manage.estimates import Estimates, Standing
+from poise.estimate.running import Drift, Estimate
+from poise.manage.estimates import Estimates
 from poise.manage.journal import Journal
 from poise.model.robot import Architecture, Component, Computer, Robot
 from poise.wire.samples import AgentSample
@@ -21,9 +23,13 @@ import time
 from poise import Component, every
 
 class Thinker(Component):
+    def activate(self) -> None:
+        self._dearer_at = self.clock.now() + float(self.parameters.get("calm", 0.0))
+
     @every(0.05)
     def think(self) -> None:
-        end = time.thread_time() + 0.05 * {NEEDED}
+        needed = {NEEDED} if self.clock.now() >= self._dearer_at else {NEEDED} / 20
+        end = time.thread_time() + 0.05 * needed
         while time.thread_time() < end:
             pass
 """
@@ -43,13 +49,8 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def starved(
-    component: Component, folder: Path, seconds: float
-) -> tuple[Standing, float, int]:
-    """Run a component; return how it stands, its CPU time a second, and its drifts.
-
-    `seconds` long the estimate has seen it.
-    """
+def starved(component: Component, folder: Path, enough: Callable[[Seen], bool]) -> Seen:
+    """Run a component until enough was seen of it."""
     robot = Robot(
         name="starved",
         computers=(
@@ -60,31 +61,48 @@ def starved(
         ),
         folder=str(folder),
     )
-    estimates = Estimates(robot, None, emulated=True)
-    told: list[tuple[float, float]] = []
-    drifts: list[object] = []
+    seen = Seen(Estimates(robot, None, emulated=True))
+    journal = Journal(":memory:")
+    with running(
+        robot, {component.name: "small"}, journal, lambda _: None, Watching(seen.take)
+    ) as up:
+        end = time.monotonic() + LIMIT
+        while not enough(seen):
+            assert time.monotonic() < end, "it was not sampled"
+            up.run.watch(0.2)
+    journal.close()
+    return seen
 
-    def take(sample: AgentSample) -> None:
-        drifts.extend(estimates.take(sample))
-        told.extend(
+
+class Seen:
+    """What was told of one component: its CPU time, estimates, and drifts."""
+
+    def __init__(self, estimates: Estimates) -> None:
+        self._estimates = estimates
+        self._used: list[tuple[float, float]] = []
+        self.found: list[Estimate] = []
+        self.drifts: list[Drift] = []
+
+    def take(self, sample: AgentSample) -> None:
+        """Estimate."""
+        self.drifts.extend(drift for _, drift in self._estimates.take(sample))
+        self.found.extend(each.estimate for each in self._estimates.standings())
+        self._used.extend(
             (container.at, each.cpu)
             for container in sample.containers
             for each in container.components
             if each.cpu > 0.1  # it is at work
         )
 
-    journal = Journal(":memory:")
-    with running(
-        robot, {component.name: "small"}, journal, lambda _: None, Watching(take)
-    ) as up:
-        end = time.monotonic() + LIMIT
-        while not told or told[-1][0] - told[0][0] < seconds:
-            assert time.monotonic() < end, "it was not sampled"
-            up.run.watch(0.2)
-    journal.close()
-    (began, before), (ended, after) = told[0], told[-1]
-    (standing,) = estimates.standings()
-    return standing, (after - before) / (ended - began), len(drifts)
+    @property
+    def seconds(self) -> float:
+        """How long it was seen at work [s]."""
+        return self._used[-1][0] - self._used[0][0] if self._used else 0.0
+
+    @property
+    def cores(self) -> float:
+        """What it used meanwhile."""
+        return (self._used[-1][1] - self._used[0][1]) / self.seconds
 
 
 @pytest.mark.slow
@@ -94,16 +112,40 @@ def test_jobs_that_went_undone_count(folder: Path) -> None:
     After 5 s the change detection has learned; that it is starved is no drift.
     """
     thinker = Component(name="thinker", implementation="starved_thinker:Thinker")
-    standing, used, drifts = starved(thinker, folder, 7.0)
-    assert used < 1.1 * QUOTA
-    assert standing.estimate.mean == pytest.approx(NEEDED, rel=0.2)
-    assert standing.estimate.starved > 0.35
-    assert drifts == 0
+    seen = starved(thinker, folder, lambda seen: seen.seconds > 7.0)
+    assert seen.cores < 1.1 * QUOTA
+    assert seen.found[-1].mean == pytest.approx(NEEDED, rel=0.2)
+    assert seen.found[-1].starved > 0.35
+    assert seen.drifts == []
+
+
+@pytest.mark.slow
+def test_what_it_needs_is_known_as_soon_as_it_is_dearer(folder: Path) -> None:
+    """For 8 s it needs 3 % of a core, then twice what there is.
+
+    Up to the 15th estimate after the shift was told, none is far too high; nor far too
+    low, once a few jobs have ended.
+    """
+    thinker = Component(
+        name="thinker",
+        implementation="starved_thinker:Thinker",
+        parameters={"calm": 8.0},
+    )
+    seen = starved(thinker, folder, lambda seen: len(after(seen)) >= 15)
+    for estimate in after(seen):
+        assert estimate.mean < 1.3 * NEEDED
+        assert estimate.error is None or estimate.mean > 0.7 * NEEDED
+        assert estimate.starved > 0.3
+
+
+def after(seen: Seen) -> list[Estimate]:
+    """Return the estimates since a drift was told."""
+    return [each for each in seen.found if each.drift is not None]
 
 
 @pytest.mark.slow
 def test_a_command_that_was_throttled_tells_a_lower_bound(folder: Path) -> None:
     burner = Component(name="burner", command=("sh", "-c", "while :; do :; done"))
-    standing, used, _ = starved(burner, folder, 3.0)
-    assert used < 1.1 * QUOTA
-    assert standing.estimate.starved > 0.8
+    seen = starved(burner, folder, lambda seen: seen.seconds > 3.0)
+    assert seen.cores < 1.1 * QUOTA
+    assert seen.found[-1].starved > 0.8

@@ -12,12 +12,23 @@ SLACK = 0.25
 RARITY = 20.0
 LEARN = 25
 QUICKEST = 2.0
+LEFT = 1.0
+DISTURBANCE = 5
 _OUTLIER = 1.5
 _BLOCKS = (5, 10)
 _KEPT = 150
 _SURE = 30
 
 Direction = Literal[-1, 0, 1]
+
+
+class _Sum:
+    """What exceeds the reference and the slack in one direction."""
+
+    def __init__(self, direction: Literal[-1, 1]) -> None:
+        self.direction = direction
+        self.value = 0.0
+        self.windows = 0
 
 
 class Shift:
@@ -30,27 +41,14 @@ class Shift:
         first `LEARN` on.
     """
 
-    __slots__ = (
-        "_down",
-        "_is_given",
-        "_largest",
-        "_learn_at",
-        "_num",
-        "_step",
-        "_threshold",
-        "_up",
-        "_variance",
-        "_windows",
-        "reference",
-    )
-
     def __init__(self, reference: float | None = None) -> None:
         self.reference = reference
+        self.since = 0
         self._is_given = reference is not None
         self._windows: deque[tuple[float, float]] = deque(maxlen=_KEPT)
         self._num = 0
         self._learn_at = LEARN
-        self._up = self._down = 0.0
+        self._up, self._down = _Sum(1), _Sum(-1)
         self._threshold = math.inf
         self._step = self._largest = self._variance = 0.0
 
@@ -74,22 +72,42 @@ class Shift:
             self._learn_at = self._num + (LEARN if self._num < _KEPT else _KEPT)
         if self.reference is None or math.isinf(self._threshold):
             return 0
-        excess = value - self.reference * exposure
-        return self._add(max(-self._largest, min(self._largest, excess)))
-
-    def _add(self, excess: float) -> Direction:
-        slack = SLACK * self._step
-        self._up = max(0.0, self._up + excess - slack)
-        self._down = max(0.0, self._down - excess - slack)
-        if max(self._up, self._down) <= self._threshold:
+        told = [each for each in (self._up, self._down) if self._add(each)]
+        if not told:
             return 0
-        direction: Direction = 1 if self._up > self._down else -1
-        self._up = self._down = 0.0
-        return direction
+        self.since = told[0].windows
+        self._up, self._down = _Sum(1), _Sum(-1)
+        return told[0].direction
+
+    def _excess(self, direction: int, window: tuple[float, float]) -> float:
+        """Return what a window adds: no more than the noise that was learned."""
+        assert self.reference is not None
+        raw = window[0] - self.reference * window[1]
+        clipped = max(-self._largest, min(self._largest, raw))
+        return direction * clipped - SLACK * self._step
+
+    def _add(self, total: _Sum) -> bool:
+        """Add the last window; return whether the rate has shifted that way."""
+        excess = self._excess(total.direction, self._windows[-1])
+        total.value = max(0.0, total.value + excess)
+        total.windows = total.windows + 1 if total.value > 0 else 0
+        return total.value > self._threshold and self._stands(total)
+
+    def _stands(self, total: _Sum) -> bool:
+        """Whether enough is left without the worst windows that follow each other."""
+        if total.windows < 2 * DISTURBANCE:
+            return False
+        run = [
+            self._excess(total.direction, window)
+            for window in list(self._windows)[-total.windows :]
+        ]
+        starts = range(len(run) - DISTURBANCE + 1)
+        worst = max(sum(run[at : at + DISTURBANCE]) for at in starts)
+        return total.value - worst > LEFT * self._step
 
     def _is_calm(self) -> bool:
         """Whether no shift is in the making, which would pass for noise."""
-        return max(self._up, self._down) < self._threshold / 4
+        return max(self._up.value, self._down.value) < self._threshold / 4
 
     def _learn(self) -> None:
         """Fit step and threshold to the windows that are kept."""
@@ -102,7 +120,8 @@ class Shift:
         noise = [v - rate * e for v, e in self._windows]
         exposure = sum(e for _, e in self._windows)
         self._step = self.reference * exposure / len(noise)
-        self._largest = _OUTLIER * max(self._step, *map(abs, noise))
+        self._largest = _OUTLIER * max(self._step, _largest_undisturbed(noise))
+        noise = [max(-self._largest, min(self._largest, each)) for each in noise]
         fresh = _variance(noise) * (1 + _SURE / len(noise))
         if self._num > _KEPT:
             # One calm stretch does not make a noisy component a calm one.
@@ -111,7 +130,6 @@ class Shift:
         self._threshold = max(
             QUICKEST * self._step,
             fresh * RARITY / (2 * SLACK * self._step),
-            2 * _swing(noise, SLACK * self._step),
         )
 
 
@@ -142,11 +160,9 @@ def _variance_of_blocks(noise: Sequence[float], size: int) -> float:
     return sum(each * each for each in sums) / (len(sums) * size)
 
 
-def _swing(noise: Sequence[float], slack: float) -> float:
-    """Return the highest that the sums would have come in `noise` itself."""
-    up = down = highest = 0.0
-    for each in noise:
-        up = max(0.0, up + each - slack)
-        down = max(0.0, down - each - slack)
-        highest = max(highest, up, down)
-    return highest
+def _largest_undisturbed(noise: Sequence[float]) -> float:
+    """Return the largest, but for those farthest off that follow each other."""
+    starts = range(len(noise) - DISTURBANCE + 1)
+    worst = max(starts, key=lambda at: abs(sum(noise[at : at + DISTURBANCE])))
+    others = [*noise[:worst], *noise[worst + DISTURBANCE :]]
+    return max(map(abs, others))

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from poise.estimate.shift import LEARN, Shift
+from poise.estimate.shift import DISTURBANCE, LEARN, Shift
 from tests.estimate import reference
 
 STEP = 0.2
@@ -44,7 +44,22 @@ def outliers(rng: random.Random) -> Iterator[float]:
         yield rng.gauss(1, 0.05) + (10 if rng.random() < STEP / 120 else 0)
 
 
+def hiccups(rng: random.Random) -> Iterator[float]:
+    """Steady but for single windows up to five times as large, once a minute."""
+    while True:
+        hiccup = rng.uniform(1, 4) if rng.random() < STEP / 60 else 0.0
+        yield rng.gauss(1, 0.05) + hiccup
+
+
+def slow_seconds(rng: random.Random) -> Iterator[float]:
+    """All that is done within a second takes twice as long, every half minute."""
+    begins = rng.randrange(100)
+    for k in range(1 << 30):
+        yield rng.gauss(1, 0.05) * (2 if (k + begins) % 150 < DISTURBANCE else 1)
+
+
 NOISES = [normal(0.05), normal(0.2), waves, bursts]
+DISTURBED = [outliers, hiccups, slow_seconds]
 
 
 def shifts(noise: Noise, seed: int, num: int, at: int, factor: float) -> list[int]:
@@ -59,7 +74,7 @@ def shifts(noise: Noise, seed: int, num: int, at: int, factor: float) -> list[in
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [*NOISES, outliers])
+@pytest.mark.parametrize("noise", [*NOISES, *DISTURBED])
 def test_tells_no_shift_in_ten_minutes_of_steady_load(noise: Noise) -> None:
     for seed in range(15):
         assert shifts(noise, seed, TEN_MINUTES, TEN_MINUTES, 1.0) == []
@@ -93,6 +108,24 @@ def test_tells_the_direction(factor: float, direction: int) -> None:
     assert told == {0, direction}
 
 
+@pytest.mark.parametrize("factor", [3.0, 100.0])
+def test_what_is_over_within_a_second_is_no_shift(factor: float) -> None:
+    shift = Shift()
+    for index in range(200):
+        is_disturbed = 100 <= index < 100 + DISTURBANCE
+        assert shift.update(factor if is_disturbed else 1.0, 1.0) == 0
+
+
+def test_says_when_the_shift_began() -> None:
+    """It is told 10 windows after it, when 2.5 windows' worth have added up."""
+    shift = Shift()
+    for _ in range(100):
+        assert shift.update(1.0, 1.0) == 0
+    told = [shift.update(1.5, 1.0) for _ in range(10)]
+    assert told == [0] * 9 + [1]
+    assert shift.since == 10
+
+
 def test_a_shift_by_less_than_the_slack_is_none() -> None:
     assert shifts(normal(0.05), 1, 1000, 200, 1.15) == []
 
@@ -109,7 +142,7 @@ def test_says_nothing_where_nothing_is_used() -> None:
     assert {shift.update(0.0, 1.0) for _ in range(200)} == {0}
 
 
-@pytest.mark.parametrize("noise", [*NOISES, outliers])
+@pytest.mark.parametrize("noise", [*NOISES, *DISTURBED])
 @pytest.mark.parametrize("given", [None, 0.1])
 def test_agrees_with_the_reference(noise: Noise, given: float | None) -> None:
     """Through learning, a shift up, one down, and windows without exposure."""

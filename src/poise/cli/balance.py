@@ -52,8 +52,8 @@ def balance_command(
 
 
 def _show_proposal(proposal: Proposal, console: Console) -> None:
-    for name, demand in proposal.shifted.items():
-        console.print(f"{name} needs {demand:.1%} of a core now")
+    for name, need in proposal.shifted.items():
+        console.print(f"{name} needs {need}")
     if proposal.trouble:
         console.print(f"[red]as it is: {proposal.trouble}[/]")
     known = " (proven the best)" if proposal.proven else ""

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from rich.console import Console
 from rich.table import Table
-from rich.text import Text
 
 from poise import plan, units
+from poise.cli.tables import table
 
 BAR = 10
 """Length of a full bar [characters]."""
+_MOST_BARS = 3
+"""Bars of so many placements fit side by side."""
 
 
 def show(problem: plan.Problem, result: plan.Result, console: Console) -> None:
@@ -48,20 +50,36 @@ def show_smallest(few: plan.Smallest, console: Console) -> None:
 
 def bar(
     problem: plan.Problem, result: plan.Result, computer: plan.Computer, resource: str
-) -> Text:
+) -> str:
     """Return how much of a resource is used, as a bar and a share of the capacity."""
+    text = share(problem, result, computer, resource)
+    used, capacity = _load(problem, result, computer, resource)
+    if capacity <= 0:
+        return text
+    full = min(BAR, round(used / capacity * BAR))
+    return f"{'█' * full}{'░' * (BAR - full)} {text:>4}"
+
+
+def share(
+    problem: plan.Problem, result: plan.Result, computer: plan.Computer, resource: str
+) -> str:
+    """Return which share of a capacity is used; where there is none, how much is."""
+    used, capacity = _load(problem, result, computer, resource)
+    if capacity <= 0:
+        return units.format_amount(resource, used) if used else "none"
+    return f"{used / capacity:.0%}"
+
+
+def _load(
+    problem: plan.Problem, result: plan.Result, computer: plan.Computer, resource: str
+) -> tuple[float, float]:
     speed = computer.speed if resource == "cpu" else 1.0
-    capacity = computer.capacity.get(resource, 0.0) * speed
     used = sum(
         c.demand.get(resource, 0.0)
         for c in problem.components
         if result.placement.get(c.name) == computer.name
     )
-    if capacity <= 0:
-        return Text("none" if not used else units.format_amount(resource, used))
-    share = used / capacity
-    full = min(BAR, round(share * BAR))
-    return Text(f"{'█' * full}{'░' * (BAR - full)} {share:4.0%}")
+    return used, computer.capacity.get(resource, 0.0) * speed
 
 
 def show_comparison(
@@ -69,21 +87,21 @@ def show_comparison(
 ) -> None:
     """Print results side by side: the terms of F, then load by computer."""
     names = list(results)
-    table = Table("", *names)
+    rows = table("", *names)
     for label in ("total", "communication", "balance", "move"):
-        table.add_row(label, *(_term(results[name], label) for name in names))
-    table.add_row("lower bound", *(_number(results[n].bound) for n in names))
-    table.add_row("proven", *("yes" if results[n].proven else "no" for n in names))
-    table.add_row("feasible", *("yes" if results[n].feasible else "NO" for n in names))
-    table.add_row("decided in", *(_seconds(results[n]) for n in names))
-    table.add_section()
+        rows.add_row(label, *(_term(results[name], label) for name in names))
+    rows.add_row("lower bound", *(_number(results[n].bound) for n in names))
+    rows.add_row("proven", *("yes" if results[n].proven else "no" for n in names))
+    rows.add_row("feasible", *("yes" if results[n].feasible else "NO" for n in names))
+    rows.add_row("decided in", *(_seconds(results[n]) for n in names))
+    load = bar if len(names) <= _MOST_BARS else share
     for computer in problem.computers:
         for resource in problem.resources:
-            table.add_row(
+            rows.add_row(
                 f"{computer.name} {resource}",
-                *(bar(problem, results[name], computer, resource) for name in names),
+                *(load(problem, results[name], computer, resource) for name in names),
             )
-    console.print(table)
+    console.print(rows)
     for name, result in results.items():
         if result.reason:
             console.print(f"{name}: {result.reason}", highlight=False)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from rich.console import Console
 from rich.table import Table
 
-from poise.cli.tables import table
+from poise.cli.tables import NamedRows, table
 from poise.estimate.predict import overheads
 from poise.estimate.profile import ComponentProfile, ConnectorProfile, Profile
 from poise.estimate.rule import cpu_demand, memory_demand
@@ -120,8 +120,8 @@ def _timers(found: Mapping[str, ComponentProfile]) -> Table:
     return rows
 
 
-def _connectors(robot: Robot, profile: Profile) -> Table:
-    rows = table("connector", "a second", "size", "p99", "largest", "overhead")
+def _connectors(robot: Robot, profile: Profile) -> NamedRows:
+    rows = NamedRows("connector", "a second", "size", "p99", "largest", "overhead")
     relative = overheads(robot, profile)
     for name, each in profile.connectors.items():
         sizes = each.median or each.size, each.p99, each.largest
@@ -136,4 +136,4 @@ def _connectors(robot: Robot, profile: Profile) -> Table:
 
 def _rates(found: ConnectorProfile) -> str:
     rates = {"calls": found.calls, "messages": found.messages}
-    return "\n".join(f"{rate:.3g} {what}" for what, rate in rates.items() if rate)
+    return ", ".join(f"{rate:.3g} {what}" for what, rate in rates.items() if rate)

@@ -24,8 +24,8 @@ def show_run(report: RunReport, console: Console) -> None:
             _add_component(rows, component)
     console.print(rows)
     _show_measures(report, console)
-    for rows in connector_tables(report.connectors):
-        console.print(rows)
+    for connectors in connector_tables(report.connectors):
+        console.print(connectors)
     clocks = clock_table(report.clocks)
     if clocks.row_count:
         console.print(clocks)

@@ -9,9 +9,15 @@ found.
 
 Shifts by less than a quarter of the reference are no shifts. With RARITY = 20 a false
 alarm comes about once in exp(20) windows: years, at 5 Hz, by a theory that takes noise
-for normal; heavy tails and slow waves bring it down to hours. The threshold is never
-lower than two windows' worth of the reference, however calm it was: a shift by half is
-found after 8 windows at the earliest.
+for normal. The threshold is never lower than two windows' worth of the reference,
+however calm it was.
+
+Real noise is not normal: now and then a machine stands still for some 10 ms, or is slow
+for most of a second, and whoever ran then seems to have used more. So a shift
+must have lasted for ten windows, and stand without the worst `DISTURBANCE` of them that
+follow each other: whatever is over within a second is none, however large it is. And no
+window counts for more than one and a half times the largest that was learned from, but
+for one disturbance there. A shift by half is found after 10 windows at the earliest.
 
 The code is native, because every window of every component goes through three of these;
 ``tests/estimate/reference.py`` is the same in Python.
@@ -21,5 +27,8 @@ from poise.estimate import _shift
 
 LEARN = _shift.LEARN
 """Windows from which the noise is learned, and the reference when none is given."""
+
+DISTURBANCE = _shift.DISTURBANCE
+"""What is over within so many windows is no shift, however much it was."""
 
 Shift = _shift.Shift

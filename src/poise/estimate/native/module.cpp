@@ -9,9 +9,11 @@ using namespace poise;
 
 NB_MODULE(_shift, module) {
   module.attr("LEARN") = Shift::learn;
+  module.attr("DISTURBANCE") = Shift::disturbance;
 
   nb::class_<Shift>(module, "Shift")
       .def(nb::init<std::optional<double>>(), nb::arg("reference").none() = nb::none())
       .def("update", &Shift::update, nb::arg("value"), nb::arg("exposure"))
-      .def_prop_ro("reference", &Shift::reference);
+      .def_prop_ro("reference", &Shift::reference)
+      .def_prop_ro("since", &Shift::since);
 }

@@ -30,22 +30,30 @@ static double variance(const std::vector<double>& noise) {
   return std::max(variance_of_blocks(noise, 5), variance_of_blocks(noise, 10));
 }
 
-// The highest that the sums would have come in `noise` itself.
-static double swing(const std::vector<double>& noise, double slack) {
-  double up = 0.0, down = 0.0, highest = 0.0;
-  for (const double each : noise) {
-    up = std::max(0.0, up + each - slack);
-    down = std::max(0.0, down - each - slack);
-    highest = std::max({highest, up, down});
+// The largest, but for those that follow each other and are the farthest off together.
+static double largest_undisturbed(const std::vector<double>& noise) {
+  constexpr std::size_t size = Shift::disturbance;
+  std::size_t worst = 0;
+  double farthest = -1.0;
+  for (std::size_t begin = 0; begin + size <= noise.size(); ++begin) {
+    double sum = 0.0;
+    for (std::size_t i = begin; i < begin + size; ++i) sum += noise[i];
+    if (std::abs(sum) <= farthest) continue;
+    farthest = std::abs(sum);
+    worst = begin;
   }
-  return highest;
+  double largest = 0.0;
+  for (std::size_t i = 0; i < noise.size(); ++i)
+    if (i < worst || i >= worst + size) largest = std::max(largest, std::abs(noise[i]));
+  return largest;
 }
 
 int Shift::update(double value, double exposure) {
+  const Window window{value, exposure};
   if (num_ < most_kept)
-    windows_.push_back({value, exposure});
+    windows_.push_back(window);
   else
-    windows_[num_ % most_kept] = {value, exposure};
+    windows_[num_ % most_kept] = window;
   ++num_;
   if (num_ >= learn_at_ && is_calm()) {
     fit();
@@ -53,22 +61,44 @@ int Shift::update(double value, double exposure) {
     learn_at_ = num_ + (num_ < most_kept ? learn : most_kept);
   }
   if (!reference_ || std::isinf(threshold_)) return 0;
-  const double excess = value - *reference_ * exposure;
-  return add(std::max(-largest_, std::min(largest_, excess)));
+  const bool is_up = add(up_, window), is_down = add(down_, window);
+  if (!is_up && !is_down) return 0;
+  since_ = is_up ? up_.windows : down_.windows;
+  up_ = Sum{1.0};
+  down_ = Sum{-1.0};
+  return is_up ? 1 : -1;
 }
 
-int Shift::add(double excess) {
-  const double slack_here = slack * step_;
-  up_ = std::max(0.0, up_ + excess - slack_here);
-  down_ = std::max(0.0, down_ - excess - slack_here);
-  if (std::max(up_, down_) <= threshold_) return 0;
-  const int direction = up_ > down_ ? 1 : -1;
-  up_ = down_ = 0.0;
-  return direction;
+// What a window adds to a sum: no more than the noise that was learned lets expect.
+double Shift::excess(const Sum& sum, const Window& window) const {
+  const double raw = window.value - *reference_ * window.exposure;
+  return sum.direction * std::clamp(raw, -largest_, largest_) - slack * step_;
+}
+
+// Add a window; whether the rate has shifted that way.
+bool Shift::add(Sum& sum, const Window& window) {
+  sum.value = std::max(0.0, sum.value + excess(sum, window));
+  sum.windows = sum.value > 0.0 ? sum.windows + 1 : 0;
+  return sum.value > threshold_ && stands(sum);
+}
+
+// Whether enough is left without the worst windows that follow each other.
+bool Shift::stands(const Sum& sum) const {
+  if (sum.windows < 2 * disturbance) return false;
+  const std::size_t end = windows_.size(), begin = end - std::min(sum.windows, end);
+  double part = 0.0, worst = -std::numeric_limits<double>::infinity();
+  for (std::size_t i = begin; i < end; ++i) {
+    part += excess(sum, kept(i));
+    if (i >= begin + disturbance) part -= excess(sum, kept(i - disturbance));
+    if (i + 1 >= begin + disturbance) worst = std::max(worst, part);
+  }
+  return sum.value - worst > left * step_;
 }
 
 // Whether no shift is in the making, which would pass for noise.
-bool Shift::is_calm() const { return std::max(up_, down_) < threshold_ / 4; }
+bool Shift::is_calm() const {
+  return std::max(up_.value, down_.value) < threshold_ / 4;
+}
 
 // Fit step and threshold to the windows that are kept.
 void Shift::fit() {
@@ -77,22 +107,20 @@ void Shift::fit() {
   if (!is_given_ && num_ <= most_kept) reference_ = rate;
   std::vector<double> noise;
   noise.reserve(windows_.size());
-  double exposure = 0.0, largest = 0.0;
+  double exposure = 0.0;
   for (std::size_t i = 0; i < windows_.size(); ++i) {
     const Window& window = kept(i);
     noise.push_back(window.value - rate * window.exposure);
     exposure += window.exposure;
-    largest = std::max(largest, std::abs(noise.back()));
   }
-  const auto num = static_cast<double>(noise.size());
-  step_ = *reference_ * exposure / num;
-  largest_ = outlier * std::max(step_, largest);
-  double fresh = variance(noise) * (1 + sure / num);
+  step_ = *reference_ * exposure / static_cast<double>(noise.size());
+  largest_ = outlier * std::max(step_, largest_undisturbed(noise));
+  for (double& each : noise) each = std::clamp(each, -largest_, largest_);
+  double fresh = variance(noise) * (1 + sure / static_cast<double>(noise.size()));
   // One calm stretch does not make a noisy component a calm one.
   if (num_ > most_kept) fresh = std::max(fresh, (fresh + variance_) / 2);
   variance_ = fresh;
-  threshold_ = std::max({quickest * step_, fresh * rarity / (2 * slack * step_),
-                         2 * swing(noise, slack * step_)});
+  threshold_ = std::max(quickest * step_, fresh * rarity / (2 * slack * step_));
 }
 
 // The median of the rates of five stretches: one outlier does not count.

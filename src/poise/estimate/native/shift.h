@@ -18,6 +18,10 @@ class Shift {
   static constexpr std::size_t learn = 25;
   // [windows' worth of the reference] The threshold is never lower.
   static constexpr double quickest = 2.0;
+  // What is over within so many windows is no shift; a shift has lasted twice as long.
+  static constexpr std::size_t disturbance = 5;
+  // [windows' worth of the reference] So much must be left without a disturbance.
+  static constexpr double left = 1.0;
 
   explicit Shift(std::optional<double> reference)
       : reference_(reference), is_given_(reference.has_value()) {}
@@ -26,6 +30,8 @@ class Shift {
   int update(double value, double exposure);
 
   std::optional<double> reference() const { return reference_; }
+  // How many windows ago the shift began that was told last.
+  std::size_t since() const { return since_; }
 
  private:
   struct Window {
@@ -33,7 +39,16 @@ class Shift {
     double exposure;
   };
 
-  int add(double excess);
+  // What exceeds the reference and the slack in one direction, since it last was nothing.
+  struct Sum {
+    double direction;
+    double value = 0.0;
+    std::size_t windows = 0;
+  };
+
+  bool add(Sum& sum, const Window& window);
+  bool stands(const Sum& sum) const;
+  double excess(const Sum& sum, const Window& window) const;
   bool is_calm() const;
   void fit();
   double typical_rate() const;
@@ -48,8 +63,9 @@ class Shift {
   std::size_t learn_at_ = learn;
   std::optional<double> reference_;
   bool is_given_;
-  double up_ = 0.0;
-  double down_ = 0.0;
+  Sum up_{1.0};
+  Sum down_{-1.0};
+  std::size_t since_ = 0;
   double threshold_ = std::numeric_limits<double>::infinity();
   double step_ = 0.0;
   double largest_ = 0.0;

@@ -1,0 +1,54 @@
+"""What windows show that is needed; a window is half a second."""
+
+import pytest
+
+from poise.estimate.demand import Sums, demand_in
+from poise.estimate.reading import Window
+
+
+def window(cpu: float, asked: int, done: int) -> Window:
+    return Window(0.5, cpu, asked, done)
+
+
+def test_who_keeps_up_needs_what_it_used() -> None:
+    """0.2 s in 1 s; one job is still under way, and may cost what nine did each."""
+    found = demand_in([window(0.1, 5, 5), window(0.1, 5, 4)])
+    assert found.cores == pytest.approx(0.2)
+    assert found.error == pytest.approx(0.2 / 9)
+
+
+def test_who_does_not_keep_up_needs_jobs_a_second_times_what_one_costs() -> None:
+    """Each window ends one of 10 that come, for 0.05 s: 20 a second need a core."""
+    found = demand_in([window(0.05, 10, 1)] * 5)
+    assert found.cores == pytest.approx(1.0)
+    # one of four windows may belong to another job, one of 50 jobs came or not
+    assert found.error == pytest.approx(1 / 4 + 1 / 50)
+
+
+def test_a_job_that_is_still_under_way_costs_the_others_nothing() -> None:
+    """Two jobs of 0.1 s, then 0.4 s of one that has not ended; 8 a second come."""
+    ended = [window(0.1, 4, 1), window(0.1, 4, 1), window(0.1, 4, 1)]
+    found = demand_in([*ended, *[window(0.1, 4, 0)] * 4])
+    assert found.cores == pytest.approx(0.8)
+
+
+def test_who_works_off_what_waited_needs_less_than_it_uses() -> None:
+    """10 a second come, 20 are done, for 0.4 cores."""
+    found = demand_in([window(0.2, 5, 10)] * 4)
+    assert found.cores == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("done", [(0, 0, 0), (0, 1, 0)])
+def test_without_jobs_that_ended_only_what_was_used_is_known(
+    done: tuple[int, ...],
+) -> None:
+    """One end is none: when that job began is not known."""
+    found = demand_in([window(0.1, 10, n) for n in done])
+    assert found.cores == pytest.approx(0.2)
+    assert found.error is None
+
+
+def test_the_share_of_jobs_that_went_undone_is_known() -> None:
+    assert Sums([window(0.1, 10, 4)]).undone == pytest.approx(0.6)
+    assert Sums([window(0.1, 10, 9)]).undone == 0.0
+    assert Sums([window(0.1, 4, 10)]).undone == 0.0
