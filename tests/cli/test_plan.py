@@ -113,6 +113,15 @@ def test_refuses_what_it_cannot_do(problem_file: Path, wrong: tuple[str, str]) -
     assert isinstance(result.exception, UsageError)
 
 
+@pytest.mark.parametrize("other", [("--explain", "a"), ("--smallest",)])
+def test_a_comparison_refuses_what_is_about_one_method(
+    problem_file: Path, other: tuple[str, ...]
+) -> None:
+    result = call(problem_file, "--compare", "greedy,search", *other)
+    assert isinstance(result.exception, UsageError)
+    assert f"--compare and {' '.join(other)} together" in str(result.exception)
+
+
 def test_shows_what_was_put_aside(tmp_path: Path) -> None:
     path = tmp_path / "tight.json"
     path.write_text(
@@ -125,4 +134,6 @@ def test_shows_what_was_put_aside(tmp_path: Path) -> None:
     assert call(path).exit_code == 1
     result = call(path, "--fewer")
     assert result.exit_code == 0
-    assert "put aside: B" in result.stdout
+    said = " ".join(result.stdout.split())
+    assert "put aside: B, as not all fits: a, b together need 4 cpu" in said
+    assert "not feasible" not in said

@@ -78,6 +78,12 @@ def plan_command(
 
     poise plan robot.yaml --without main --add new:cpu=4,memory=8GiB
     """
+    if compare is not None and (explain is not None or smallest):
+        other = f"--explain {explain}" if explain is not None else "--smallest"
+        raise UsageError(
+            f"--compare and {other} together: {other} is about one method's placement; "
+            "take it with --method"
+        )
     notes = Console(stderr=True, highlight=False)
     robot, problem = read(file, task, notes.print)
     problem = changed(problem, without or [], add or [], scale or [])

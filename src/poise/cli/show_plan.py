@@ -26,12 +26,12 @@ def show(problem: plan.Problem, result: plan.Result, console: Console) -> None:
         bars = [bar(problem, result, computer, resource) for resource in resources]
         rows.add_row(computer.name, ", ".join(names), *bars)
     console.print(rows)
-    if result.reason:
+    if not result.feasible:
         console.print(f"[bold red]not feasible[/]: {result.reason}", highlight=False)
     if result.aside:
-        console.print(
-            f"[bold red]put aside[/]: {', '.join(result.aside)}", highlight=False
-        )
+        names = ", ".join(result.aside)
+        why = f", as not all fits: {result.reason}" if result.feasible else ""
+        console.print(f"[bold red]put aside[/]: {names}{why}", highlight=False)
     for function, architecture in result.architectures.items():
         console.print(f"{function}: by {architecture}", highlight=False)
     console.print(_terms(result), highlight=False)
