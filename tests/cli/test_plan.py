@@ -56,6 +56,16 @@ def test_people_see_the_placement(problem_file: Path) -> None:
     assert "F = " in text
 
 
+def test_people_see_some_of_very_many_names(tmp_path: Path) -> None:
+    """Of 1,000 on one computer 25 are named; JSON has them all."""
+    names = ", ".join(f'{{"name": "c{i}"}}' for i in range(1000))
+    path = tmp_path / "many.json"
+    path.write_text(f'{{"components": [{names}], "computers": [{{"name": "one"}}]}}')
+    said = call(path).stdout
+    assert "and 975 more" in " ".join(said.replace("│", " ").split())
+    assert len(json.loads(call(path, "--json").stdout)["placement"]) == 1000
+
+
 def test_a_problem_without_a_solution_exits_with_1(tmp_path: Path) -> None:
     path = tmp_path / "problem.json"
     path.write_text(PROBLEM.replace('"capacity": {"cpu": 1}', '"capacity": {}'))

@@ -117,7 +117,8 @@ def plan_command(
             few = plan.smallest(problem, solve) if smallest else None
             result = few.result if few else solved(method)
             problem = _placed_part(problem, result, few)
-            if not (result.aside or result.architectures):
+            # Who pressed Ctrl-C waits for the placement, not for how it began.
+            if not (asked.is_set() or result.aside or result.architectures):
                 result = replace(result, trace=plan.trace(problem))
             _answer(problem, result, few, explain, json=json)
             feasible = result.feasible

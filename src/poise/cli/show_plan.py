@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -10,6 +12,8 @@ from poise import plan, units
 
 BAR = 10
 """Length of a full bar [characters]."""
+MOST_NAMES = 25
+"""How many components of one computer are named; `--json` names all."""
 
 
 def show(problem: plan.Problem, result: plan.Result, console: Console) -> None:
@@ -21,17 +25,21 @@ def show(problem: plan.Problem, result: plan.Result, console: Console) -> None:
     rows = Table("computer", "components")
     for resource in resources:
         rows.add_column(resource, no_wrap=True)
+    held: dict[str, list[str]] = {computer.name: [] for computer in problem.computers}
+    for component, there in result.placement.items():
+        held[there].append(component)
+    used = _used(problem, result)
     for computer in problem.computers:
-        names = [c for c, h in result.placement.items() if h == computer.name]
-        bars = [bar(problem, result, computer, resource) for resource in resources]
-        rows.add_row(computer.name, ", ".join(names), *bars)
+        bars = [_bar(computer, r, used[computer.name, r]) for r in resources]
+        rows.add_row(computer.name, _some(held[computer.name]), *bars)
     console.print(rows)
     if not result.feasible:
         console.print(f"[bold red]not feasible[/]: {result.reason}", highlight=False)
     if result.aside:
-        names = ", ".join(result.aside)
         why = f", as not all fits: {result.reason}" if result.feasible else ""
-        console.print(f"[bold red]put aside[/]: {names}{why}", highlight=False)
+        console.print(
+            f"[bold red]put aside[/]: {', '.join(result.aside)}{why}", highlight=False
+        )
     for function, architecture in result.architectures.items():
         console.print(f"{function}: by {architecture}", highlight=False)
     console.print(_terms(result), highlight=False)
@@ -46,17 +54,29 @@ def show_smallest(few: plan.Smallest, console: Console) -> None:
     console.print(f"fits on {len(few.computers)}: {names}; {known}", highlight=False)
 
 
-def bar(
-    problem: plan.Problem, result: plan.Result, computer: plan.Computer, resource: str
-) -> Text:
+def _some(names: list[str]) -> str:
+    more = len(names) - MOST_NAMES
+    said = ", ".join(names[:MOST_NAMES])
+    return f"{said} and {more} more" if more > 0 else said
+
+
+def _used(
+    problem: plan.Problem, result: plan.Result
+) -> defaultdict[tuple[str, str], float]:
+    """Return what a placement uses of each computer's resources."""
+    used: defaultdict[tuple[str, str], float] = defaultdict(float)
+    for component in problem.components:
+        there = result.placement.get(component.name)
+        if there is not None:
+            for resource, amount in component.demand.items():
+                used[there, resource] += amount
+    return used
+
+
+def _bar(computer: plan.Computer, resource: str, used: float) -> Text:
     """Return how much of a resource is used, as a bar and a share of the capacity."""
     speed = computer.speed if resource == "cpu" else 1.0
     capacity = computer.capacity.get(resource, 0.0) * speed
-    used = sum(
-        c.demand.get(resource, 0.0)
-        for c in problem.components
-        if result.placement.get(c.name) == computer.name
-    )
     if capacity <= 0:
         return Text("none" if not used else units.format_amount(resource, used))
     share = used / capacity
@@ -77,11 +97,12 @@ def show_comparison(
     table.add_row("feasible", *("yes" if results[n].feasible else "NO" for n in names))
     table.add_row("decided in", *(_seconds(results[n]) for n in names))
     table.add_section()
+    used = [_used(problem, result) for result in results.values()]
     for computer in problem.computers:
         for resource in problem.resources:
             table.add_row(
                 f"{computer.name} {resource}",
-                *(bar(problem, results[name], computer, resource) for name in names),
+                *(_bar(computer, resource, u[computer.name, resource]) for u in used),
             )
     console.print(table)
     for name, result in results.items():
