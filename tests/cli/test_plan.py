@@ -56,6 +56,16 @@ def test_people_see_the_placement(problem_file: Path) -> None:
     assert "F = " in text
 
 
+def test_people_see_some_of_very_many_names(tmp_path: Path) -> None:
+    """Of 1,000 on one computer 25 are named; JSON has them all."""
+    names = ", ".join(f'{{"name": "c{i}"}}' for i in range(1000))
+    path = tmp_path / "many.json"
+    path.write_text(f'{{"components": [{names}], "computers": [{{"name": "one"}}]}}')
+    said = call(path).stdout
+    assert "and 975 more" in " ".join(said.replace("│", " ").split())
+    assert len(json.loads(call(path, "--json").stdout)["placement"]) == 1000
+
+
 def test_a_problem_without_a_solution_exits_with_1(tmp_path: Path) -> None:
     path = tmp_path / "problem.json"
     path.write_text(PROBLEM.replace('"capacity": {"cpu": 1}', '"capacity": {}'))
@@ -123,6 +133,15 @@ def test_refuses_what_it_cannot_do(problem_file: Path, wrong: tuple[str, str]) -
     assert isinstance(result.exception, UsageError)
 
 
+@pytest.mark.parametrize("other", [("--explain", "a"), ("--smallest",)])
+def test_a_comparison_refuses_what_is_about_one_method(
+    problem_file: Path, other: tuple[str, ...]
+) -> None:
+    result = call(problem_file, "--compare", "greedy,search", *other)
+    assert isinstance(result.exception, UsageError)
+    assert f"--compare and {' '.join(other)} together" in str(result.exception)
+
+
 def test_shows_what_was_put_aside(tmp_path: Path) -> None:
     path = tmp_path / "tight.json"
     path.write_text(
@@ -135,4 +154,6 @@ def test_shows_what_was_put_aside(tmp_path: Path) -> None:
     assert call(path).exit_code == 1
     result = call(path, "--fewer")
     assert result.exit_code == 0
-    assert "put aside: B" in result.stdout
+    said = " ".join(result.stdout.split())
+    assert "put aside: B, as not all fits: a, b together need 4 cpu" in said
+    assert "not feasible" not in said

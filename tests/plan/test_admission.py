@@ -33,6 +33,19 @@ def test_puts_the_lowest_priority_aside() -> None:
     result = plan.solve(asked, fewer=True)
     assert result.aside == ("talk",)
     assert set(result.placement) == {"drive.part", "see.part"}
+    assert result.feasible
+    # All three need 3 cores, and there are 2.
+    assert "together need 3 cpu; one has 2" in result.reason
+    assert "Way out: 1 more cpu on one" in result.reason
+    assert result.conflict is not None
+
+
+def test_says_that_not_all_fits_where_no_more_is_asked() -> None:
+    asked = problem((architecture("a"), 2.0), (architecture("b"), 2.0), room=3.0)
+    result = plan.solve(asked, fewer=True, why=False)
+    assert result.feasible
+    assert result.reason == "no placement keeps all limits"
+    assert result.conflict is None
 
 
 def test_puts_aside_as_few_as_possible() -> None:

@@ -128,6 +128,13 @@ def test_refuses_a_bandwidth_out_of_range(bandwidth: float) -> None:
         (robot(together=(("a", "a"),)), "together: 'a' is there 2 times"),
         (robot(apart=(("b", "a", "b"),)), "apart: 'b' is there 2 times"),
         (robot(apart=(("a", "c"),)), "apart: no component is called 'c'"),
+        (
+            _component(only="one"),
+            "component 'a': only is the text 'one', must be names",
+        ),
+        (_joined(between="ab"), "connector: between is the text 'ab'"),
+        (robot(together=("ab",)), "together: a set is the text 'ab'"),
+        (robot(apart="ab"), "apart is the text 'ab'"),
         (_component(present="tow"), "did you mean 'two'"),
         (_joined(between=("a",)), "connector between a: it must join two"),
         (robot(objective=Objective(scale="papr")), "scale is 'papr', must be"),  # type: ignore[arg-type]

@@ -78,6 +78,12 @@ def plan_command(
 
     poise plan robot.yaml --without main --add new:cpu=4,memory=8GiB
     """
+    if compare is not None and (explain is not None or smallest):
+        other = f"--explain {explain}" if explain is not None else "--smallest"
+        raise UsageError(
+            f"--compare and {other} together: {other} is about one method's placement; "
+            "take it with --method"
+        )
     notes = Console(stderr=True, highlight=False)
     robot, problem = read(file, task, notes.print)
     problem = changed(problem, without or [], add or [], scale or [])
@@ -111,7 +117,8 @@ def plan_command(
             few = plan.smallest(problem, solve) if smallest else None
             result = few.result if few else solved(method)
             problem = _placed_part(problem, result, few)
-            if not (result.aside or result.architectures):
+            # Who pressed Ctrl-C waits for the placement, not for how it began.
+            if not (asked.is_set() or result.aside or result.architectures):
                 result = replace(result, trace=plan.trace(problem))
             _answer(problem, result, few, explain, json=json)
             feasible = result.feasible

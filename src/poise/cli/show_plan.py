@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+
 from rich.console import Console
 from rich.table import Table
 
@@ -10,6 +12,8 @@ from poise.cli.tables import table
 
 BAR = 10
 """Length of a full bar [characters]."""
+MOST_NAMES = 25
+"""How many components of one computer are named; `--json` names all."""
 _MOST_BARS = 3
 """Bars of so many placements fit side by side."""
 
@@ -23,16 +27,20 @@ def show(problem: plan.Problem, result: plan.Result, console: Console) -> None:
     rows = Table("computer", "components")
     for resource in resources:
         rows.add_column(resource, no_wrap=True)
+    held: dict[str, list[str]] = {computer.name: [] for computer in problem.computers}
+    for component, there in result.placement.items():
+        held[there].append(component)
+    used = _used(problem, result)
     for computer in problem.computers:
-        names = [c for c, h in result.placement.items() if h == computer.name]
-        bars = [bar(problem, result, computer, resource) for resource in resources]
-        rows.add_row(computer.name, ", ".join(names), *bars)
+        bars = [_bar(computer, r, used[computer.name, r]) for r in resources]
+        rows.add_row(computer.name, _some(held[computer.name]), *bars)
     console.print(rows)
-    if result.reason:
+    if not result.feasible:
         console.print(f"[bold red]not feasible[/]: {result.reason}", highlight=False)
     if result.aside:
+        why = f", as not all fits: {result.reason}" if result.feasible else ""
         console.print(
-            f"[bold red]put aside[/]: {', '.join(result.aside)}", highlight=False
+            f"[bold red]put aside[/]: {', '.join(result.aside)}{why}", highlight=False
         )
     for function, architecture in result.architectures.items():
         console.print(f"{function}: by {architecture}", highlight=False)
@@ -48,38 +56,45 @@ def show_smallest(few: plan.Smallest, console: Console) -> None:
     console.print(f"fits on {len(few.computers)}: {names}; {known}", highlight=False)
 
 
-def bar(
-    problem: plan.Problem, result: plan.Result, computer: plan.Computer, resource: str
-) -> str:
+def _some(names: list[str]) -> str:
+    more = len(names) - MOST_NAMES
+    said = ", ".join(names[:MOST_NAMES])
+    return f"{said} and {more} more" if more > 0 else said
+
+
+def _used(
+    problem: plan.Problem, result: plan.Result
+) -> defaultdict[tuple[str, str], float]:
+    """Return what a placement uses of each computer's resources."""
+    used: defaultdict[tuple[str, str], float] = defaultdict(float)
+    for component in problem.components:
+        there = result.placement.get(component.name)
+        if there is not None:
+            for resource, amount in component.demand.items():
+                used[there, resource] += amount
+    return used
+
+
+def _bar(computer: plan.Computer, resource: str, used: float) -> str:
     """Return how much of a resource is used, as a bar and a share of the capacity."""
-    text = share(problem, result, computer, resource)
-    used, capacity = _load(problem, result, computer, resource)
+    text, capacity = _share(computer, resource, used), _capacity(computer, resource)
     if capacity <= 0:
         return text
     full = min(BAR, round(used / capacity * BAR))
     return f"{'█' * full}{'░' * (BAR - full)} {text:>4}"
 
 
-def share(
-    problem: plan.Problem, result: plan.Result, computer: plan.Computer, resource: str
-) -> str:
+def _share(computer: plan.Computer, resource: str, used: float) -> str:
     """Return which share of a capacity is used; where there is none, how much is."""
-    used, capacity = _load(problem, result, computer, resource)
+    capacity = _capacity(computer, resource)
     if capacity <= 0:
         return units.format_amount(resource, used) if used else "none"
     return f"{used / capacity:.0%}"
 
 
-def _load(
-    problem: plan.Problem, result: plan.Result, computer: plan.Computer, resource: str
-) -> tuple[float, float]:
+def _capacity(computer: plan.Computer, resource: str) -> float:
     speed = computer.speed if resource == "cpu" else 1.0
-    used = sum(
-        c.demand.get(resource, 0.0)
-        for c in problem.components
-        if result.placement.get(c.name) == computer.name
-    )
-    return used, computer.capacity.get(resource, 0.0) * speed
+    return computer.capacity.get(resource, 0.0) * speed
 
 
 def show_comparison(
@@ -94,12 +109,13 @@ def show_comparison(
     rows.add_row("proven", *("yes" if results[n].proven else "no" for n in names))
     rows.add_row("feasible", *("yes" if results[n].feasible else "NO" for n in names))
     rows.add_row("decided in", *(_seconds(results[n]) for n in names))
-    load = bar if len(names) <= _MOST_BARS else share
+    load = _bar if len(names) <= _MOST_BARS else _share
+    used = [_used(problem, result) for result in results.values()]
     for computer in problem.computers:
         for resource in problem.resources:
             rows.add_row(
                 f"{computer.name} {resource}",
-                *(load(problem, results[name], computer, resource) for name in names),
+                *(load(computer, resource, u[computer.name, resource]) for u in used),
             )
     console.print(rows)
     for name, result in results.items():

@@ -47,8 +47,10 @@ def admit(problem: Problem, decide: Decide, *, fewer: bool) -> Result:
     levels = [[need for need in needs if _priority(need) == p] for p in priorities]
     admitted = _Admission(problem, decide).most([], levels)
     aside = tuple(a.name for need in needs if need not in admitted for a in need[:1])
-    result = _choose(problem, admitted, decide, 1.0)
-    return replace(result, aside=aside)
+    best = _choose(problem, admitted, decide, 1.0)
+    # What fits when some are put aside does not say why they were: all together do.
+    reason = result.reason if best.feasible and aside else best.reason
+    return replace(best, aside=aside, reason=reason)
 
 
 def part_of(problem: Problem, result: Result) -> Problem:

@@ -35,6 +35,9 @@ def check(problem: Problem) -> None:
 
 def problems(problem: Problem) -> Iterator[str]:
     """Yield everything that is wrong, each named with its value and the choices."""
+    if texts := list(_texts(problem)):
+        yield from texts  # all else would read them letter by letter
+        return
     components = [c.name for c in problem.components]
     computers = [h.name for h in problem.computers]
     yield from _twice("component", components)
@@ -46,6 +49,29 @@ def problems(problem: Problem) -> Iterator[str]:
     yield from _names(problem, components, computers)
     yield from _groups(problem)
     yield from _matrices(problem)
+
+
+def _texts(problem: Problem) -> Iterator[str]:
+    """Yield where one name stands that should be several."""
+    for where, names in _lists(problem):
+        if isinstance(names, str):
+            yield f"{where} is the text {names!r}, must be names, such as [{names!r}]"
+
+
+def _lists(problem: Problem) -> Iterator[tuple[str, object]]:
+    """Yield where several names should be, and what is there."""
+    for c in problem.components:
+        yield f"component {c.name!r}: only", c.only
+    for k in problem.connectors:
+        yield "connector: between", k.between
+    for link in problem.links:
+        yield "link: between", link.between
+    for a in problem.architectures:
+        yield f"architecture {a.name!r}: components", a.components
+    for kind, groups in (("together", problem.together), ("apart", problem.apart)):
+        yield kind, groups
+        for group in groups:
+            yield f"{kind}: a set", group
 
 
 def _twice(kind: str, names: Sequence[object]) -> Iterator[str]:

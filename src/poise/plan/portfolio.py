@@ -183,16 +183,16 @@ def _auto(engine: Engine, known: Placed, effort: Effort) -> tuple[Answer, str]:
     if not engine.provable:
         return _search(engine, known, effort)
     start = perf_counter()
-    glance = effort.glance(engine, known)
-    if glance.proven or glance.stopped_by == "interrupted":
-        return glance, "exact"
-    known = glance.placed
-    first = effort.share(LOOK_AROUND).search(engine, known)
-    if first.stopped_by == "interrupted":
-        return first, "search"
-    before, used = first, LOOK_AROUND
+    before, used = effort.glance(engine, known), 0.0
+    if before.proven or before.stopped_by == "interrupted":
+        return before, "exact"
+    # A search in two parts finds less than one: only for a proof it is worth it.
     if _may_be_proven(engine):
-        before, used = effort.share(PROOF).exact(engine, first.placed), used + PROOF
+        first = effort.share(LOOK_AROUND).search(engine, before.placed)
+        if first.stopped_by == "interrupted":
+            return first, "search"
+        before = effort.share(PROOF).exact(engine, first.placed)
+        used = LOOK_AROUND + PROOF
         if before.proven or before.stopped_by == "interrupted":
             return before, "exact"
     left = max(0.0, effort.seconds - (perf_counter() - start))

@@ -108,9 +108,11 @@ class Result(Struct, frozen=True, kw_only=True):
     feasible
         Whether it keeps every limit.
     reason
-        Why it is not feasible, for people; empty when it is.
+        Why it is not feasible, or why architectures were put aside, for people; empty
+        when it is feasible with all of them.
     conflict
-        Which components and limits cannot hold together; None when not known.
+        Which components and limits cannot hold together, with those put aside; None
+        when not known.
     objective
         The terms of F; None without a placement.
     method

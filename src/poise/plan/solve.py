@@ -59,8 +59,9 @@ def solve(  # noqa: PLR0913 - each says how to decide, and has a default
         Asked 50 times a second, in any thread, whether to return the best placement so
         far, such as ``threading.Event().is_set``. What it raises is raised.
     why
-        Look for what cannot hold together where nothing holds, and for the cheapest way
-        out; that takes up to a second or two on top of the budget.
+        Look for what cannot hold together where nothing holds, or not all that was put
+        aside, and for the cheapest way out; that takes up to a second or two on top of
+        the budget.
 
     Raises
     ------
@@ -83,13 +84,16 @@ def solve(  # noqa: PLR0913 - each says how to decide, and has a default
         result = admit(problem, part, fewer=fewer)
     else:
         result = part(problem, 1.0)
-    if why and method != "greedy" and not (result.feasible or result.placement):
-        result = _explained(part_of(problem, result), result, stop)
+    if why and method != "greedy":
+        if not (result.feasible or result.placement):
+            result = _explained(part_of(problem, result), result, stop)
+        elif result.aside and not result.architectures:
+            result = _explained(problem, result, stop)
     return replace(result, seconds=perf_counter() - start, seed=seed)
 
 
 def _explained(problem: Problem, result: Result, stop: Ask | None) -> Result:
-    """Return the result with what cannot hold together, as far as that is found."""
+    """Add what in `problem` cannot hold together, as far as that is found."""
     found = conflict(problem, stop)
     if found is None:
         return result
@@ -97,9 +101,10 @@ def _explained(problem: Problem, result: Result, stop: Ask | None) -> Result:
     if not limits.startswith(names):
         limits = f"{names} cannot hold together: {limits}"
     reason = f"{limits}. Way out: {found.way_out}"
-    return replace(
-        result, reason=reason, conflict=found, proven=True, stopped_by="infeasible"
-    )
+    result = replace(result, reason=reason, conflict=found)
+    if result.feasible:
+        return result
+    return replace(result, proven=True, stopped_by="infeasible")
 
 
 def trace(problem: Problem) -> tuple[Step, ...]:

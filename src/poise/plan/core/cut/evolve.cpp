@@ -21,10 +21,11 @@ constexpr double kHeaviest = 1.5;
 // And when a division is made better.
 constexpr int kAgain = 20;
 constexpr int kPopulation = 6;
-// Which part of the effort goes into divisions from nothing.
+// Which part of the effort goes into the first divisions from nothing.
 constexpr double kFresh = 0.25;
-// After so many without a better best, a population is given up; so many give theirs.
-constexpr int kPatience = 60, kEpochs = 4;
+// After so many without a better best, a population that is not full gets one more from
+// nothing, and a full one is given up; so many give their best.
+constexpr int kStuck = 2, kPatience = 20, kEpochs = 4;
 
 struct Division {
   Blocks block;
@@ -78,7 +79,10 @@ class Evolution {
     while (!stop_.look() && idle < kPatience) {
       const int size = static_cast<int>(all_.size());
       bool better = false;
-      if (size == 1 || random_.below(10) == 0) {
+      if (size < kPopulation && idle == kStuck) {
+        better = add(fresh());
+        idle = -1;
+      } else if (size == 1 || random_.below(10) == 0) {
         better = add(again(all_[pick()]));
       } else {
         const int a = pick();
