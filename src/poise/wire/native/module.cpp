@@ -8,6 +8,7 @@
 #include <ctime>
 
 #include "channel.h"
+#include "copy.h"
 
 namespace nb = nanobind;
 using poise::Channel;
@@ -286,7 +287,7 @@ void fill(nb::handle target, std::size_t start, nb::list list) {
     nb::gil_scoped_release unlocked;
     auto* place = static_cast<char*>(view.buf) + start;
     for (const iovec& piece : pieces.behind(nullptr, 0)) {
-      if (piece.iov_len) std::memcpy(place, piece.iov_base, piece.iov_len);
+      if (piece.iov_len) poise::copy_shared(place, piece.iov_base, piece.iov_len);
       place += piece.iov_len;
     }
   } else {
