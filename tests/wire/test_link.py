@@ -138,7 +138,7 @@ def test_a_pool_is_bounded_while_nothing_is_given_back() -> None:
     pool = shared.Pool(shared.Block)
     taken = []
     while (block := pool.take(1 << 16)[0]) is not None:
-        block.fill([b"x"])
+        block.lend()
         taken.append(block)
     assert len(taken) == shared.MOST_BLOCKS
     pool.close()
