@@ -9,10 +9,15 @@
 
 #include "channel.h"
 #include "copy.h"
+#include "lender.h"
+#include "memory.h"
 
 namespace nb = nanobind;
 using poise::Channel;
 using poise::Head;
+using poise::Lender;
+using poise::Lent;
+using poise::Memory;
 using poise::Outcome;
 
 namespace {
@@ -55,23 +60,6 @@ void refuse_too_large(std::size_t size, std::size_t largest, const char* error =
     raise("poise.wire.codec", error,
           nb::str("a frame of {} B; {} B is the largest").format(size, largest));
 }
-
-// The memory of a bytes-like object, held for as long as this lives.
-class Memory {
- public:
-  Memory(nb::handle object, int wanted) {
-    if (PyObject_GetBuffer(object.ptr(), &view_, wanted) != 0) throw nb::python_error();
-  }
-  Memory(Memory&& other) noexcept : view_(other.view_) { other.view_ = {}; }
-  Memory& operator=(Memory&&) = delete;
-  ~Memory() { PyBuffer_Release(&view_); }
-
-  char* begin() const { return static_cast<char*>(view_.buf); }
-  std::size_t size() const { return static_cast<std::size_t>(view_.len); }
-
- private:
-  Py_buffer view_;
-};
 
 // The pieces of a frame; with a block, its arrays go there.
 class Pieces {
@@ -247,57 +235,6 @@ nb::list segments(nb::handle codec, nb::handle value, int kind, std::uint16_t ta
   return pieces;
 }
 
-// Where the receiver's arrays lie in shared memory: see `poise.wire.shared`.
-class Lender {
- public:
-  Lender(nb::handle data, nb::handle flags, std::size_t slot)
-      : data_(data, PyBUF_SIMPLE), flags_(flags, PyBUF_WRITABLE), slot_(slot) {
-    if (slot >= flags_.size()) throw nb::value_error("there is no such slot");
-  }
-
-  const char* data() const { return data_.begin(); }
-  std::size_t size() const { return data_.size(); }
-  // The sender may write from now on; it must not see that before all was read.
-  void give_back() { __atomic_store_n(flags_.begin() + slot_, 0, __ATOMIC_RELEASE); }
-
- private:
-  Memory data_, flags_;
-  std::size_t slot_;
-};
-
-// What was sent on a block, for as long as anybody looks at it.
-class Lent {
- public:
-  Lent(nb::handle lender, std::size_t size)
-      : lender_(nb::borrow(lender)), from_(*nb::inst_ptr<Lender>(lender)), size_(size) {}
-  Lent(const Lent&) = delete;
-  Lent& operator=(const Lent&) = delete;
-  ~Lent() { from_.give_back(); }
-
-  static int view(PyObject* self, Py_buffer* view, int flags) {
-    const Lent& lent = *nb::inst_ptr<Lent>(self);
-    return PyBuffer_FillInfo(view, self, const_cast<char*>(lent.from_.data()),
-                             static_cast<Py_ssize_t>(lent.size_), 1, flags);
-  }
-
- private:
-  nb::object lender_;
-  Lender& from_;
-  std::size_t size_;
-};
-
-PyType_Slot lent_slots[] = {{Py_bf_getbuffer, reinterpret_cast<void*>(&Lent::view)}, {0, nullptr}};
-
-nb::object lend(nb::handle lender, std::uint64_t length) {
-  const std::size_t size = nb::inst_ptr<Lender>(lender)->size();
-  if (length > size)
-    raise_wire_error(nb::str("{} B announced in a block of {} B").format(length, size));
-  const nb::object lent = nb::cast(new Lent(lender, length), nb::rv_policy::take_ownership);
-  auto* seen = PyMemoryView_FromObject(lent.ptr());
-  if (!seen) throw nb::python_error();
-  return nb::steal(seen);
-}
-
 std::uintptr_t address(nb::handle memory) {
   return reinterpret_cast<std::uintptr_t>(Memory(memory, PyBUF_SIMPLE).begin());
 }
@@ -329,7 +266,11 @@ nb::object rest_of(Channel& channel, const Head& head, double deadline, std::siz
     const nb::bytes data = take(channel, head.length, deadline);
     const nb::object number = nb::cast(head.block);
     if (!lenders.contains(number)) return nb::make_tuple(head.block, head.used, data);
-    return parse(data, lend(lenders[number], head.used));
+    const nb::object lender = lenders[number];
+    const std::size_t size = nb::cast<const Lender&>(lender).size();
+    if (head.used > size)
+      raise_wire_error(nb::str("{} B announced in a block of {} B").format(head.used, size));
+    return parse(data, poise::lend(lender, head.used));
   }
   if (head.length <= std::min(small, channel.num_ahead())) {
     const char* data = channel.skip(head.length);
@@ -385,7 +326,7 @@ NB_MODULE(_channel, module) {
   nb::class_<Lender>(module, "Lender")
       .def(nb::init<nb::handle, nb::handle, std::size_t>(), nb::arg("data"), nb::arg("flags"),
            nb::arg("slot"));
-  nb::class_<Lent>(module, "Lent", nb::type_slots(lent_slots));
+  nb::class_<Lent>(module, "Lent", nb::type_slots(Lent::slots));
   module.def("parse", &parse, nb::arg("data"), nb::arg("buffers") = nb::none());
   module.def("segments", &segments, nb::arg("codec"), nb::arg("value").none(), nb::arg("kind"),
              nb::arg("tag") = 0, nb::arg("number") = 0, nb::arg("chain") = 0);
