@@ -8,9 +8,11 @@ import os
 import platform
 import sys
 from importlib.metadata import PackageNotFoundError, version
+from statistics import median
 
 from benchmarks.calls.cases import ALL, CASES
 from benchmarks.calls.pair import Row, run
+from benchmarks.calls.timing import Times
 
 COUNTS = {64: 5000, 4096: 2000, 1 << 20: 300, 6 << 20: 100}
 PACKAGES = ("eclipse-zenoh", "pyzmq", "iceoryx2", "ros-rclpy", "msgspec", "numpy")
@@ -61,20 +63,41 @@ def as_json(rows: list[Row]) -> str:
 
 
 def main() -> None:
-    """Measure all cases, one after the other."""
+    """Measure all cases, one after the other, in so many rounds as are wanted."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.calls")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--quick", action="store_true", help="fewer round trips")
-    parser.add_argument("--only", default="", help="titles that contain this")
+    parser.add_argument("--only", nargs="*", default=[""], help="parts of titles")
+    parser.add_argument(
+        "--rounds", type=int, default=1, help="medians over so many rounds of all cases"
+    )
     options = parser.parse_args()
     share = 0.2 if options.quick else 1.0
     counts = {size: int(count * share) for size, count in COUNTS.items()}
-    rows = []
-    for case in CASES:
-        if options.only in case.title:
-            print(case.title, "...", file=sys.stderr)
-            rows.append(run(case, counts))
+    cases = [c for c in CASES if any(part in c.title for part in options.only)]
+    rounds = []
+    for number in range(options.rounds):
+        print("round", number + 1, "...", file=sys.stderr)
+        rounds.append([run(case, counts) for case in cases])
+    rows = [_middle(rows) for rows in zip(*rounds, strict=True)]
     print(as_json(rows) if options.json else table(rows))
+
+
+def _middle(rows: tuple[Row, ...]) -> Row:
+    """Return the medians of a case's rounds."""
+
+    def middle(times: tuple[Times, ...]) -> Times:
+        medians, p99s = zip(*((t.median_us, t.p99_us) for t in times), strict=True)
+        return Times(times[0].size, round(median(medians), 3), round(median(p99s), 3))
+
+    by_size = zip(*(row.times for row in rows), strict=True)
+    return Row(
+        title=rows[0].title,
+        key=rows[0].key,
+        times=tuple(middle(times) for times in by_size),
+        idle=max(row.idle for row in rows),
+        remark=rows[0].remark,
+    )
 
 
 def _short(microseconds: float) -> str:

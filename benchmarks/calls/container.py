@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.calls.ping import Ping
-from benchmarks.calls.timing import Trips, timed
+from benchmarks.calls.timing import BIG, Trips, payload, read, timed
 from poise.clock import SystemClock
 from poise.runtime.component import Component
 from poise.runtime.ports import (
@@ -32,7 +32,6 @@ from poise.wire.loans import loan
 from poise.wire.messages import ComponentSpec, ConnectorKind, ConnectorSpec
 
 HOST, PORT = "127.0.0.1", 17448
-BIG = 1 << 16
 LIMIT = 30.0
 """Far above what a call takes on a machine that others use, too [s]."""
 
@@ -49,7 +48,7 @@ class Echo:
         raise NotImplementedError
 
     def echo_loan(self, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return a loan as large as what came."""
+        """Return a loan that holds what came."""
         raise NotImplementedError
 
 
@@ -81,8 +80,8 @@ class Callee(Component):
         return data
 
     def echo_loan(self, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return a loan as large as what came."""
-        return loan(data.shape, np.uint8)
+        """Return a loan that holds what came."""
+        return filled(data)
 
     @subscribed(keep=4)
     def small_ping(self, message: Small) -> None:
@@ -115,8 +114,21 @@ class Caller(Component):
     @subscribed(keep=4)
     def big_pong(self, message: Big) -> None:
         """Take an answer."""
+        read(message.data)
         del message
         self.on_pong()
+
+
+def filled(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a loan that holds `data`."""
+    made = loan(data.shape, np.uint8)
+    made[:] = data
+    return made
+
+
+def array(size: int) -> NDArray[np.uint8]:
+    """Return a payload as an array."""
+    return np.frombuffer(bytearray(payload(size)), np.uint8)
 
 
 def connectors(kind: ConnectorKind) -> tuple[ConnectorSpec, ...]:
@@ -202,22 +214,26 @@ def calls(kind: ConnectorKind, folder: Path) -> Iterator[Trips]:
 
         def trips(size: int, count: int) -> list[float]:
             if size < BIG:
-                return timed(caller.calls.echo, bytes(size), count)
-            return timed(caller.calls.echo_array, np.zeros(size, np.uint8), count)
+                return timed(caller.calls.echo, payload(size), count)
+            echo = caller.calls.echo_array
+            return timed(lambda data: read(echo(data)), array(size), count)
 
         yield trips
 
 
 @contextmanager
 def loans(folder: Path) -> Iterator[Trips]:
-    """Give the round trips of calls with a new loan there and a new one back."""
+    """Give the round trips of calls with a new loan there and a new one back.
+
+    Both are filled, as others fill what they send.
+    """
     with connect("local", folder) as runner:
         caller = runner.component
         assert isinstance(caller, Caller)
         echo = caller.calls.echo_loan
 
         def trips(size: int, count: int) -> list[float]:
-            return timed(lambda sides: echo(loan(sides, np.uint8)), size, count)
+            return timed(lambda data: read(echo(filled(data))), array(size), count)
 
         yield trips
 
@@ -234,7 +250,7 @@ def topics(kind: ConnectorKind, folder: Path) -> Iterator[Trips]:
             ping = small if size < BIG else big
             caller.on_pong = ping.on_pong
             if size < BIG:
-                return ping.trips(Small(bytes(size)), count)
-            return ping.trips(Big(np.zeros(size, np.uint8)), count)
+                return ping.trips(Small(payload(size)), count)
+            return ping.trips(Big(array(size)), count)
 
         yield trips

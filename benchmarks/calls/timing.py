@@ -8,10 +8,15 @@ from itertools import repeat
 from statistics import median, quantiles
 from typing import Any
 
+import numpy as np
 from msgspec import Struct
 
 Trips = Callable[[int, int], Sequence[float]]
 """Takes a payload's size [B] and a number of round trips; returns their times [s]."""
+
+
+BIG = 1 << 16
+"""Payloads of so many bytes and more are sent as arrays, and read [bytes]."""
 
 
 class Times(Struct, frozen=True):
@@ -20,6 +25,17 @@ class Times(Struct, frozen=True):
     size: int
     median_us: float
     p99_us: float
+
+
+def payload(size: int) -> bytes:
+    """Return `size` bytes in memory of their own: zeros would share one page."""
+    return b"\x01" * size
+
+
+def read(data: Any) -> None:
+    """Read all of a large payload, as who waited for it would."""
+    if memoryview(data).nbytes >= BIG:
+        np.frombuffer(data, np.uint64).max()
 
 
 def timed(call: Callable[[Any], object], argument: object, count: int) -> list[float]:

@@ -67,6 +67,10 @@ def ask(link: Link, value: object) -> Any:
     return link.receive(deadline).value(ANY)
 
 
+def call(value: object) -> Any:
+    return frame.segments(ANY, value, Kind.CALL)
+
+
 def image(number: int, size: int = 1 << 20) -> Any:
     return np.full(size, number, np.uint8)
 
@@ -138,7 +142,7 @@ def test_a_pool_is_bounded_while_nothing_is_given_back() -> None:
     pool = shared.Pool(shared.Block)
     taken = []
     while (block := pool.take(1 << 16)[0]) is not None:
-        block.fill([b"x"])
+        block.lend()
         taken.append(block)
     assert len(taken) == shared.MOST_BLOCKS
     pool.close()
@@ -279,3 +283,74 @@ def test_what_is_announced_takes_no_memory_before_it_comes(
 def resident() -> int:
     """Return how much memory this process has used at most [bytes]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
+
+
+@pytest.mark.parametrize("size", [1 << 16, (1 << 16) + 7, 3_000_001])
+def test_arrays_of_one_frame_lie_end_to_end_on_a_block(
+    ends: tuple[Link, Link], size: int
+) -> None:
+    """Also when the body is of any length, and the arrays are not."""
+    numbers = np.random.default_rng(size).integers(256, size=2 * size, dtype=np.uint8)
+    for length in range(17):
+        sent: list[Any] = [
+            "x" * length,
+            numbers[:size],
+            numbers[1 : size + 1],
+            numbers[size:],
+        ]
+        answer = ask(ends[0], sent)
+        assert answer[0] == sent[0]
+        pairs = zip(sent[1:], answer[1:], strict=True)
+        assert all(np.array_equal(one, other) for one, other in pairs)
+
+
+Known = tuple[Link, Link, shared.Block]
+
+
+@pytest.fixture
+def known() -> Iterator[Known]:
+    """Give two ends, and a block of the first one that the other knows."""
+    ours, theirs = map(Link, socket.socketpair())
+    thread = threading.Thread(target=ours.send, args=(call(image(1)),))
+    thread.start()
+    theirs.receive()
+    thread.join(LONG)
+    (block,) = ours._pool.blocks()
+    yield ours, theirs, block
+    ours.close()
+    theirs.close()
+
+
+def test_a_block_is_lent_until_the_last_view_is_gone(known: Known) -> None:
+    ours, theirs, block = known
+    assert block.is_free()
+    ours.send(call(image(1)))
+    part = theirs.receive().value(ANY)[7:9]
+    assert not block.is_free()
+    del part
+    assert block.is_free()
+
+
+def test_a_call_that_got_no_answer_takes_no_block_back(known: Known) -> None:
+    """The other end has it, and may read it for as long as it likes."""
+    ours, theirs, block = known
+    with pytest.raises(Timeout, match="no answer"):
+        ours.ask(call(image(5)), time.monotonic() + 0.01)
+    assert not block.is_free()
+    assert (theirs.receive().value(ANY) == 5).all()
+
+
+def test_a_call_that_did_not_go_out_gives_its_block_back(known: Known) -> None:
+    ours, theirs, block = known
+    theirs.close()
+    assert ours.ask(call(image(5)), time.monotonic() + LONG) is None
+    assert block.is_free()
+
+
+def test_a_frame_on_more_than_its_block_is_refused(known: Known) -> None:
+    ours, theirs, block = known
+    head = frame.segments(ANY, None, Kind.CALL)
+    deadline = time.monotonic() + LONG
+    ours._channel.send(head, deadline, LARGEST, block.number, block.capacity + 1)
+    with pytest.raises(WireError, match="B announced in a block of"):
+        theirs.receive()

@@ -1,7 +1,6 @@
 """iceoryx2: request/response in shared memory, each signalled by a listener.
 
-As with Poise's arrays, the sender copies into shared memory and the receiver reads
-there.
+The sender copies into memory that iceoryx2 lends it, and the receiver reads there.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from typing import Any
 
 import iceoryx2
 
-from benchmarks.calls.timing import Trips, timed
+from benchmarks.calls.timing import Trips, payload, read, timed
 
 LARGEST = 6 << 20
 
@@ -77,14 +76,18 @@ def connect(folder: Path) -> Iterator[Trips]:
     listener = node.answered.listener_builder().create()
     notifier = node.requested.notifier_builder().create()
 
+    def made(size: int) -> Any:
+        return (ctypes.c_uint8 * size).from_buffer_copy(payload(size))
+
     def echo(data: Any) -> None:
         size = len(data)
         request = client.loan_slice_uninit(size)
         pending = copy(request, ctypes.addressof(data), size).send()
         notifier.notify()
         answer = node.wait_for(listener, pending.receive)
+        read((ctypes.c_uint8 * size).from_address(answer.payload_ptr))
         answer.delete()
         pending.delete()
 
-    yield lambda size, count: timed(echo, (ctypes.c_uint8 * size)(), count)
+    yield lambda size, count: timed(echo, made(size), count)
     time.sleep(0)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import zmq
 
-from benchmarks.calls.timing import Trips, timed
+from benchmarks.calls.timing import Trips, payload, read, timed
 
 
 def serve(folder: Path, ready: Callable[[], None]) -> None:
@@ -28,6 +28,6 @@ def connect(folder: Path) -> Iterator[Trips]:
 
     def echo(data: bytes) -> None:
         requester.send(data, copy=False)
-        requester.recv(copy=False)
+        read(requester.recv(copy=False))
 
-    yield lambda size, count: timed(echo, bytes(size), count)
+    yield lambda size, count: timed(echo, payload(size), count)

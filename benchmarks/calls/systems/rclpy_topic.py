@@ -13,7 +13,7 @@ import rclpy
 from std_msgs.msg import UInt8MultiArray
 
 from benchmarks.calls.ros import start
-from benchmarks.calls.timing import Trips, timed
+from benchmarks.calls.timing import Trips, payload, read, timed
 
 
 def serve(_folder: Path, ready: Callable[[], None]) -> None:
@@ -43,8 +43,9 @@ def connect(_folder: Path) -> Iterator[Trips]:
         ping.publish(message)
         while not came:
             rclpy.spin_once(node)
+        read(came[0].data)
 
     def trips(size: int, count: int) -> list[float]:
-        return timed(echo, UInt8MultiArray(data=array("B", bytes(size))), count)
+        return timed(echo, UInt8MultiArray(data=array("B", payload(size))), count)
 
     yield trips

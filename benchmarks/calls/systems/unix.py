@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from benchmarks.calls.timing import Trips, timed
+from benchmarks.calls.timing import Trips, payload, read, timed
 
 
 def serve(folder: Path, ready: Callable[[], None]) -> None:
@@ -38,5 +38,6 @@ def connect(folder: Path) -> Iterator[Trips]:
                 left = received[: len(piece)]
                 while left:
                     left = left[connection.recv_into(left) :]
+            read(received[: len(data)])
 
-        yield lambda size, count: timed(echo, bytes(size), count)
+        yield lambda size, count: timed(echo, payload(size), count)

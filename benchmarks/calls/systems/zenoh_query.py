@@ -9,7 +9,7 @@ from pathlib import Path
 
 import zenoh
 
-from benchmarks.calls.timing import Trips, timed
+from benchmarks.calls.timing import Trips, payload, read, timed
 from benchmarks.calls.zenoh_pair import ADDRESS, wait_matching
 from poise.wire.session import open_session
 
@@ -39,6 +39,6 @@ def connect(_folder: Path) -> Iterator[Trips]:
     def echo(data: bytes) -> None:
         for reply in querier.get(payload=data):
             assert reply.ok is not None
-            reply.ok.payload.to_bytes()
+            read(reply.ok.payload.to_bytes())
 
-    yield lambda size, count: timed(echo, bytes(size), count)
+    yield lambda size, count: timed(echo, payload(size), count)

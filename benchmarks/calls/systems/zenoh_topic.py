@@ -10,7 +10,7 @@ from pathlib import Path
 import zenoh
 
 from benchmarks.calls.ping import Ping
-from benchmarks.calls.timing import Trips
+from benchmarks.calls.timing import Trips, payload, read
 from benchmarks.calls.zenoh_pair import ADDRESS, wait_matching
 from poise.wire.session import open_session
 
@@ -41,9 +41,9 @@ def connect(_folder: Path) -> Iterator[Trips]:
     ping = Ping(out.put)
 
     def on_pong(sample: zenoh.Sample) -> None:
-        sample.payload.to_bytes()
+        read(sample.payload.to_bytes())
         ping.on_pong()
 
     session.declare_subscriber("bench/pong", on_pong)
     wait_matching(out)
-    yield lambda size, count: ping.trips(bytes(size), count)
+    yield lambda size, count: ping.trips(payload(size), count)

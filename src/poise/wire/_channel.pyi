@@ -1,5 +1,6 @@
 """Frames between containers of one computer; the code is in ``wire/native``."""
 
+from mmap import mmap
 from typing import Any
 
 from poise.wire.codec import Bytes, Codec
@@ -31,22 +32,43 @@ class Channel:
         largest: int,
         block: int = 0,
         used: int = 0,
+        target: memoryview | None = None,
     ) -> None:
-        """Send a head and all of `pieces`; `used` crosses when `block` is not 0."""
+        """Send a head and all of `pieces`; `used` crosses when `block` is not 0.
 
-    def receive(self, deadline: float, largest: int) -> Frame | tuple[int, int, bytes]:
-        """Return the next frame.
+        With a `target`, the arrays behind a frame's body are copied there instead.
+        """
 
-        Behind a head with a block: `block`, `used` and the frame's bytes.
+    def receive(
+        self, deadline: float, largest: int, lenders: dict[int, Lender]
+    ) -> Frame | tuple[int, int, bytes]:
+        """Return the next frame, with its arrays from the lender that it names.
+
+        Behind a head with a block that has no lender: `block`, `used` and the bytes.
         """
 
     def ask(
-        self, pieces: list[Bytes], deadline: float, largest: int
+        self,
+        pieces: list[Bytes],
+        deadline: float,
+        largest: int,
+        lenders: dict[int, Lender],
+        block: int = 0,
+        used: int = 0,
+        target: memoryview | None = None,
     ) -> Frame | tuple[int, int, bytes] | None:
         """Send and receive; None when the other end was gone before it had all."""
 
     def take(self, size: int, deadline: float) -> bytes:
         """Return the next `size` bytes, without a head."""
+
+class Lender:
+    """The receiver's side of a block: its data, and its byte `slot` of the flags.
+
+    That byte is cleared when the last view of what was lent is gone.
+    """
+
+    def __init__(self, data: mmap, flags: mmap, slot: int) -> None: ...
 
 def parse(data: Bytes, buffers: memoryview | None = None) -> Frame:
     """Return the frame in `data`: see `poise.wire.frame.parse`."""
@@ -61,11 +83,5 @@ def segments(
 ) -> list[Bytes]:
     """Return the pieces of a frame: see `poise.wire.frame.segments`."""
 
-def fill(target: object, start: int, pieces: list[Bytes]) -> None:
-    """Copy pieces into writable memory from `start` on, without Python's lock.
-
-    Raises
-    ------
-    ValueError
-        There is not room enough.
-    """
+def address(memory: Bytes) -> int:
+    """Return where `memory` begins."""

@@ -26,8 +26,8 @@ from weakref import WeakValueDictionary
 
 from poise.errors import Unavailable
 from poise.wire import _channel
-from poise.wire.codec import Bytes, Unreadable, WireError
-from poise.wire.frame import Frame, parse
+from poise.wire.codec import Unreadable, WireError
+from poise.wire.frame import Frame
 from poise.wire.loans import LOANS, LoanBlock
 from poise.wire.pipe import Pieces
 from poise.wire.shared import (
@@ -36,8 +36,8 @@ from poise.wire.shared import (
     MOST_BYTES,
     THRESHOLD,
     Block,
-    Lender,
     Pool,
+    lender,
 )
 from poise.wire.stream import LARGEST
 
@@ -50,10 +50,15 @@ LAST_ANSWER = 1
 _LOST = {errno.ETIMEDOUT, errno.EHOSTUNREACH, errno.ENETUNREACH}
 _INLINE = 2
 """The first pieces of a frame are its head and body; padding and buffers follow."""
-_ALONE = 2
-"""One array, and the padding behind it."""
+_ALONE = _INLINE + 3
+"""The pieces of a frame with one array: it has padding before and behind."""
 _MOST_NUMBER = 2 * MOST_BLOCKS
 """A link's own blocks come first, then loans."""
+
+_Where = tuple[int, int, memoryview | None]
+"""A block's number, how much of it is used [bytes], and where to copy arrays to."""
+_Placed = tuple[Block, int, Pieces, _Where]
+"""A block, the slot of its receiver, the pieces to be sent, and where arrays are."""
 
 
 class Link:
@@ -70,7 +75,7 @@ class Link:
         self._channel = _channel.Channel(connection.fileno())
         self.is_lost = False
         self._pool = Pool(Block)
-        self._lenders: dict[int, Lender] = {}
+        self._lenders: dict[int, _channel.Lender] = {}
         self._slot: int | None = None
         self._loans: WeakValueDictionary[int, LoanBlock] = WeakValueDictionary()
 
@@ -122,27 +127,42 @@ class Link:
         Unavailable
             The other end is gone, and has not got the frame.
         """
-        if len(pieces) > _INLINE:
-            self._send_arrays(pieces, deadline)
-        else:
+        placed = self._place(pieces, deadline) if len(pieces) > _INLINE else None
+        if placed is None:
             self._channel.send(pieces, deadline, LARGEST)
+            return
+        block, slot, pieces, where = placed
+        try:
+            block.lend(slot)
+            self._channel.send(pieces, deadline, LARGEST, *where)
+        except BaseException:
+            # also when a signal's handler raises: else the block were lost for good
+            block.take_back(slot)
+            raise
 
     def ask(self, pieces: Pieces, deadline: float) -> Frame | None:
         """Send a call and return its answer.
 
         None when the other end was gone before, and has not got the call. Raises what
-        `send` and `receive` do.
+        `send` and `receive` do; after any of it the link must be closed.
         """
-        if len(pieces) <= _INLINE:
-            got = self._channel.ask(pieces, deadline, LARGEST)
-            if got is None or type(got) is Frame:
-                return got
-            return self._with_block(got, deadline)
         try:
-            self._send_arrays(pieces, deadline)
+            placed = self._place(pieces, deadline) if len(pieces) > _INLINE else None
         except Unavailable:
             return None
-        return self.receive(deadline)
+        ask, lenders = self._channel.ask, self._lenders
+        if placed is None:
+            got = ask(pieces, deadline, LARGEST, lenders)
+        else:
+            # no block is taken back after an error: the other end may read it
+            block, slot, pieces, where = placed
+            block.lend(slot)
+            got = ask(pieces, deadline, LARGEST, lenders, *where)
+            if got is None:
+                block.take_back(slot)
+        if got is None or type(got) is Frame:
+            return got
+        return self._with_block(got, deadline)
 
     def receive(self, deadline: float = math.inf) -> Frame:
         """Return the next frame.
@@ -156,76 +176,59 @@ class Link:
         WireError
             What came is no frame; when it is `Unreadable`, the link must be closed.
         """
-        got = self._channel.receive(deadline, LARGEST)
+        got = self._channel.receive(deadline, LARGEST, self._lenders)
         return got if type(got) is Frame else self._with_block(got, deadline)
 
     def _with_block(
         self, got: tuple[int, int, bytes] | Frame, deadline: float
     ) -> Frame:
-        """Return the frame that has its arrays in a block, or comes after a new one."""
+        """Return the frame that comes after a new block."""
         while not isinstance(got, Frame):
             block, used, data = got
             if not self.is_local:
                 raise Unreadable(f"a shared block {block} was announced over TCP")
             if not block & _NEW:
-                return parse(data, self._lender(block).lend(used))
+                raise Unreadable(f"there is no shared block {block}")
             self._accept(block ^ _NEW, used, int.from_bytes(data, "little"))
-            got = self._channel.receive(deadline, LARGEST)
+            got = self._channel.receive(deadline, LARGEST, self._lenders)
         return got
 
-    def _send_arrays(self, pieces: Pieces, deadline: float) -> None:
-        buffers = pieces[_INLINE + 1 :]
-        size = sum(map(len, buffers))
+    def _place(self, pieces: Pieces, deadline: float) -> _Placed | None:
+        """Find a block for the arrays of a frame; None when they go inline."""
+        size = sum(map(len, pieces[_INLINE + 1 :]))
         if size > LARGEST:
             raise WireError(f"arrays of {size} B; {LARGEST} B is the largest")
         if size < THRESHOLD or not self.is_local:
-            self._channel.send(pieces, deadline, LARGEST)
-            return
-        inline = pieces[:_INLINE]
-        if len(buffers) == _ALONE and self._send_loan(inline, buffers[0], deadline):
-            return
-        block = self._block(size, deadline)
+            return None
+        if len(pieces) == _ALONE and (placed := self._place_loan(pieces, deadline)):
+            return placed
+        block, is_new = self._pool.take(size)
         if block is None:
-            self._channel.send(pieces, deadline, LARGEST)
-            return
-        block.fill(buffers)
-        try:
-            self._channel.send(inline, deadline, LARGEST, block.number, size)
-        except BaseException:
-            # also when a signal's handler raises: else the block were lost for good
-            block.take_back()
-            raise
+            return None
+        if is_new:
+            self._introduce(block, block.number, deadline)
+        return block, 0, pieces, (block.number, size, block.room)
 
-    def _send_loan(self, inline: Pieces, array: Bytes, deadline: float) -> bool:
-        """Lend what lies in shared memory already; False when it does not.
+    def _place_loan(self, pieces: Pieces, deadline: float) -> _Placed | None:
+        """Find the block on which the array lies already.
 
-        Nor is a block lent that the receiver has: there is one byte to give it back.
+        None when there is none, or the receiver has it: there is one byte to give it
+        back.
         """
-        block = LOANS.find(array) if isinstance(array, memoryview) else None
+        block = LOANS.find(pieces[_INLINE + 1])
         if block is None:
-            return False
+            return None
         if self._slot is None:
             self._slot = LOANS.take_slot()
         slot = self._slot
         if slot is None or block.is_lent(slot):
-            return False
+            return None
         number = MOST_BLOCKS + block.number
         if self._loans.get(number) is not block:
             self._introduce(block, number, deadline, slot.to_bytes(2, "little"))
             self._loans[number] = block
-        block.lend(slot)
-        try:
-            self._channel.send(inline, deadline, LARGEST, number, len(array))
-        except BaseException:  # as above
-            block.take_back(slot)
-            raise
-        return True
-
-    def _block(self, size: int, deadline: float) -> Block | None:
-        block, is_new = self._pool.take(size)
-        if block is not None and is_new:
-            self._introduce(block, block.number, deadline)
-        return block
+        where = number, len(pieces[_INLINE + 1]), None
+        return block, slot, pieces[:_INLINE], where
 
     def _introduce(
         self, block: Block, number: int, deadline: float, slot: bytes = b""
@@ -252,14 +255,8 @@ class Link:
         if not files:
             raise Unreadable("a shared block was announced, and no file came")
         try:
-            self._lenders[number] = Lender(files[0], capacity, slot)
+            self._lenders[number] = lender(files[0], capacity, slot)
         except (OSError, ValueError) as error:
             raise Unreadable(f"a shared block cannot be mapped: {error}") from error
         finally:
             os.close(files[0])
-
-    def _lender(self, number: int) -> Lender:
-        try:
-            return self._lenders[number]
-        except KeyError:
-            raise Unreadable(f"there is no shared block {number}") from None

@@ -18,7 +18,9 @@ import weakref
 from math import prod
 from typing import TYPE_CHECKING, Any
 
-from poise.wire.shared import DATA, FREE, LENT, THRESHOLD, Block, Pool
+from poise.wire import _channel
+from poise.wire.codec import Bytes
+from poise.wire.shared import DATA, FREE, THRESHOLD, Block, Pool
 
 if TYPE_CHECKING:
     import numpy as np
@@ -36,6 +38,7 @@ class LoanBlock(Block):
         super().__init__(number, capacity)
         # a link may still be about to hand it over when it is given up
         weakref.finalize(self, os.close, self.file)
+        self.address = _channel.address(self.room)
         self._array: weakref.ref[np.ndarray] | None = None
 
     @property
@@ -59,16 +62,12 @@ class LoanBlock(Block):
         """Return whether the receiver of a link has an array on it."""
         return self._map[slot] != FREE
 
-    def lend(self, slot: int) -> None:
+    def lend(self, slot: int = 0) -> None:
         """Lend it to the receiver of a link; from now on nobody may write."""
         array = self.array
         if array is not None:
             array.flags.writeable = False
-        self._map[slot] = LENT
-
-    def take_back(self, slot: int = 0) -> None:
-        """Undo `lend`: the receiver was not told."""
-        self._map[slot] = FREE
+        super().lend(slot)
 
     def close(self) -> None:
         """Do nothing: it goes when nobody uses it, and with it map and file."""
@@ -97,18 +96,13 @@ class Loans:
                     return block.make_array(sides, kind)
         return np.empty(sides, kind)
 
-    def find(self, sent: memoryview) -> LoanBlock | None:
+    def find(self, sent: Bytes) -> LoanBlock | None:
         """Return the block whose loan begins where `sent` does, if there is one."""
-        import numpy as np  # noqa: PLC0415, only where users' arrays are
-
-        view = sent.obj
-        if not isinstance(view, np.ndarray):
-            return None
+        address = _channel.address(sent)
         with self._changing:
             for block in self._pool.blocks():
-                array = block.array
-                if array is not None and (view is array or view.base is array):
-                    return block if _address(view) == _address(array) else None
+                if block.address == address:
+                    return block
         return None
 
     def take_slot(self) -> int | None:
@@ -123,10 +117,6 @@ class Loans:
                 if block.is_lent(slot):
                     self._pool.give_up(block)
             self._free_slots.append(slot)
-
-
-def _address(array: np.ndarray) -> Any:  # noqa: ANN401, an integer
-    return array.__array_interface__["data"][0]
 
 
 LOANS = Loans()

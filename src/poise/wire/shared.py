@@ -15,12 +15,11 @@ from __future__ import annotations
 import fcntl
 import mmap
 import os
-import weakref
 from collections.abc import Callable
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 from poise.wire import _channel
-from poise.wire.codec import Bytes, WireError
+from poise.wire.codec import WireError
 
 THRESHOLD = 1 << 16
 """Arrays of fewer bytes in all go through the socket: it is as quick."""
@@ -40,7 +39,10 @@ B = TypeVar("B", bound="Block")
 
 
 class Block:
-    """The sender's side of a block with room for `capacity` bytes."""
+    """The sender's side of a block with room for `capacity` bytes.
+
+    Sending copies arrays to `room`, or leaves them there.
+    """
 
     def __init__(self, number: int, capacity: int) -> None:
         self.number = number
@@ -55,22 +57,23 @@ class Block:
         except OSError:
             os.close(self.file)
             raise
+        self.room = memoryview(self._map)[DATA:]
 
     def is_free(self) -> bool:
         """Return whether the receiver has no array on it."""
         return self._map[0] == FREE
 
-    def fill(self, pieces: list[Bytes]) -> None:
-        """Copy `pieces` into it, end to end, and lend it."""
-        _channel.fill(self._map, DATA, pieces)
-        self._map[0] = LENT
+    def lend(self, slot: int = 0) -> None:
+        """Set its byte `slot`: it is the receiver's when that is told."""
+        self._map[slot] = LENT
 
-    def take_back(self) -> None:
-        """Undo `fill`: the receiver was not told."""
-        self._map[0] = FREE
+    def take_back(self, slot: int = 0) -> None:
+        """Undo `lend`: the receiver was not told."""
+        self._map[slot] = FREE
 
     def close(self) -> None:
         """Give up this side's map; the receiver's arrays stay as they are."""
+        self.room.release()
         self._map.close()
         os.close(self.file)
 
@@ -135,41 +138,20 @@ class Pool(Generic[B]):
             self.give_up(block)
 
 
-class Lender:
-    """The receiver's side of a block."""
+def lender(file: int, capacity: int, slot: int = 0) -> _channel.Lender:
+    """Return the receiver's side of a block, which lends what was sent on it.
 
-    def __init__(self, file: int, capacity: int, slot: int = 0) -> None:
-        """Map a block; WireError when the file is not one of `capacity` bytes.
-
-        `slot` is the number of the byte that says whose it is.
-        """
-        if fcntl.fcntl(file, fcntl.F_GET_SEALS) & _SEALS != _SEALS:
-            raise WireError("a shared block may shrink: not sealed")
-        if os.fstat(file).st_size != DATA + capacity:
-            raise WireError(f"a shared block is not of {capacity} B")
-        shared = mmap.MAP_SHARED | mmap.MAP_POPULATE
-        self._flag = mmap.mmap(file, DATA, shared, mmap.PROT_WRITE)
-        self._data = mmap.mmap(file, capacity, shared, mmap.PROT_READ, offset=DATA)
-        self._slot = slot
-        self._lent: weakref.ref[Any] | None = None
-
-    def lend(self, length: int) -> memoryview:
-        """Return `length` bytes; the block is given back when all views are gone.
-
-        Raises
-        ------
-        WireError
-            When the block has fewer bytes.
-        """
-        import numpy as np  # noqa: PLC0415, only where users' arrays are
-
-        if length > len(self._data):
-            raise WireError(f"{length} B announced in a block of {len(self._data)} B")
-        flag, slot = self._flag, self._slot
-        array: Any = np.frombuffer(self._data, np.uint8, length)
-        # every view of the memoryview below keeps this array, and nothing else does
-        self._lent = weakref.ref(array, lambda _: flag.__setitem__(slot, FREE))
-        return memoryview(array)
+    The block is given back when the last view of that is gone; `slot` is the number of
+    the byte that says so. WireError when the file is not one of `capacity` bytes.
+    """
+    if fcntl.fcntl(file, fcntl.F_GET_SEALS) & _SEALS != _SEALS:
+        raise WireError("a shared block may shrink: not sealed")
+    if os.fstat(file).st_size != DATA + capacity:
+        raise WireError(f"a shared block is not of {capacity} B")
+    shared = mmap.MAP_SHARED | mmap.MAP_POPULATE
+    flags = mmap.mmap(file, DATA, shared, mmap.PROT_WRITE)
+    data = mmap.mmap(file, capacity, shared, mmap.PROT_READ, offset=DATA)
+    return _channel.Lender(data, flags, slot)
 
 
 def _capacity(block: Block) -> int:

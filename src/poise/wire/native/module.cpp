@@ -8,10 +8,16 @@
 #include <ctime>
 
 #include "channel.h"
+#include "copy.h"
+#include "lender.h"
+#include "memory.h"
 
 namespace nb = nanobind;
 using poise::Channel;
 using poise::Head;
+using poise::Lender;
+using poise::Lent;
+using poise::Memory;
 using poise::Outcome;
 
 namespace {
@@ -45,39 +51,6 @@ void run(Step step, const char* late) {
 constexpr const char* not_taken = "the other end takes no more bytes";
 constexpr const char* not_come = "nothing came from the other end in time";
 
-// The memory of bytes-like objects, held while it is sent.
-class Pieces {
- public:
-  explicit Pieces(nb::list pieces) {
-    views_.reserve(nb::len(pieces));
-    vectors_.reserve(nb::len(pieces) + 1);
-    vectors_.emplace_back();
-    for (nb::handle piece : pieces) {
-      Py_buffer view;
-      if (PyObject_GetBuffer(piece.ptr(), &view, PyBUF_SIMPLE) != 0) throw nb::python_error();
-      views_.push_back(view);
-      if (view.len) vectors_.push_back({view.buf, static_cast<std::size_t>(view.len)});
-      size_ += static_cast<std::size_t>(view.len);
-    }
-  }
-  Pieces(const Pieces&) = delete;
-  Pieces& operator=(const Pieces&) = delete;
-  ~Pieces() {
-    for (Py_buffer& view : views_) PyBuffer_Release(&view);
-  }
-
-  std::size_t size() const { return size_; }
-  std::vector<iovec>& behind(void* head, std::size_t length) {
-    vectors_.front() = {head, length};
-    return vectors_;
-  }
-
- private:
-  std::vector<Py_buffer> views_;
-  std::vector<iovec> vectors_;
-  std::size_t size_ = 0;
-};
-
 [[noreturn]] void raise_wire_error(const nb::object& text) {
   raise("poise.wire.codec", "WireError", text);
 }
@@ -87,6 +60,57 @@ void refuse_too_large(std::size_t size, std::size_t largest, const char* error =
     raise("poise.wire.codec", error,
           nb::str("a frame of {} B; {} B is the largest").format(size, largest));
 }
+
+// The pieces of a frame; with a block, its arrays go there.
+class Pieces {
+ public:
+  Pieces(nb::list pieces, std::size_t largest, std::uint32_t block, std::uint64_t used,
+         nb::handle target)
+      : head_{0, block, used} {
+    const std::size_t num_inline = target.is_none() ? nb::len(pieces) : num_inline_with_block;
+    const std::size_t padding = num_inline;  // between body and arrays; not in a block
+    held_.reserve(nb::len(pieces) + 1);
+    vectors_.reserve(nb::len(pieces) + 1);
+    vectors_.push_back({&head_, block ? Head::with_block : Head::plain});
+    std::size_t length = 0;
+    for (nb::handle piece : pieces) {
+      const bool is_inline = held_.size() < num_inline;
+      const Memory& memory = held_.emplace_back(piece, PyBUF_SIMPLE);
+      if (!memory.size() || held_.size() == padding + 1) continue;
+      (is_inline ? vectors_ : arrays_).push_back({memory.begin(), memory.size()});
+      (is_inline ? length : size_of_arrays_) += memory.size();
+    }
+    refuse_too_large(length, largest);
+    head_.length = static_cast<std::uint32_t>(length);
+    if (target.is_none()) return;
+    const Memory& room = held_.emplace_back(target, PyBUF_WRITABLE);
+    if (size_of_arrays_ > room.size()) throw nb::value_error("the arrays are larger than the block");
+    head_.used = size_of_arrays_;
+    target_ = room.begin();
+  }
+  Pieces(const Pieces&) = delete;
+  Pieces& operator=(const Pieces&) = delete;
+
+  // Copy the arrays to the block, once, and send the rest.
+  Outcome send(Channel& channel, double deadline) {
+    for (const iovec& array : arrays_) {
+      poise::copy_shared(target_, array.iov_base, array.iov_len);
+      target_ += array.iov_len;
+    }
+    arrays_.clear();
+    return channel.send(vectors_, deadline);
+  }
+
+ private:
+  // A frame's head and body; padding and arrays follow.
+  static constexpr std::size_t num_inline_with_block = 2;
+
+  Head head_;
+  std::vector<Memory> held_;
+  std::vector<iovec> vectors_, arrays_;
+  std::size_t size_of_arrays_ = 0;
+  char* target_ = nullptr;
+};
 
 // What `poise.wire.frame` calls things; never given back.
 struct Names {
@@ -211,13 +235,14 @@ nb::list segments(nb::handle codec, nb::handle value, int kind, std::uint16_t ta
   return pieces;
 }
 
+std::uintptr_t address(nb::handle memory) {
+  return reinterpret_cast<std::uintptr_t>(Memory(memory, PyBUF_SIMPLE).begin());
+}
+
 void send(Channel& channel, nb::list list, double deadline, std::size_t largest,
-          std::uint32_t block, std::uint64_t used) {
-  Pieces pieces(list);
-  refuse_too_large(pieces.size(), largest);
-  Head head{static_cast<std::uint32_t>(pieces.size()), block, used};
-  auto& all = pieces.behind(&head, block ? Head::with_block : Head::plain);
-  run([&] { return channel.send(all, deadline); }, not_taken);
+          std::uint32_t block, std::uint64_t used, nb::handle target) {
+  Pieces pieces(list, largest, block, used, target);
+  run([&] { return pieces.send(channel, deadline); }, not_taken);
 }
 
 nb::bytes take(Channel& channel, std::size_t size, double deadline) {
@@ -234,10 +259,19 @@ nb::bytes take(Channel& channel, std::size_t size, double deadline) {
 }
 
 // The frame behind a head, or what Python is to look at.
-nb::object rest_of(Channel& channel, const Head& head, double deadline, std::size_t largest) {
+nb::object rest_of(Channel& channel, const Head& head, double deadline, std::size_t largest,
+                   const nb::dict& lenders) {
   refuse_too_large(head.length, largest, "Unreadable");
-  if (head.block)
-    return nb::make_tuple(head.block, head.used, take(channel, head.length, deadline));
+  if (head.block) {
+    const nb::bytes data = take(channel, head.length, deadline);
+    const nb::object number = nb::cast(head.block);
+    if (!lenders.contains(number)) return nb::make_tuple(head.block, head.used, data);
+    const nb::object lender = lenders[number];
+    const std::size_t size = nb::cast<const Lender&>(lender).size();
+    if (head.used > size)
+      raise_wire_error(nb::str("{} B announced in a block of {} B").format(head.used, size));
+    return parse(data, poise::lend(lender, head.used));
+  }
   if (head.length <= std::min(small, channel.num_ahead())) {
     const char* data = channel.skip(head.length);
     // else there are arrays, whose memory is to be kept
@@ -248,23 +282,22 @@ nb::object rest_of(Channel& channel, const Head& head, double deadline, std::siz
   return parse(take(channel, head.length, deadline), nb::none());
 }
 
-nb::object receive(Channel& channel, double deadline, std::size_t largest) {
+nb::object receive(Channel& channel, double deadline, std::size_t largest, nb::dict lenders) {
   Head head;
   run([&] { return channel.receive_head(head, deadline); }, not_come);
-  return rest_of(channel, head, deadline, largest);
+  return rest_of(channel, head, deadline, largest, lenders);
 }
 
 // Both in one step, for one thread; None when the other end has not got the call.
-nb::object ask(Channel& channel, nb::list list, double deadline, std::size_t largest) {
-  Pieces pieces(list);
-  refuse_too_large(pieces.size(), largest);
-  Head head{static_cast<std::uint32_t>(pieces.size()), 0, 0};
-  auto& all = pieces.behind(&head, Head::plain);
+nb::object ask(Channel& channel, nb::list list, double deadline, std::size_t largest,
+               nb::dict lenders, std::uint32_t block, std::uint64_t used, nb::handle target) {
+  Pieces pieces(list, largest, block, used, target);
+  Head head;
   bool is_sent = false, is_gone = false;
   run(
       [&] {
         if (!is_sent) {
-          const Outcome outcome = channel.send(all, deadline);
+          const Outcome outcome = pieces.send(channel, deadline);
           is_gone = outcome == Outcome::gone;
           if (outcome != Outcome::done) return is_gone ? Outcome::done : outcome;
           is_sent = true;
@@ -273,27 +306,7 @@ nb::object ask(Channel& channel, nb::list list, double deadline, std::size_t lar
       },
       "no answer came in time");
   if (is_gone) return nb::none();
-  return rest_of(channel, head, deadline, largest);
-}
-
-// Copy pieces into memory, end to end, without Python's lock.
-void fill(nb::handle target, std::size_t start, nb::list list) {
-  Pieces pieces(list);
-  Py_buffer view;
-  if (PyObject_GetBuffer(target.ptr(), &view, PyBUF_WRITABLE) != 0) throw nb::python_error();
-  const auto size = static_cast<std::size_t>(view.len);
-  if (start <= size && pieces.size() <= size - start) {
-    nb::gil_scoped_release unlocked;
-    auto* place = static_cast<char*>(view.buf) + start;
-    for (const iovec& piece : pieces.behind(nullptr, 0)) {
-      if (piece.iov_len) std::memcpy(place, piece.iov_base, piece.iov_len);
-      place += piece.iov_len;
-    }
-  } else {
-    PyBuffer_Release(&view);
-    throw nb::value_error("the pieces are larger than the memory");
-  }
-  PyBuffer_Release(&view);
+  return rest_of(channel, head, deadline, largest, lenders);
 }
 
 }  // namespace
@@ -304,12 +317,18 @@ NB_MODULE(_channel, module) {
   nb::class_<Channel>(module, "Channel")
       .def(nb::init<int>(), nb::arg("file"))
       .def("send", &send, nb::arg("pieces"), nb::arg("deadline"), nb::arg("largest"),
-           nb::arg("block") = 0, nb::arg("used") = 0)
-      .def("receive", &receive, nb::arg("deadline"), nb::arg("largest"))
-      .def("ask", &ask, nb::arg("pieces"), nb::arg("deadline"), nb::arg("largest"))
+           nb::arg("block") = 0, nb::arg("used") = 0, nb::arg("target") = nb::none())
+      .def("receive", &receive, nb::arg("deadline"), nb::arg("largest"), nb::arg("lenders"))
+      .def("ask", &ask, nb::arg("pieces"), nb::arg("deadline"), nb::arg("largest"),
+           nb::arg("lenders"), nb::arg("block") = 0, nb::arg("used") = 0,
+           nb::arg("target") = nb::none())
       .def("take", &take, nb::arg("size"), nb::arg("deadline"));
+  nb::class_<Lender>(module, "Lender")
+      .def(nb::init<nb::handle, nb::handle, std::size_t>(), nb::arg("data"), nb::arg("flags"),
+           nb::arg("slot"));
+  nb::class_<Lent>(module, "Lent", nb::type_slots(Lent::slots));
   module.def("parse", &parse, nb::arg("data"), nb::arg("buffers") = nb::none());
   module.def("segments", &segments, nb::arg("codec"), nb::arg("value").none(), nb::arg("kind"),
              nb::arg("tag") = 0, nb::arg("number") = 0, nb::arg("chain") = 0);
-  module.def("fill", &fill, nb::arg("target"), nb::arg("start"), nb::arg("pieces"));
+  module.def("address", &address, nb::arg("memory"));
 }
