@@ -34,7 +34,9 @@ def status_command(robot: Robot = None, as_json: AsJson = False) -> None:
     console.print(f"robot '{answer.robot}', task '{answer.task}'")
     for name in answer.lost:
         console.print(f"[red]computer '{name}' is lost[/]")
-    console.print(_components(answer))
+    console.print(component_table(answer))
+    for remark in remarks(answer):
+        console.print(f"[yellow]{remark}[/]")
     for rows in connector_tables(connectors_of(answer.computers)):
         console.print(rows)
     clocks = clock_table(clocks_of(answer.computers))
@@ -45,22 +47,30 @@ def status_command(robot: Robot = None, as_json: AsJson = False) -> None:
             console.print(f"[red]{name}: container '{fault.container}' {fault.message}")
 
 
-def _components(answer: RobotStatus) -> Table:
-    titles = "component", "computer", "state", "CPU", "profile", "remarks"
-    rows = table(*titles, folds=len(titles) - 1)
+def component_table(answer: RobotStatus) -> Table:
+    """Return where components are and what they need, by computer."""
+    rows = table("component", "computer", "state", "CPU", "profile")
+    for computer, component, standing in _each(answer):
+        rows.add_row(component.name, computer, component.state, *_needs(standing))
+    return rows
+
+
+def remarks(answer: RobotStatus) -> Iterator[str]:
+    """Give what is wrong with components, a line for each, by computer."""
+    for _, component, standing in _each(answer):
+        found = ", ".join(_remarks(component, standing))
+        if found:
+            yield f"{component.name}: {found}"
+
+
+def _each(
+    answer: RobotStatus,
+) -> Iterator[tuple[str, ComponentStatus, Standing | None]]:
     standings = {each.component: each for each in answer.standings}
     for computer, status in sorted(answer.computers.items()):
         for container in status.containers:
             for component in container.components:
-                standing = standings.get(component.name)
-                rows.add_row(
-                    component.name,
-                    computer,
-                    component.state,
-                    *_needs(standing),
-                    ", ".join(_remarks(component, standing)),
-                )
-    return rows
+                yield computer, component, standings.get(component.name)
 
 
 def _remarks(component: ComponentStatus, standing: Standing | None) -> Iterator[str]:
@@ -79,7 +89,11 @@ def _needs(standing: Standing | None) -> tuple[str, str]:
     if standing is None:
         return "", ""
     now, expected = standing.estimate, standing.expected
-    error = f" ± {now.error:.1%}" if now.error is not None else ""
-    colour = "yellow" if now.drift else "default"
-    text = f"[{colour}]{now.mean:.1%}{error}[/]"
+    text = f"{now.mean:.1%}"
+    if now.error is not None:
+        text += f" ± {now.error:.1%}"
+    elif now.starved:
+        text = f"at least {text}"
+    if now.drift:
+        text = f"[yellow]{text}[/]"
     return text, "" if expected is None else f"{expected:.1%}"

@@ -13,11 +13,11 @@ for normal. The threshold is never lower than two windows' worth of the referenc
 however calm it was.
 
 Real noise is not normal: now and then a machine stands still for some 10 ms, or is slow
-for most of a second, and whoever ran then seems to have used more. So a shift
-must have lasted for ten windows, and stand without the worst `DISTURBANCE` of them that
-follow each other: whatever is over within a second is none, however large it is. And no
-window counts for more than one and a half times the largest that was learned from, but
-for one disturbance there. A shift by half is found after 10 windows at the earliest.
+for most of a second, and whoever ran then seems to have used more. So a shift must have
+lasted for ten windows, and stand without the worst `DISTURBANCE` of them that follow
+each other: whatever is over within a second is none, however large it is. And no window
+counts for more than one and a half times the largest that was learned from, but for one
+disturbance there. A shift by half is found after 10 windows at the earliest.
 
 The code is native, because every window of every component goes through three of these;
 ``tests/estimate/reference.py`` is the same in Python.

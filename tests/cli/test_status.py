@@ -1,0 +1,61 @@
+"""What `poise status` says of what components need, in 80 columns."""
+
+from __future__ import annotations
+
+from io import StringIO
+
+from rich.console import Console
+
+from poise.cli.status import component_table, remarks
+from poise.estimate.running import Drift, Estimate
+from poise.manage.desk import RobotStatus
+from poise.manage.estimates import Standing
+from poise.wire.messages import AgentStatus, ComponentStatus, ContainerStatus
+
+NAME = "recommendation_presenter"
+
+
+def status(estimate: Estimate) -> RobotStatus:
+    component = ComponentStatus(name=NAME, state="active", errors=12)
+    container = ContainerStatus(name="one", pid=1, components=(component,))
+    agent = AgentStatus(
+        computer="vision", generation=1, uptime=9.0, cpu=1.0, containers=(container,)
+    )
+    standing = Standing(
+        component=NAME, computer="vision", expected=0.05, estimate=estimate
+    )
+    return RobotStatus(
+        robot="r",
+        task="work",
+        placement={NAME: "vision"},
+        computers={"vision": agent},
+        standings=(standing,),
+    )
+
+
+def lines(answer: RobotStatus) -> list[str]:
+    out = StringIO()
+    Console(file=out, width=80).print(component_table(answer))
+    return out.getvalue().splitlines()[2:]
+
+
+def test_says_what_is_needed_how_sure_that_is_and_what_was_expected() -> None:
+    drift = Drift(1.0, 0.05, 0.1)
+    estimate = Estimate(mean=0.1, p95=0.1, error=0.012, starved=0.4, drift=drift)
+    answer = status(estimate)
+    (row,) = lines(answer)
+    assert "10.0% ± 1.2%" in row
+    assert "5.0%" in row
+    assert list(remarks(answer)) == [f"{NAME}: 12 errors, starved 40%"]
+
+
+def test_says_that_a_starved_component_may_need_more() -> None:
+    """Too few of its jobs have ended to tell what one costs."""
+    (row,) = lines(status(Estimate(mean=0.1, p95=0.1, error=None, starved=0.9)))
+    assert "at least 10.0%" in row
+
+
+def test_a_new_component_is_only_not_known_well() -> None:
+    (row,) = lines(status(Estimate(mean=0.1, p95=0.1, error=None)))
+    assert "at least" not in row
+    assert "10.0%" in row
