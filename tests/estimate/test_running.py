@@ -124,6 +124,29 @@ def test_little_is_no_drift_whatever_its_share_is() -> None:
     assert drifts(running, load, 5)
 
 
+@pytest.mark.parametrize(
+    ("usual", "recorded"),
+    [
+        (3.6, [3.59, 3.47, 13.79, *[3.6] * 13, 12.18, 9.46]),
+        (0.4, [0.78, 0.73, 0.58, 0.53, 0.5, 0.57, 0.43, 0.76, 10.91, 2.13, 0.8]),
+    ],
+)
+def test_single_jobs_that_take_ten_milliseconds_more_are_no_drift(
+    usual: float, recorded: list[float]
+) -> None:
+    """CPU time of windows [ms], recorded of steady components on a busy machine.
+
+    Two windows with such a job once were a drift, told from the second around them.
+    """
+    running, rng = RunningEstimate(), random.Random(0)
+    learned = [usual * rng.gauss(1, 0.03) for _ in range(100)]
+    cpu = 0.0
+    for count, used in enumerate([*learned, *recorded, *[usual] * 20], 1):
+        cpu += 1e-3 * used
+        reading = Reading(count * STEP, cpu, 0.0, 4 * count, 4 * count)
+        assert running.update(reading) is None
+
+
 def test_what_repeated_measurements_lay_apart_is_no_drift() -> None:
     running, load = RunningEstimate(expected=0.1, repeat=0.06), Load(10, 0.014)
     assert drifts(running, load, 30) == []

@@ -12,12 +12,13 @@ alarm comes about once in exp(20) windows: years, at 5 Hz, by a theory that take
 for normal. The threshold is never lower than two windows' worth of the reference,
 however calm it was.
 
-Real noise is not normal: now and then a machine stands still for some 10 ms, or is slow
-for most of a second, and whoever ran then seems to have used more. So a shift must have
-lasted for ten windows, and stand without the worst `DISTURBANCE` of them that follow
-each other: whatever is over within a second is none, however large it is. And no window
-counts for more than one and a half times the largest that was learned from, but for one
-disturbance there. A shift by half is found after 10 windows at the earliest.
+Real noise is not normal: recordings of steady components have single windows with 10 ms
+more CPU time than all others, and a machine may be slow for most of a second. So a
+shift must have lasted for ten windows, and stand without the worst `DISTURBANCE` of
+them that follow each other: whatever is over within a second is none, however large it
+is. And no window counts for more than one and a half times the largest that was learned
+from, but for one disturbance there. A shift by half is found after 10 windows at the
+earliest.
 
 The code is native, because every window of every component goes through three of these;
 ``tests/estimate/reference.py`` is the same in Python.
