@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 POISE = (sys.executable, "-m", "poise")
@@ -36,3 +37,17 @@ def run_poise(
         if not any(each in done.stdout + done.stderr for each in _BUSY):
             break
     return done
+
+
+@contextlib.contextmanager
+def robot_up(file: Path, *options: object) -> Iterator[subprocess.Popen[str]]:
+    """Start a robot; end it afterwards, whether or not somebody did."""
+    argv = [*POISE, "up", str(file), *map(str, options)]
+    with subprocess.Popen(argv, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            assert any("is up" in line for line in process.stdout)
+            yield process
+        finally:
+            process.terminate()
+            process.communicate(timeout=LIMIT)

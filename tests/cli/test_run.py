@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from poise.cli.main import build
+from poise.cli.commands import build
 from poise.cli.run import run_command
 from poise.emulate.remains import sweep
 from poise.errors import PoiseError

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-import subprocess
 import textwrap
 import threading
 import time
@@ -22,7 +21,7 @@ from poise.manage.journal import Journal
 from poise.manage.transit import transit
 from poise.manage.transition import plan_transition
 from poise.model import load
-from tests.command import POISE, run_poise
+from tests.command import robot_up, run_poise
 from tests.runtime.conftest import free_port, wait_until
 
 pytestmark = pytest.mark.slow
@@ -120,16 +119,12 @@ def port() -> int:
 
 @pytest.fixture
 def up(robot: Path, port: int) -> Iterator[Path]:
-    """Start the robot; end it afterwards, whether or not the test did."""
-    argv = [*POISE, "up", str(robot), "--placement", "static"]
-    argv += ["--journal", str(robot.with_name("journal")), "--metrics", str(port)]
-    argv += ["--record", str(robot.with_name("recording"))]
-    with subprocess.Popen(argv, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert any("is up" in line for line in process.stdout)
-        yield robot.parent
-        process.terminate()
-        process.communicate(timeout=LIMIT)
+    """Start the robot."""
+    beside = robot.parent
+    options = ["--placement", "static", "--journal", beside / "journal"]
+    options += ["--metrics", port, "--record", beside / "recording"]
+    with robot_up(robot, *options):
+        yield beside
 
 
 def poise(*words: str) -> tuple[int, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import tempfile
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ import pytest
 
 from poise.errors import UsageError
 from poise.manage.desk import Answered, Asked, AskStop, Desk, Refusal, Stopping, ask
+from poise.wire import control
 
 LIMIT = 20.0
 
@@ -54,6 +56,48 @@ def test_a_refusal_is_the_askers_error(desk: Desk) -> None:
             desk.serve(lambda _: Answered(Refusal("not today")), 0.05)
         with pytest.raises(UsageError, match="not today"):
             answered.result(LIMIT)
+
+
+def test_nothing_is_done_for_who_has_left(desk: Desk, folder: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as asker:
+        asker.connect(str(folder / "first.sock"))
+        control.send(asker, Asked(AskStop()))
+    done: list[Asked] = []
+
+    def answer(what: Asked) -> Answered:
+        done.append(what)
+        return Answered(Stopping())
+
+    assert desk.serve(answer, LIMIT)
+    assert not desk.serve(answer, 0.0)
+    assert done == []
+
+
+def test_who_still_waits_is_told_that_the_robot_has_stopped(folder: Path) -> None:
+    desk = Desk("first")
+    with socket.socket(socket.AF_UNIX) as asker:
+        asker.connect(str(folder / "first.sock"))
+        control.send(asker, Asked(AskStop()))
+        desk.close()
+        told = control.receive(asker, Answered).what
+    assert told == Refusal("robot 'first' has stopped")
+
+
+def test_a_desk_at_which_many_wait_is_found(desk: Desk, folder: Path) -> None:
+    with contextlib.ExitStack() as stack:
+        for _ in range(1000):
+            asker = stack.enter_context(socket.socket(socket.AF_UNIX))
+            asker.setblocking(False)
+            try:
+                asker.connect(str(folder / "first.sock"))
+            except BlockingIOError:
+                break
+        else:
+            pytest.fail("the queue has no end")
+        with pytest.raises(UsageError, match="robot 'first' runs already"):
+            Desk("first")
+    while desk.serve(lambda _: Answered(Stopping()), 0.0):
+        pass
 
 
 @pytest.mark.usefixtures("desk")

@@ -150,7 +150,7 @@ def at(s: State, who: int, where: str, path: str = "") -> State:
     return s._replace(calls=tuple(calls))
 
 
-def break_off(s: State, bounds: Bounds, side: Side, which: int) -> State:
+def break_off(s: State, bounds: Bounds, bug: str, side: Side, which: int) -> State:
     """End what the killing of one incarnation ends: calls to it, and from it."""
     for who, letter in enumerate(bounds.callers):
         where, path = s.calls[who]
@@ -159,7 +159,8 @@ def break_off(s: State, bounds: Bounds, side: Side, which: int) -> State:
         first, second = (*ROUTES[letter], -1)[:2]
         if which == first:
             # what it has called knows nothing of that
-            s = at(s, who, "adrift" if where in {"asks", "further"} else "error")
+            broken = "begins" if bug == "repeat what broke off" else "error"
+            s = at(s, who, "adrift" if where in {"asks", "further"} else broken)
         elif which == second and where in {"asks", "further"}:
             s = at(s, who, "returns")
         elif which == second and where == "adrift":

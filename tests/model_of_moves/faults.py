@@ -32,14 +32,19 @@ class Faults:
             for which, one in enumerate(s.all_of(side)):
                 is_there = one.phase not in {"dead", "gone"}
                 if side[0] in self._bounds.killed and is_there:
-                    dead = self._killed(s, side, which, one)
-                    yield f"kill {side} {which}", dead
+                    yield f"kill {side} {which}", self._killed(s, side, which)
+            if side[0].upper() in self._bounds.killed:
+                dead = s
+                for which, one in enumerate(s.all_of(side)):
+                    if one.phase not in {"dead", "gone"}:
+                        dead = self._killed(dead, side, which)
+                yield f"kill the agent of {side}", dead
         if "D" in self._bounds.killed and not s.is_sink_dead:
             dead = s._replace(is_sink_dead=True, is_sink_marked=False)
             yield "kill sink", _failed(dead, "sink")
 
-    def _killed(self, s: State, side: Side, which: int, one: Incarnation) -> State:
-        streams = s.streams(side)
+    def _killed(self, s: State, side: Side, which: int) -> State:
+        one, streams = s.one(side, which), s.streams(side)
         inside = {
             *one.inbox,
             *one.log,
@@ -48,7 +53,7 @@ class Faults:
             *streams[which + 1],
         }
         dead = s._replace(excused=s.excused | inside)
-        dead = break_off(dead, self._bounds, side, which)
+        dead = break_off(dead, self._bounds, self._bug, side, which)
         dead = dead.with_one(side, which, Incarnation("dead"))
         return _failed(dead.with_stream(side, which + 1, ()), f"{side} {which}")
 

@@ -27,7 +27,8 @@ class Bounds(NamedTuple):
     late: bool = True
     """Whether orders that were given up may be taken later."""
     killed: str = "SonD"
-    """Containers that may be killed: source, old, new, sink."""
+    """Containers that may be killed: source, old, new, sink; O, N: all old or new ones
+    at once, with their agent."""
 
     @property
     def is_circle(self) -> bool:
@@ -162,6 +163,12 @@ def trouble_of(s: State) -> str:
     else:
         trouble = ""
     return trouble
+
+
+def visible(s: State) -> tuple[tuple[bool, bool], ...]:
+    """Return what of a state `trouble_of` finds wrong, and a later state not."""
+    both = (*s.olds, *s.news)
+    return tuple((one.phase == "work", _has_chains(one)) for one in both)
 
 
 def _has_chains(one: Incarnation) -> bool:

@@ -40,9 +40,9 @@ def free_port() -> int:
             return port
 
 
-def wait_until(holds: Callable[[], bool]) -> None:
+def wait_until(holds: Callable[[], bool], limit: float = LIMIT) -> None:
     """Look again and again, for what nobody tells of when it happens."""
-    deadline = time.monotonic() + LIMIT
+    deadline = time.monotonic() + limit
     while not holds():
         assert time.monotonic() < deadline
         threading.Event().wait(0.001)

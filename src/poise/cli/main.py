@@ -1,57 +1,12 @@
-"""The command `poise`: one file per command, and one line each in this table."""
+"""Where `poise` begins: first with what Ctrl-C does, then with all that takes time."""
 
 from __future__ import annotations
 
-import importlib
-import inspect
 import signal
 import sys
-from collections.abc import Sequence
 from types import FrameType
 
-import typer
-
-from poise.errors import PoiseError, UsageError
-
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-
-COMMANDS = {
-    "check": ("check:check_command", "Check a robot file and the code that it names."),
-    "plan": ("plan:plan_command", "Decide where each component runs."),
-    "profile": ("profile:profile_command", "Measure what each component needs."),
-    "calibrate": ("calibrate:calibrate_command", "Measure computers and connectors."),
-    "recording": ("recording:recording_command", "Export or replay a recording."),
-    "run": ("run:run_command", "Run a task for a while and report."),
-    "demo": ("demo:demo_command", "Drive a robot, placed by hand and by Poise."),
-    "up": ("up:up_command", "Start a robot and keep it running."),
-    "status": ("status:status_command", "Show how a running robot is."),
-    "move": ("move:move_command", "Move a component of a running robot."),
-    "replace": ("move:replace_command", "Swap a component's implementation."),
-    "balance": ("balance:balance_command", "Place a running robot anew."),
-    "stop": ("stop:stop_command", "Stop a running robot."),
-    "agent": ("agent:agent_command", "Run what the manager wants on this computer."),
-}
-"""Command -> where in this folder it is, and what it does."""
-
-
-def build(arguments: Sequence[str]) -> typer.Typer:
-    """Return the command line; only the command that is asked for is imported."""
-    app = typer.Typer(
-        help="Keeps a robot's software in balance over its on-board computers.",
-        no_args_is_help=True,
-        add_completion=False,
-        pretty_exceptions_enable=False,
-    )
-    asked = next((word for word in arguments if not word.startswith("-")), "")
-    for name, (where, help_) in COMMANDS.items():
-        if name == asked:
-            module, function = where.split(":")
-            loaded = importlib.import_module(f"poise.cli.{module}")
-            command = getattr(loaded, function)
-            app.command(name, help=_flowing(inspect.getdoc(command) or ""))(command)
-        else:
-            app.command(name, help=help_)(_not_loaded)
-    return app
 
 
 def main() -> None:
@@ -62,27 +17,9 @@ def main() -> None:
     """
     for number in _ENDING:
         signal.signal(number, _end)
-    try:
-        build(sys.argv[1:])()
-    except UsageError as error:
-        _fail(error, 2)
-    except PoiseError as error:
-        _fail(error, 1)
-    except BrokenPipeError:
-        # The reader, such as `head`, has seen enough.
-        sys.stderr.close()
-        sys.exit(1)
+    from poise.cli.commands import run
 
-
-def _flowing(text: str) -> str:
-    """Return help whose paragraphs fill the terminal's width, whatever that is."""
-    about, examples, commands = text.partition("\n\nExamples\n")
-    paragraphs = (" ".join(each.split("\n")) for each in about.split("\n\n"))
-    return "\n\n".join(paragraphs) + examples + commands
-
-
-def _not_loaded() -> None:
-    """Stand for a command in the list of commands."""
+    run()
 
 
 def _end(number: int, _frame: FrameType | None) -> None:
@@ -90,8 +27,3 @@ def _end(number: int, _frame: FrameType | None) -> None:
     for each in _ENDING:
         signal.signal(each, signal.SIG_IGN)
     sys.exit(128 + number)
-
-
-def _fail(error: PoiseError, code: int) -> None:
-    sys.stderr.write(f"{error}\n")
-    sys.exit(code)

@@ -2,6 +2,8 @@
 
 A socket in the user's runtime folder, one record there and one back. The manager's
 own thread answers, between two looks at the robot: nothing happens at the same time.
+Whoever asks meanwhile waits in the socket's queue; who leaves it gets nothing done, and
+who is left in it when the robot stops is told so.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from poise.errors import PoiseError, RunError, UsageError
+from poise.errors import PoiseError, RunError, Timeout, UsageError
 from poise.manage.alternative import ReplaceReport
 from poise.manage.balance import Proposal
 from poise.manage.estimates import Standing
@@ -28,6 +30,8 @@ from poise.wire.messages import AgentStatus
 
 ANSWER_LIMIT = 60.0
 """The manager answers within this time [s]; moves of large states take the longest."""
+_MOST_WAITING = 64
+"""So many askers wait at a time; more wait to get there, for `control.LIMIT`."""
 
 
 class AskStatus(Struct, frozen=True, tag=True):
@@ -141,6 +145,7 @@ class Desk:
     """
 
     def __init__(self, robot: str) -> None:
+        self._robot = robot
         self._path = _path_of(robot)
         folder = self._path.parent
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -157,28 +162,40 @@ class Desk:
         # under its name only when it is alive
         draft = self._path.with_suffix(f".{os.getpid()}")
         self._listener.bind(os.fspath(draft))
-        self._listener.listen(8)
+        self._listener.listen(_MOST_WAITING)
         draft.rename(self._path)
 
-    def serve(self, answer: Callable[[Asked], Answered], limit: float) -> None:
-        """Answer one asker if one comes within `limit` [s]; it may raise PoiseError."""
+    def serve(self, answer: Callable[[Asked], Answered], limit: float) -> bool:
+        """Answer one asker; False when none comes within `limit` [s].
+
+        `answer` may raise PoiseError, which is a refusal. It is not asked for one who
+        has left: whoever gave up does not expect it to be done any more.
+        """
         ready, _, _ = select.select([self._listener], [], [], limit)
         if not ready:
-            return
+            return False
         connection, _ = self._listener.accept()
         with connection, contextlib.suppress(WireError, RunError):
             stream.set_limit(connection, control.LIMIT)
             asked = control.receive(connection, Asked)
+            if _has_left(connection):
+                return True
             try:
                 answered = answer(asked)
             except PoiseError as error:
                 answered = Answered(Refusal(str(error)))
             control.send(connection, answered)
+        return True
 
     def close(self) -> None:
-        """Be asked no more."""
-        self._listener.close()
+        """Be asked no more; those who wait are told that the robot has stopped."""
         self._path.unlink(missing_ok=True)
+        while self.serve(self._refuse, 0.0):
+            pass
+        self._listener.close()
+
+    def _refuse(self, _: Asked) -> Answered:
+        return Answered(Refusal(f"robot '{self._robot}' has stopped"))
 
 
 def ask(robot: str | None, what: Ask) -> Answer:
@@ -194,14 +211,18 @@ def ask(robot: str | None, what: Ask) -> Answer:
     UsageError
         No such robot runs, or several do and none is named; or the manager refuses.
     RunError
-        The manager does not answer.
+        The manager does not answer within `ANSWER_LIMIT`.
     """
     path = _find(robot)
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
-            stream.set_limit(connection, ANSWER_LIMIT)
+            stream.set_limit(connection, control.LIMIT)
             connection.connect(os.fspath(path))
             control.send(connection, Asked(what))
+            if not select.select([connection], [], [], ANSWER_LIMIT)[0]:
+                raise Timeout(
+                    f"it is busy since {ANSWER_LIMIT:g} s; see `poise status`"
+                )
             answered = control.receive(connection, Answered).what
     except (OSError, RunError, WireError) as error:
         raise RunError(f"robot '{path.stem}' gave no answer: {error}") from error
@@ -235,9 +256,22 @@ def _find(robot: str | None) -> Path:
 
 
 def _is_alive(path: Path) -> bool:
+    """Return at once whether somebody listens, however many wait there already."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.setblocking(False)
         try:
             probe.connect(os.fspath(path))
+        except BlockingIOError:
+            return True
         except OSError:
             return False
+        return True
+
+
+def _has_left(connection: socket.socket) -> bool:
+    try:
+        return not connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
+    except BlockingIOError:
+        return False
+    except OSError:
         return True

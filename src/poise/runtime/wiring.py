@@ -262,7 +262,7 @@ class Wiring:
         port = _port(target, spec.target_port)
         feed = target.ends.feed(port.name, ends.counts)
         open_pipe = partial(self._transports.pipe, GRANTS, calls=False)
-        grants = Grants(feed, ends.counts, open_pipe)
+        grants = Grants(spec.name, feed, ends.counts, open_pipe)
         ends.closing.callback(grants.close)
         handler = receiving(spec, target.ends, port, feed, grants, ends.far)
         if spec.record and port.kind == "provides":

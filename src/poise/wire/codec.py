@@ -162,7 +162,7 @@ def _plain(value: Any) -> Any:  # noqa: ANN401, msgspec's hook
         return value.item()
     raise WireError(
         f"a {type(value).__qualname__} cannot cross a connector; use a Message, "
-        "plain data or a NumPy array, and declare it in the port's type"
+        "plain data or a NumPy array, where the type of the port or state says so"
     )
 
 

@@ -63,3 +63,34 @@ def test_accepts_ends_that_fit(find: Find) -> None:
         "{between: [laser.scan, free.anything]}"
     )
     assert find(ROBOT.replace("CONNECTORS", connectors)) == ()
+
+
+ALTERNATIVES = """
+robot: r
+computers: {main: {cpu: 2, memory: 1}}
+architectures:
+  ends:
+    function: e
+    components: {drive: {command: d, ports: {walls: {requires: "m:W"}}}}
+  first:
+    function: f
+    components:
+      map: {command: m, ports: {walls: {provides: "m:W"}}}
+      sketch: {command: s, ports: {walls: {provides: "m:W"}}}
+  second:
+    function: FUNCTION
+    components: {plan: {command: p, ports: {walls: {provides: "m:W"}}}}
+connectors: [CONNECTORS]
+"""
+TO_BOTH = "{between: [drive.walls, map.walls]}, {between: [▸drive.walls, plan.walls]}"
+
+
+def test_a_required_port_may_be_joined_to_alternatives(
+    find: Find, refuse: Refuse
+) -> None:
+    robot = ALTERNATIVES.replace("CONNECTORS", TO_BOTH)
+    assert find(robot.replace("FUNCTION", "f").replace("▸", "")) == ()
+    refuse(robot.replace("FUNCTION", "g"), "requires one provider", "same function")
+    within = TO_BOTH.replace("plan.walls", "sketch.walls")
+    robot = ALTERNATIVES.replace("FUNCTION", "f").replace("CONNECTORS", within)
+    refuse(robot, "requires one provider", "drive.walls -> sketch.walls")

@@ -57,7 +57,7 @@ class Joined:
         self.inbox = Inbox("notes", Queue(policy, size))
         self.counts = Counts()
         self.feed = Feed(Mailbox(Account()), self.inbox, self.counts)
-        self.grants = Grants(self.feed, self.counts, lambda _: self.way)
+        self.grants = Grants("a.b", self.feed, self.counts, lambda _: self.way)
 
     def ask(self) -> None:
         self.grants.asked(frame.parse(b"".join(self.credit.question())))
@@ -141,13 +141,14 @@ def test_a_grant_that_comes_twice_or_late_changes_nothing(joined: Joined) -> Non
 
 
 def test_messages_that_got_lost_are_counted_and_leave_their_room(
-    joined: Joined,
+    joined: Joined, caplog: pytest.LogCaptureFixture
 ) -> None:
     joined.send()
     joined.send(arrives=False)
     joined.send(arrives=False)
     joined.send()
     assert joined.counts.drops == 2
+    assert "connector a.b: 2 messages were lost on their way" in caplog.text
     joined.ask()
     assert joined.send_all() == 2  # two are there
 

@@ -61,9 +61,10 @@ def check_ports(robot: Robot, ports: Ports) -> Iterator[Finding]:
     """Yield the connectors whose ends do not fit, as far as `ports` are known.
 
     Two ends fit when the first publishes what the second subscribes to, or the first
-    requires what the second provides. A required port has one connector, not more.
+    requires what the second provides. A required port has one connector, and further
+    ones to architectures that take the place of the one that provides it.
     """
-    taken: dict[str, Connector] = {}
+    served: dict[str, list[Connector]] = {}
     for path, _, connector in connectors(robot):
         between: Path = (*path, "between")
         found = [_find(end, ports) for end in connector.between]
@@ -74,13 +75,23 @@ def check_ports(robot: Robot, ports: Ports) -> Iterator[Finding]:
         yield from _misfit(between, connector, found)
         if found[0] is not None and found[0].kind == "requires":
             caller = str(connector.between[0])
-            if caller in taken:
-                yield Finding(
-                    (*between, 0),
-                    f"'{caller}' requires one provider, but has two connectors: "
-                    f"{taken[caller]} and {connector}",
-                )
-            taken.setdefault(caller, connector)
+            for other in served.setdefault(caller, []):
+                if not _are_alternatives(robot, connector, other):
+                    yield Finding(
+                        (*between, 0),
+                        f"'{caller}' requires one provider, but has two connectors: "
+                        f"{other} and {connector}; only architectures that provide "
+                        "the same function may both be joined to it",
+                    )
+                    break
+            served[caller].append(connector)
+
+
+def _are_alternatives(robot: Robot, *connectors: Connector) -> bool:
+    """Return whether at most one of the connectors' targets runs at a time."""
+    home = {c.name: each for each in robot.architectures for c in each.components}
+    first, second = (home[each.between[1].component] for each in connectors)
+    return first.function == second.function and first.name != second.name
 
 
 def check_required(robot: Robot, ports: Ports) -> Iterator[Finding]:

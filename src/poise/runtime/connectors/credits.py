@@ -97,6 +97,8 @@ class Grants:
 
     Parameters
     ----------
+    connector
+        Its name.
     feed
         The connector's way into the port's queue.
     counts
@@ -106,8 +108,13 @@ class Grants:
     """
 
     def __init__(
-        self, feed: Feed, counts: Counts, open_pipe: Callable[[str], Pipe]
+        self,
+        connector: str,
+        feed: Feed,
+        counts: Counts,
+        open_pipe: Callable[[str], Pipe],
     ) -> None:
+        self._connector = connector
         self._feed = feed
         self._counts = counts
         self._open_pipe = open_pipe
@@ -150,12 +157,15 @@ class Grants:
             self._close_pipe()
 
     def _note(self, life: int, came: int) -> None:
-        """Take note that so many messages came, and count the others as lost."""
+        """Take note that so many messages came, and tell and count what got lost."""
         if life != self._life:
             self._life = life
             self._told = 0
-        else:
-            self._counts.drops += max(0, came - self._came)
+        elif came > self._came:
+            lost = came - self._came
+            self._counts.drops += lost
+            text = "connector %s: %d messages were lost on their way"
+            log.warning(text, self._connector, lost)
         self._came = came
 
     def _may_have_sent(self) -> int:
