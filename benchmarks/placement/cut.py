@@ -69,7 +69,8 @@ def run(sizes: Sequence[int]) -> list[list[Any]]:
                 rows.append([kind, f"{graph.n:,}", blocks, *cells])
                 leads.append(lead)
     show(
-        f"Edges cut in {SECONDS:g} s, {EXCESS:.0%} imbalance, against METIS and KaHIP",
+        f"Edges cut in {SECONDS:g} s, {100 * EXCESS:g} % imbalance, "
+        "against METIS and KaHIP",
         [
             "graph",
             "nodes",
