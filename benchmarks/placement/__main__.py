@@ -49,9 +49,10 @@ def main() -> None:
     if "quality" in (arguments.only or "quality").split(","):
         robots = arguments.robots or (3 if quick else 10)
         report["quality"] = quality.run(robots, Path(arguments.references))
-    for name, nodes in (("cut-1k", 1_000), ("cut-10k", 10_000), ("cut-100k", 100_000)):
-        if name in arguments.only.split(",") if arguments.only else not quick:
-            report[name] = cut.run(nodes)
+    graphs = {"cut-1k": 1_000, "cut-10k": 10_000, "cut-100k": 100_000}
+    wanted = arguments.only.split(",") if arguments.only else () if quick else graphs
+    if sizes := [nodes for name, nodes in graphs.items() if name in wanted]:
+        report["cut"] = cut.run(sizes)
     if arguments.gqap:
         report["public"] = public.run(Path(arguments.gqap), quick=quick)
     if arguments.json:
