@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import resource
@@ -33,12 +34,9 @@ def ends() -> Iterator[tuple[Link, Link]]:
     ours, theirs = map(Link, socket.socketpair())
 
     def serve() -> None:
-        try:
+        with contextlib.suppress(Unavailable):
             while True:
-                value = theirs.receive().value(ANY)
-                theirs.send(frame.segments(ANY, value, Kind.RESULT))
-        except Unavailable:
-            pass
+                echo(theirs)
 
     thread = threading.Thread(target=serve)
     thread.start()
@@ -59,6 +57,10 @@ def far() -> Iterator[tuple[Link, socket.socket]]:
     with theirs:
         yield link, theirs
     link.close()
+
+
+def echo(link: Link) -> None:
+    link.send(frame.segments(ANY, link.receive().value(ANY), Kind.RESULT))
 
 
 def ask(link: Link, value: object) -> Any:
@@ -106,11 +108,14 @@ def test_arrays_that_are_kept_stay_as_they_are(ends: tuple[Link, Link]) -> None:
     assert (part == 3).all()
 
 
-def test_arrays_outlive_their_link(ends: tuple[Link, Link]) -> None:
-    array = ask(ends[0], image(7))
-    for link in ends:
-        link.end()
-        link.close()
+def test_arrays_outlive_their_link() -> None:
+    ours, theirs = map(Link, socket.socketpair())
+    echoing = threading.Thread(target=echo, args=(theirs,))
+    echoing.start()
+    array = ask(ours, image(7))
+    echoing.join(LONG)
+    ours.close()
+    theirs.close()
     assert (array == 7).all()
 
 
