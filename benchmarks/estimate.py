@@ -3,8 +3,8 @@
 Four questions, each with the goal that `GOALS` gives:
 
 - Is the profile right? Components whose CPU is known run alone and 24 together, half
-  of them in calls from others; the largest error of any of them, in cores. And six of
-  them are profiled as `poise profile` does: memory that they hold, what they send.
+  of them in calls from others; the largest error of any of them, in cores. Six of
+  them run apart, as `poise profile` has them do: memory that they hold, what they send.
 - Is the prediction right? T-Rot is placed and run; what each computer used against
   what the profile says that it would use.
 - Is drift found, and nothing else? Time until a component that begins to use half as
@@ -183,23 +183,20 @@ def profiles(lengths: Lengths) -> dict[str, object]:
 
 
 def needs(lengths: Lengths) -> dict[str, object]:
-    """Profile six whose memory and traffic are known, as `poise profile` does."""
+    """Profile six components apart; their memory and traffic are known."""
     robot = robots.together()
     name, computer = robot.architectures[0].name, robot.computers[0].name
-    stands = [stand_of(robot, name, computer, apart=apart) for apart in (False, True)]
-    typical, apart = (
-        measure_alone(each, lengths.seconds, WARM_UP, _silent, lambda _: None)
-        for each in stands
-    )
+    stand = stand_of(robot, name, computer, apart=True)
+    seen = measure_alone(stand, lengths.seconds, WARM_UP, _silent, lambda _: None)
     subject = Subject(
         robot=robot,
         computer=computer,
-        names=stands[0].measured,
+        names=stand.measured,
         empty=EMPTY,
-        versions=dict.fromkeys(stands[0].measured, ""),
+        versions=dict.fromkeys(stand.measured, ""),
         speed=1.0,
     )
-    found = figures(subject, [typical], apart)
+    found = figures(subject, [seen], seen)
     memory = {
         name: found.components[name].memory - truth
         for name, truth in robots.held(robot).items()
