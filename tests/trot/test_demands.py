@@ -253,8 +253,10 @@ def test_overloads_one_computer_and_fits_on_two() -> None:
     assert sum(mean.values()) == pytest.approx(0.7, rel=0.1)
 
 
-def test_is_told_the_goal_of_the_home() -> None:
-    assert tuple(COMPONENTS["path_planner"].parameters["goal"]) == home.GOAL
+def test_is_told_to_drive_there_and_back() -> None:
+    goals = COMPONENTS["path_planner"].parameters["goals"]
+    assert tuple(goals[0]) == home.GOAL
+    assert tuple(goals[1]) == home.START[:2]
 
 
 def test_samples_have_the_shapes_of_the_real_thing() -> None:

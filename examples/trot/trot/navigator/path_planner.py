@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from poise.runtime.ports import Published, Required, every
 from trot import home
 from trot.effort import Block, Effort
 from trot.interfaces import Maps, Poses
-from trot.messages import Path
+from trot.messages import Path, Pose
 from trot.navigator import grid
 from trot.navigator.mapper import occupied
 
@@ -33,8 +34,15 @@ Points = NDArray[np.float32]
 """x, y [m], ``(n, 2)``."""
 
 
+ARRIVED = 0.2
+"""[m] Who is this near a goal, and was at the plan before, goes on to the next."""
+
+
 class PathPlanner(Component):
-    """Plans anew twice a second, from where the robot is on the map as it is."""
+    """Plans anew twice a second, from where the robot is on the map as it is.
+
+    Goals are driven to in turn, again and again.
+    """
 
     poses: Required[Poses]
     maps: Required[Maps]
@@ -42,8 +50,9 @@ class PathPlanner(Component):
 
     def configure(self) -> None:
         self._effort = Effort.declared(self.parameters)
-        x, y = self.parameters.get("goal", home.GOAL)
-        self._goal = (float(x), float(y))
+        goals = self.parameters.get("goals", [home.GOAL])
+        self._goals = deque((float(x), float(y)) for x, y in goals)
+        self._was_there = False
 
     @every(0.5)
     def plan(self) -> None:
@@ -53,15 +62,22 @@ class PathPlanner(Component):
             self.log.info("no plan this time: %s", error)
             return
         since = self._effort.start()
-        points = way(seen.cells, (pose.x, pose.y), self._goal)
+        points = way(seen.cells, (pose.x, pose.y), self._next_goal(pose))
         self._effort.spend(self._detours, since)
         self.path.publish(Path(pose.stamp, points))
+
+    def _next_goal(self, pose: Pose) -> tuple[float, float]:
+        is_there = math.dist((pose.x, pose.y), self._goals[0]) < ARRIVED
+        if is_there and self._was_there:
+            self._goals.rotate(-1)
+        self._was_there = is_there
+        return self._goals[0]
 
     def _detours(self, block: Block) -> float:
         """Return the shortest of 2048 ways through random points of the home."""
         points = block[:8192].reshape(-1, 2, 2) * 8.0
         legs = np.linalg.norm(points[:, 0] - points[:, 1], axis=1)
-        rest = np.linalg.norm(points[:, 1] - self._goal, axis=1)
+        rest = np.linalg.norm(points[:, 1] - self._goals[0], axis=1)
         return float((legs + rest).min())
 
 
