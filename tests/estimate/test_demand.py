@@ -52,3 +52,10 @@ def test_the_share_of_jobs_that_went_undone_is_known() -> None:
     assert Sums([window(0.1, 10, 4)]).undone == pytest.approx(0.6)
     assert Sums([window(0.1, 10, 9)]).undone == 0.0
     assert Sums([window(0.1, 4, 10)]).undone == 0.0
+
+
+def test_to_whom_nothing_comes_any_more_needs_nothing_or_one_job() -> None:
+    """10 jobs that waited are done in 1 s, for 0.05 s each."""
+    found = demand_in([window(0.25, 0, 5)] * 2)
+    assert found.cores == 0
+    assert found.error == pytest.approx(0.05)

@@ -72,6 +72,8 @@ def demand_in(windows: Sequence[Window]) -> Demand:
     jobs = Sums(between)
     if jobs.cpu <= 0:
         return Demand(used, None)
-    cores = total.asked / total.seconds * jobs.cpu / jobs.done
-    unsure = max(window.cpu for window in between) / jobs.cpu + 1 / total.asked
-    return Demand(cores, cores * unsure)
+    cost = jobs.cpu / jobs.done
+    cores = total.asked / total.seconds * cost
+    # one window may belong to another job, and one job more or less have come
+    unsure = max(window.cpu for window in between) / jobs.cpu
+    return Demand(cores, cores * unsure + cost / total.seconds)

@@ -3,7 +3,8 @@
 It serves the devices' sockets in the folder POISE_RUN, says ``ready``, and runs until
 the goal is reached, SIGTERM comes, or its standard input ends when that is a pipe (so
 that it does not outlive who holds the other end). With ``--endless`` it runs on
-at the goal. The last line it prints is a JSON object that says how the drive went.
+when the goal was reached. The last line it prints is a JSON object that says how the
+drive went.
 """
 
 from __future__ import annotations
