@@ -207,7 +207,7 @@ class Link:
             return None
         if is_new:
             self._introduce(block, block.number, deadline)
-        return block, 0, pieces, (block.number, size, block.room)
+        return block, 0, pieces, (block.number, size, block.memory)
 
     def _place_loan(self, pieces: Pieces, deadline: float) -> _Placed | None:
         """Find the block on which the array lies already.

@@ -38,7 +38,7 @@ class LoanBlock(Block):
         super().__init__(number, capacity)
         # a link may still be about to hand it over when it is given up
         weakref.finalize(self, os.close, self.file)
-        self.address = _channel.address(self.room)
+        self.address = _channel.address(self.memory) + DATA
         self._array: weakref.ref[np.ndarray] | None = None
 
     @property

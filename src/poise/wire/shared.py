@@ -41,7 +41,7 @@ B = TypeVar("B", bound="Block")
 class Block:
     """The sender's side of a block with room for `capacity` bytes.
 
-    Sending copies arrays to `room`, or leaves them there.
+    Sending copies arrays to its `memory`, or leaves them there.
     """
 
     def __init__(self, number: int, capacity: int) -> None:
@@ -57,7 +57,7 @@ class Block:
         except OSError:
             os.close(self.file)
             raise
-        self.room = memoryview(self._map)[DATA:]
+        self.memory = memoryview(self._map)
 
     def is_free(self) -> bool:
         """Return whether the receiver has no array on it."""
@@ -73,7 +73,7 @@ class Block:
 
     def close(self) -> None:
         """Give up this side's map; the receiver's arrays stay as they are."""
-        self.room.release()
+        self.memory.release()
         self._map.close()
         os.close(self.file)
 

@@ -11,13 +11,14 @@
 #include <ctime>
 
 namespace poise {
-namespace {
 
 double now() {
   timespec moment{};
   clock_gettime(CLOCK_MONOTONIC, &moment);
   return static_cast<double>(moment.tv_sec) + 1e-9 * static_cast<double>(moment.tv_nsec);
 }
+
+namespace {
 
 // What the failure of a system call means; `done` when it is to be tried again.
 Outcome failed() {
@@ -47,6 +48,11 @@ Outcome Channel::wait(short event, double deadline) {
   const int ready = poll(&waiting, 1, std::isfinite(deadline) ? static_cast<int>(milliseconds) : -1);
   if (ready == 0) return Outcome::late;
   return ready < 0 ? failed() : Outcome::done;
+}
+
+bool Channel::is_gone() const {
+  pollfd looking{file_, POLLRDHUP, 0};
+  return poll(&looking, 1, 0) > 0;
 }
 
 Outcome Channel::send(std::vector<iovec>& pieces, double deadline) {

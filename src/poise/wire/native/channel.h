@@ -14,6 +14,8 @@
 
 namespace poise {
 
+double now();  // of the monotonic clock [s]
+
 // What a step came to.
 enum class Outcome {
   done,
@@ -46,6 +48,9 @@ class Channel {
 
   // Copy the next bytes to `target`, moving it on, until `left` is 0.
   Outcome take(char*& target, std::size_t& left, double deadline);
+
+  // Whether the other end has closed the socket, or its process ended.
+  bool is_gone() const;
 
   // How many bytes are here already, behind the last head.
   std::size_t num_ahead() const { return end_ - start_; }

@@ -5,6 +5,7 @@
 
 #include <cstddef>
 
+#include "filling.h"
 #include "memory.h"
 
 namespace poise {
@@ -16,6 +17,8 @@ class Lender {
 
   char* data() const { return data_.begin(); }
   std::size_t size() const { return data_.size(); }
+  // Whose the block is; null for a loan, which was filled before it is lent.
+  Mark* mark() const { return slot_ == 0 ? reinterpret_cast<Mark*>(flags_.begin()) : nullptr; }
   void give_back();
 
  private:

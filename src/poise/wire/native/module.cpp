@@ -8,7 +8,7 @@
 #include <ctime>
 
 #include "channel.h"
-#include "copy.h"
+#include "filling.h"
 #include "lender.h"
 #include "memory.h"
 
@@ -66,39 +66,39 @@ class Pieces {
  public:
   Pieces(nb::list pieces, std::size_t largest, std::uint32_t block, std::uint64_t used,
          nb::handle target)
-      : head_{0, block, used} {
+      : head_{0, block, target.is_none() ? used : 0} {
     const std::size_t num_inline = target.is_none() ? nb::len(pieces) : num_inline_with_block;
     const std::size_t padding = num_inline;  // between body and arrays; not in a block
     held_.reserve(nb::len(pieces) + 1);
     vectors_.reserve(nb::len(pieces) + 1);
     vectors_.push_back({&head_, block ? Head::with_block : Head::plain});
+    std::vector<iovec> arrays;
     std::size_t length = 0;
     for (nb::handle piece : pieces) {
       const bool is_inline = held_.size() < num_inline;
       const Memory& memory = held_.emplace_back(piece, PyBUF_SIMPLE);
       if (!memory.size() || held_.size() == padding + 1) continue;
-      (is_inline ? vectors_ : arrays_).push_back({memory.begin(), memory.size()});
-      (is_inline ? length : size_of_arrays_) += memory.size();
+      (is_inline ? vectors_ : arrays).push_back({memory.begin(), memory.size()});
+      (is_inline ? length : head_.used) += memory.size();
     }
     refuse_too_large(length, largest);
     head_.length = static_cast<std::uint32_t>(length);
     if (target.is_none()) return;
     const Memory& room = held_.emplace_back(target, PyBUF_WRITABLE);
-    if (size_of_arrays_ > room.size()) throw nb::value_error("the arrays are larger than the block");
-    head_.used = size_of_arrays_;
-    target_ = room.begin();
+    if (poise::data_offset() + head_.used > room.size())
+      throw nb::value_error("the arrays are larger than the block");
+    filling_ = poise::Filling(reinterpret_cast<poise::Mark*>(room.begin()),
+                              room.begin() + poise::data_offset(), std::move(arrays));
   }
   Pieces(const Pieces&) = delete;
   Pieces& operator=(const Pieces&) = delete;
 
-  // Copy the arrays to the block, once, and send the rest.
+  // Send a frame's head and body, and copy its arrays to the block.
   Outcome send(Channel& channel, double deadline) {
-    for (const iovec& array : arrays_) {
-      poise::copy_shared(target_, array.iov_base, array.iov_len);
-      target_ += array.iov_len;
-    }
-    arrays_.clear();
-    return channel.send(vectors_, deadline);
+    filling_.begin();
+    const Outcome outcome = channel.send(vectors_, deadline);
+    if (outcome == Outcome::done) filling_.finish();
+    return outcome;
   }
 
  private:
@@ -107,9 +107,8 @@ class Pieces {
 
   Head head_;
   std::vector<Memory> held_;
-  std::vector<iovec> vectors_, arrays_;
-  std::size_t size_of_arrays_ = 0;
-  char* target_ = nullptr;
+  std::vector<iovec> vectors_;
+  poise::Filling filling_;
 };
 
 // What `poise.wire.frame` calls things; never given back.
@@ -266,11 +265,14 @@ nb::object rest_of(Channel& channel, const Head& head, double deadline, std::siz
     const nb::bytes data = take(channel, head.length, deadline);
     const nb::object number = nb::cast(head.block);
     if (!lenders.contains(number)) return nb::make_tuple(head.block, head.used, data);
-    const nb::object lender = lenders[number];
-    const std::size_t size = nb::cast<const Lender&>(lender).size();
-    if (head.used > size)
-      raise_wire_error(nb::str("{} B announced in a block of {} B").format(head.used, size));
-    return parse(data, poise::lend(lender, head.used));
+    const nb::object object = lenders[number];
+    const Lender& lender = nb::cast<const Lender&>(object);
+    if (head.used > lender.size())
+      raise_wire_error(
+          nb::str("{} B announced in a block of {} B").format(head.used, lender.size()));
+    if (poise::Mark* mark = lender.mark(); mark && poise::is_being_filled(mark))
+      run([&] { return poise::wait_until_filled(mark, channel, deadline); }, not_come);
+    return parse(data, poise::lend(object, head.used));
   }
   if (head.length <= std::min(small, channel.num_ahead())) {
     const char* data = channel.skip(head.length);
