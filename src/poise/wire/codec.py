@@ -16,7 +16,7 @@ from collections.abc import Iterable
 from functools import cache, lru_cache
 from math import prod
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar, get_args
 
 import msgspec
 
@@ -132,7 +132,7 @@ class _Arrays:
             self._sent = []
 
     def decode(self, body: Bytes, buffers: memoryview) -> Any:  # noqa: ANN401, its type's
-        self._received = buffers
+        self._received = buffers.toreadonly()  # and so are the arrays
         try:
             return self._decode(body)
         finally:
@@ -181,42 +181,62 @@ def _encode_array(buffers: list[memoryview], value: Any) -> Any:  # noqa: ANN401
     np = _numpy()
     if not isinstance(value, np.ndarray):
         return _plain(value)
-    array = value if value.flags.c_contiguous else np.ascontiguousarray(value)
-    name = array.dtype.str
-    if _dtype(name) is None:
+    offset = sum(b.nbytes + padding(b.nbytes) for b in buffers) if buffers else 0
+    extension = _extension(value.dtype, value.shape, offset)
+    try:
+        memory = memoryview(value).cast("B")
+    except (TypeError, ValueError):  # not of one piece, empty, or of times
+        memory = np.ascontiguousarray(value).reshape(-1).view(np.uint8).data
+    buffers.append(memory)
+    return extension
+
+
+@lru_cache(maxsize=256)
+def _extension(dtype: np.dtype[Any], shape: tuple[int, ...], offset: int) -> Any:  # noqa: ANN401, msgspec's own
+    """Return what stands for an array in a body."""
+    if _dtype(dtype.str) is None:
         raise WireError(
-            f"an array of {array.dtype} cannot cross a connector; use one of numbers, "
+            f"an array of {dtype} cannot cross a connector; use one of numbers, "
             "or a Message with one for each field"
         )
-    offset = sum(b.nbytes + padding(b.nbytes) for b in buffers) if buffers else 0
-    buffers.append(array.reshape(-1).view(np.uint8).data)
-    return msgspec.msgpack.Ext(_ARRAY, _encode_header((name, value.shape, offset)))
+    header = msgspec.msgpack.encode((dtype.str, shape, offset))
+    return msgspec.msgpack.Ext(_ARRAY, header)
 
 
-@lru_cache(maxsize=64)
 def _dtype(name: str) -> np.dtype[Any] | None:
     """Return what arrays of a type hold, by its name; None when it may not cross."""
-    import numpy as np  # noqa: PLC0415, only where users' arrays are
-
-    return np.dtype(name) if _DTYPE.fullmatch(name) else None
+    return _numpy().dtype(name) if _DTYPE.fullmatch(name) else None
 
 
-_encode_header = msgspec.msgpack.Encoder().encode
+class _Layout(NamedTuple):
+    """How an array lies in the buffers; `offset` and `end` in [bytes]."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    offset: int
+    end: int
+
+
 _array_header = msgspec.msgpack.Decoder(tuple[str, tuple[int, ...], int]).decode
+
+
+@lru_cache(maxsize=256)
+def _layout(header: bytes) -> _Layout:
+    """Return what a header says; the same arrays come again and again."""
+    name, shape, offset = _array_header(header)
+    dtype = _dtype(name)
+    if dtype is None or not dtype.itemsize or min((0, *shape)) < 0 or offset < 0:
+        raise ValueError(f"refused array {name} {shape} at {offset}")
+    return _Layout(shape, dtype, offset, offset + prod(shape) * dtype.itemsize)
 
 
 def _decode_array(buffers: memoryview, code: int, data: memoryview) -> np.ndarray:
     if code != _ARRAY:
         raise ValueError(f"unknown extension {code}")
-    dtype_name, shape, offset = _array_header(data)
-    dtype = _dtype(dtype_name)
-    if dtype is None or not dtype.itemsize or min((0, *shape)) < 0 or offset < 0:
-        raise ValueError(f"refused array {dtype_name} {shape} at {offset}")
-    size = prod(shape) * dtype.itemsize
-    if offset + size > buffers.nbytes:
-        raise ValueError(f"array of {size} B at {offset} in {buffers.nbytes} B")
+    shape, dtype, offset, end = _layout(bytes(data))
+    if end > buffers.nbytes:
+        raise ValueError(f"array of {end - offset} B at {offset} in {buffers.nbytes} B")
     array: np.ndarray = _numpy().ndarray(shape, dtype, buffers, offset)
-    array.flags.writeable = False
     return array
 
 
