@@ -39,7 +39,8 @@ sanitize: setup
 	@LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" ASAN_OPTIONS=detect_leaks=0 \
 	  PYTHONPATH=build/sanitize/site:$(SITE) $(BIN)/python -S -m pytest -q -s --timeout 600 \
 	  tests/plan/test_engine.py tests/plan/test_cut.py tests/plan/test_core_boundary.py \
-	  tests/wire/test_frame.py tests/wire/test_link.py tests/wire/test_pipe.py \
+	  tests/wire/test_filling.py tests/wire/test_frame.py tests/wire/test_link.py \
+	  tests/wire/test_pipe.py \
 	  tests/runtime/connectors tests/runtime/test_histogram.py tests/runtime/test_ledger.py \
 	  tests/runtime/test_served_call.py tests/runtime/test_turn.py tests/estimate/test_shift.py
 

@@ -98,6 +98,8 @@ class Loans:
 
     def find(self, sent: Bytes) -> LoanBlock | None:
         """Return the block whose loan begins where `sent` does, if there is one."""
+        if not self._pool:
+            return None
         address = _channel.address(sent)
         with self._changing:
             for block in self._pool.blocks():

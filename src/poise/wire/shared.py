@@ -2,10 +2,14 @@
 
 A block is an anonymous file (``memfd_create``) that both ends map. The sender copies
 arrays into it, the receiver's arrays are read-only views on it. Whose it is stands in
-the block's first byte: the sender sets it before it tells the receiver of its contents;
-the receiver clears it when the last array on it is gone, and only then is the block
-used again. A receiver that keeps its arrays therefore only makes the sender take
-another block, or send through the socket when there is none.
+the block's first word: the sender sets it, and the receiver clears it when the last
+array on it is gone; only then is the block used again. A receiver that keeps its arrays
+therefore only makes the sender take another block, or send through the socket when
+there is none.
+
+To wake a receiver takes about as long as to copy an array of 1 MB. So the sender says
+that the block is being filled, tells the receiver, copies the rest meanwhile, and then
+says that the block is the receiver's, who waits for that (``native/filling.cpp``).
 
 Nothing has a name in the file system, so the kernel frees what a crash leaves behind.
 """
