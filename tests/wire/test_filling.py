@@ -127,6 +127,11 @@ def take(link: Link, number: int) -> None:
     assert (received.value(ANY) == number).all()
 
 
+def take_all(link: Link) -> None:
+    for number in itertools.count(1):
+        take(link, number)
+
+
 def test_a_sender_that_stops_at_any_point_is_waited_for(
     sender: tuple[subprocess.Popen[bytes], Link],
 ) -> None:
@@ -161,5 +166,4 @@ def test_a_sender_that_is_killed_at_any_point_leaves_whole_frames(
     after = random.Random(seed).uniform(0, 0.02)
     threading.Timer(after, process.kill).start()
     with pytest.raises(Unavailable):
-        for number in itertools.count(1):
-            take(link, number)
+        take_all(link)
