@@ -10,7 +10,8 @@ class Channel:
     """Frames over a connected stream socket, each behind the head of a link.
 
     It waits without Python's lock. One thread at a time may use it in each direction,
-    and none once the socket was closed. `file` is the socket's descriptor; deadlines
+    and none once the socket was closed. `file` is the socket's descriptor; over TCP the
+    other end is gone when its computer confirms nothing for `lost_after` [s]. Deadlines
     are moments of the monotonic clock [s], and infinity is none; a frame has at most
     `largest` bytes.
 
@@ -24,7 +25,10 @@ class Channel:
         The frame is too large, or it is none.
     """
 
-    def __init__(self, file: int) -> None: ...
+    def __init__(self, file: int, lost_after: float) -> None: ...
+    def is_lost(self) -> bool:
+        """Return at once whether something that was sent was not confirmed in time."""
+
     def send(
         self,
         pieces: list[Bytes],

@@ -74,8 +74,11 @@ def family_of(host: str) -> socket.AddressFamily:
 def tune(connection: socket.socket) -> None:
     """Let a TCP connection send at once, and end when its other end goes silent.
 
-    That takes `LOST_AFTER`, and a second at most. What a listening socket is told holds
-    for the connections that it accepts.
+    That takes `LOST_AFTER`, and a second at most, while nothing was sent; else who uses
+    the connection looks (`poise.wire.link`). TCP's own limit for that would also end a
+    connection to a process that only takes nothing for a while, and what was sent to it
+    would be lost. What a listening socket is told holds for the connections that it
+    accepts.
     """
     seconds = int(LOST_AFTER)
     for level, option, value in (
@@ -84,6 +87,5 @@ def tune(connection: socket.socket) -> None:
         (socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, _PROBE_EVERY),
         (socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, _PROBE_EVERY),
         (socket.IPPROTO_TCP, socket.TCP_KEEPCNT, seconds),
-        (socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, 1000 * seconds),
     ):
         connection.setsockopt(level, option, value)

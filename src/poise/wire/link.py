@@ -26,6 +26,7 @@ from weakref import WeakValueDictionary
 
 from poise.errors import Unavailable
 from poise.wire import _channel
+from poise.wire.address import LOST_AFTER
 from poise.wire.codec import Unreadable, WireError
 from poise.wire.frame import Frame
 from poise.wire.loans import LOANS, LoanBlock
@@ -72,7 +73,7 @@ class Link:
     def __init__(self, connection: socket.socket) -> None:
         self._connection = connection
         self.is_local = connection.family == socket.AF_UNIX
-        self._channel = _channel.Channel(connection.fileno())
+        self._channel = _channel.Channel(connection.fileno(), LOST_AFTER)
         self.is_lost = False
         self._pool = Pool(Block)
         self._lenders: dict[int, _channel.Lender] = {}
@@ -92,7 +93,8 @@ class Link:
         try:
             self._connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
         except BlockingIOError:
-            return True
+            self.is_lost = self._channel.is_lost()
+            return not self.is_lost
         except OSError as error:
             self.is_lost = error.errno in _LOST
         return False

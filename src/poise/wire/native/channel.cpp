@@ -1,5 +1,7 @@
 #include "channel.h"
 
+#include <netinet/in.h>
+#include <netinet/tcp.h>
 #include <poll.h>
 #include <sys/socket.h>
 
@@ -20,6 +22,9 @@ double now() {
 
 namespace {
 
+// Who waits looks after this time whether the other computer is there still [s].
+constexpr double look_after = 1.0;
+
 // What the failure of a system call means; `done` when it is to be tried again.
 Outcome failed() {
   if (errno == EINTR) return Outcome::interrupted;
@@ -36,23 +41,50 @@ void drop(std::vector<iovec>& pieces, std::size_t count) {
   pieces.front().iov_len -= count;
 }
 
+// What TCP knows; all 0 over AF_UNIX.
+tcp_info look(int file) {
+  tcp_info found{};
+  socklen_t size = sizeof found;
+  if (getsockopt(file, IPPROTO_TCP, TCP_INFO, &found, &size) != 0) return tcp_info{};
+  return found;
+}
+
 }  // namespace
 
-// Sleep until the socket is ready. Reading waits here and not in `recv`, because that is
-// woken in vain when the other end takes what was sent.
-Outcome Channel::wait(short event, double deadline) {
-  const double left = deadline - now();
-  if (left <= 0.0) return Outcome::late;
-  const double milliseconds = std::ceil(1e3 * std::min(left, 1e6));
-  pollfd waiting{file_, event, 0};
-  const int ready = poll(&waiting, 1, std::isfinite(deadline) ? static_cast<int>(milliseconds) : -1);
-  if (ready == 0) return Outcome::late;
-  return ready < 0 ? failed() : Outcome::done;
+Channel::Channel(int file, double lost_after)
+    : file_(file), lost_after_(lost_after), is_remote_(look(file).tcpi_state != 0), ahead_(ahead_size) {}
+
+bool Channel::is_lost() const {
+  const tcp_info found = look(file_);
+  return found.tcpi_unacked > 0 && found.tcpi_last_ack_recv > 1e3 * lost_after_;
 }
 
 bool Channel::is_gone() const {
   pollfd looking{file_, POLLRDHUP, 0};
   return poll(&looking, 1, 0) > 0;
+}
+
+// Sleep until the socket is ready. Reading waits here and not in `recv`, because that is
+// woken in vain when the other end takes what was sent.
+Outcome Channel::wait(short event, double deadline) {
+  bool looks = is_remote_;
+  while (true) {
+    const double began = now();
+    if (began >= deadline) return Outcome::late;
+    const double until = looks ? std::min(deadline, began + look_after) : deadline;
+    const double milliseconds = std::ceil(1e3 * std::min(until - began, 1e6));
+    pollfd waiting{file_, event, 0};
+    const bool ends = std::isfinite(until);
+    const int ready = poll(&waiting, 1, ends ? static_cast<int>(milliseconds) : -1);
+    if (ready > 0) return Outcome::done;
+    if (ready < 0) return failed();
+    if (is_lost()) {
+      errno = ETIMEDOUT;
+      return Outcome::gone;
+    }
+    // of an end that owes nothing the system finds out itself (SO_KEEPALIVE)
+    looks = look(file_).tcpi_unacked > 0;
+  }
 }
 
 Outcome Channel::send(std::vector<iovec>& pieces, double deadline) {

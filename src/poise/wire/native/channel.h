@@ -37,7 +37,8 @@ static_assert(sizeof(Head) == Head::with_block);
 
 class Channel {
  public:
-  explicit Channel(int file) : file_(file), ahead_(ahead_size) {}
+  // Over TCP the other end is lost when it confirms nothing for `lost_after` [s].
+  Channel(int file, double lost_after);
 
   // Send all of `pieces` before `deadline` [s, of the monotonic clock], and take off what
   // was sent.
@@ -51,6 +52,10 @@ class Channel {
 
   // Whether the other end has closed the socket, or its process ended.
   bool is_gone() const;
+
+  // Whether the other computer was silent for too long about something that was sent. A
+  // process that takes nothing does no harm: its computer says so.
+  bool is_lost() const;
 
   // How many bytes are here already, behind the last head.
   std::size_t num_ahead() const { return end_ - start_; }
@@ -71,6 +76,8 @@ class Channel {
   Outcome wait(short event, double deadline);
 
   int file_;
+  double lost_after_;
+  bool is_remote_;
   std::vector<char> ahead_;
   std::size_t start_ = 0, end_ = 0;
 };

@@ -317,7 +317,8 @@ NB_MODULE(_channel, module) {
   nb::set_leak_warnings(false);  // containers end without finalising the interpreter
 
   nb::class_<Channel>(module, "Channel")
-      .def(nb::init<int>(), nb::arg("file"))
+      .def(nb::init<int, double>(), nb::arg("file"), nb::arg("lost_after"))
+      .def("is_lost", &Channel::is_lost)
       .def("send", &send, nb::arg("pieces"), nb::arg("deadline"), nb::arg("largest"),
            nb::arg("block") = 0, nb::arg("used") = 0, nb::arg("target") = nb::none())
       .def("receive", &receive, nb::arg("deadline"), nb::arg("largest"), nb::arg("lenders"))
