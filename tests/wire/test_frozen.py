@@ -62,7 +62,7 @@ def test_what_was_sent_to_a_process_that_stood_still_arrives(
     pipe.push(message("x" * SMALLEST), LIMIT)
     head = int(line(there)) - SMALLEST
     there.send_signal(signal.SIGSTOP)
-    sent = []
+    sent: list[int] = []
     end = time.monotonic() + 2 * LOST_AFTER
     while time.monotonic() < end:
         length = SMALLEST + 1 + len(sent)
