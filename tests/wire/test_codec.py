@@ -158,9 +158,10 @@ def test_an_array_that_does_not_lie_is_taken() -> None:
     np.testing.assert_array_equal(decoded_array("<f8", (2, 2), 32), np.zeros((2, 2)))
 
 
-def test_an_unknown_extension_is_refused() -> None:
-    body = msgspec.msgpack.encode({"what": msgspec.msgpack.Ext(9, b"")})
-    with pytest.raises(WireError, match="unknown extension 9"):
+@pytest.mark.parametrize(("code", "length"), [(9, 0), (1, 5_000)])
+def test_an_unknown_extension_is_refused(code: int, length: int) -> None:
+    body = msgspec.msgpack.encode({"what": msgspec.msgpack.Ext(code, bytes(length))})
+    with pytest.raises(WireError, match=f"refused extension {code} of {length} B"):
         codec(Anything).decode(body, memoryview(b""))
 
 

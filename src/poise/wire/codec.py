@@ -31,6 +31,8 @@ Bytes = bytes | bytearray | memoryview
 ALIGNMENT = 16
 _NOTHING = memoryview(b"")
 _ARRAY = 1
+_LONGEST_HEADER = 1 << 10
+"""What stands for an array is shorter, with as many sides as NumPy has [bytes]."""
 _DTYPE = re.compile(r"[<>|][biufcSUmM]\d{1,9}(\[\d*\w{1,2}\])?")
 """What arrays may hold, in NumPy's letters: no objects, and no records."""
 _UNFIT = (TypeError, ValueError, OverflowError, RecursionError)
@@ -231,8 +233,8 @@ def _layout(header: bytes) -> _Layout:
 
 
 def _decode_array(buffers: memoryview, code: int, data: memoryview) -> np.ndarray:
-    if code != _ARRAY:
-        raise ValueError(f"unknown extension {code}")
+    if code != _ARRAY or len(data) > _LONGEST_HEADER:
+        raise ValueError(f"refused extension {code} of {len(data)} B")
     shape, dtype, offset, end = _layout(bytes(data))
     if end > buffers.nbytes:
         raise ValueError(f"array of {end - offset} B at {offset} in {buffers.nbytes} B")

@@ -25,6 +25,10 @@ namespace {
 // Who waits looks after this time whether the other computer is there still [s].
 constexpr double look_after = 1.0;
 
+// So often something was sent again: who has stood still itself, as a computer that slept, may
+// have heard nothing for long, and yet be answered at once.
+constexpr int in_vain = 2;
+
 // What the failure of a system call means; `done` when it is to be tried again.
 Outcome failed() {
   if (errno == EINTR) return Outcome::interrupted;
@@ -56,7 +60,8 @@ Channel::Channel(int file, double lost_after)
 
 bool Channel::is_lost() const {
   const tcp_info found = look(file_);
-  return found.tcpi_unacked > 0 && found.tcpi_last_ack_recv > 1e3 * lost_after_;
+  return found.tcpi_unacked > 0 && found.tcpi_retransmits >= in_vain &&
+         found.tcpi_last_ack_recv > 1e3 * lost_after_;
 }
 
 bool Channel::is_gone() const {
