@@ -26,6 +26,8 @@ PUBLIC = {
         "loan",
         "oneway",
         "subscribed",
+        "time_left",
+        "within",
     ],
     "poise.emulate": [
         "EmulatedComputer",

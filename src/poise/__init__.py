@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from poise.clock import Stamp
     from poise.runtime.component import Component
+    from poise.runtime.deadline import time_left, within
     from poise.runtime.ports import (
         Message,
         Provided,
@@ -28,6 +29,8 @@ else:
         "loan": "poise.wire.loans",
         "oneway": "poise.runtime.ports",
         "subscribed": "poise.runtime.ports",
+        "time_left": "poise.runtime.deadline",
+        "within": "poise.runtime.deadline",
     }
 
     def __getattr__(name: str) -> object:
@@ -49,4 +52,6 @@ __all__ = [
     "loan",
     "oneway",
     "subscribed",
+    "time_left",
+    "within",
 ]

@@ -77,7 +77,7 @@ class Pair:
         self.runners: dict[tuple[str, int], Runner] = {}
         self._specs: tuple[ConnectorSpec, ...] = ()
         self._closing = ExitStack()
-        self._folder = folder
+        self.folder = folder
         self._door = self._closing.enter_context(Door(folder, "127.0.0.1"))
         self.sides = {"target": self._side("target")}
         self.sides["source"] = (
@@ -160,7 +160,7 @@ class Pair:
         )
 
     def _side(self, name: str) -> Wiring:
-        place = Place(container=name, folder=str(self._folder), door=str(self._door))
+        place = Place(container=name, folder=str(self.folder), door=str(self._door))
         transports = self.transports[name] = Transports(place)
         wiring = Wiring(transports, self.clocks.get)
         self._closing.callback(transports.close)

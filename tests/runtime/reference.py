@@ -10,6 +10,8 @@ from collections.abc import Callable
 from typing import Any, NoReturn
 
 from poise.errors import Timeout
+from poise.runtime._calls import time_left
+from poise.runtime.deadline import within
 from poise.runtime.turn import Retired, current_chain
 from poise.wire.messages import Summary
 
@@ -132,8 +134,13 @@ def direct_call(
 
     def call(*args: Any, **kwargs: Any) -> Any:
         began = time.monotonic()
+        left = time_left(limit)
+        if left <= 0.0:
+            count(began)
+            counts.errors += 1
+            raise Timeout("no time is left")
         try:
-            turn.enter(current_chain(), limit)
+            turn.enter(current_chain(), left)
         except Retired:
             if resend is None:
                 raise
@@ -143,17 +150,18 @@ def direct_call(
             counts.errors += 1
             raise
         try:
-            result = method(*args, **kwargs)
+            with within(left):
+                result = method(*args, **kwargs)
         except Exception as error:  # noqa: BLE001, translate raises
             counts.errors += 1
             translate(error)
         finally:
             turn.leave()
             elapsed = count(began)
-        if elapsed > limit:
+        if elapsed > left:
             counts.errors += 1
             raise Timeout(
-                f"{method.__qualname__} took {elapsed:.3f} s, limit {limit:g} s"
+                f"{method.__qualname__} took {elapsed:.3f} s, limit {left:.3g} s"
             )
         return result
 

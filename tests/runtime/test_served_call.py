@@ -55,6 +55,7 @@ def come_in(
         limit=limit,
         counts=counts or Counts(),
         translate=raise_callee_error,
+        is_over=lambda: False,
     )
     return served(call_frame(chain))
 

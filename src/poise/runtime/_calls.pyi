@@ -23,6 +23,21 @@ def join_chain(chain: int) -> None:
 def current_chain() -> int:
     """Return the chain of this thread; a new one when it has none."""
 
+def time_left(limit: float) -> float:
+    """Return what a call may take that begins now, with a limit of its own [s].
+
+    0 or less: the call that it is made in is over.
+    """
+
+def deadline() -> int:
+    """Return until when somebody waits for this thread: monotonic clock [ns].
+
+    The largest number of 64 bits when nobody does.
+    """
+
+def set_deadline(moment: int) -> None:
+    """Let somebody wait for this thread until then."""
+
 class Turn:
     """The right to run a component's code; shut until it is first opened.
 
@@ -300,7 +315,8 @@ class DirectCall:
     Parameters
     ----------
     limit
-        Of the wait for the turn, and of the whole call [s].
+        Of the wait for the turn, and of the whole call [s]; less in a call of which
+        less is left.
     translate
         Takes the exception that the method raised, and raises what the caller gets.
     resend
@@ -341,14 +357,18 @@ class ServedCall:
     encode
         Turns a result into an answer, under the turn: the result may be state.
     limit
-        Of the wait for the chain, and of that for the turn [s].
+        Of the wait for the chain, and of that for the turn [s]; less when the frame
+        says that its caller waits for less.
     translate
         As `DirectCall`'s.
+    is_over
+        Returns whether the caller is gone. Then a call that had to wait is not run.
 
     Raises
     ------
     Timeout
-        Another thread ran the chain, or another chain had the turn, all the time.
+        Another thread ran the chain, or another chain had the turn, all the time; or
+        the caller is gone.
     Retired
         The component has moved away; its method was not called.
     WireError
@@ -364,6 +384,7 @@ class ServedCall:
         limit: float,
         counts: Counts,
         translate: Callable[[Exception], NoReturn],
+        is_over: Callable[[], bool],
     ) -> None: ...
     def __call__(self, frame: Frame) -> list[Bytes]: ...
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from poise.errors import Timeout, Unavailable
-from poise.wire import frame
+from poise.wire import caller, frame
 from poise.wire.codec import Unreadable, WireError
 from poise.wire.frame import Kind
 from poise.wire.link import LAST_ANSWER, Link
@@ -144,6 +144,7 @@ class LinkServer:
         link.close()
 
     def _serve(self, served: _Served) -> None:
+        caller.serve(served.link)
         try:
             self._greet(served)
             while self._serve_one(served):

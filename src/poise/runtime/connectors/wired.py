@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any, NoReturn
 
 from poise.errors import CalleeError, CallError, Timeout
-from poise.runtime._calls import ServedCall, away
+from poise.runtime._calls import ServedCall, away, time_left
 from poise.runtime.connectors.counts import Counts
 from poise.runtime.connectors.credits import Credit, Grants
 from poise.runtime.connectors.direct import Target, raise_callee_error
@@ -18,7 +18,7 @@ from poise.runtime.connectors.outlet import Outlet
 from poise.runtime.mailbox import Feed
 from poise.runtime.ports import Port
 from poise.runtime.turn import Retired, current_chain
-from poise.wire import frame
+from poise.wire import caller, frame
 from poise.wire.codec import Codec, WireError, codec
 from poise.wire.frame import Frame, Kind, segments, size_of
 from poise.wire.messages import ConnectorSpec
@@ -92,12 +92,17 @@ class WiredPath:
 
         def call(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401, the method's own
             started = time.monotonic()
-            chain = current_chain()
+            chain, left = current_chain(), time_left(limit)
+            if left <= 0.0:
+                counts.add_call(0.0, failed=True)
+                raise Timeout(f"connector {name}: no call was made: no time is left")
             values = bind(*args, **kwargs)
-            pieces = segments(arguments, values, _CALL, tag=tag, chain=chain)
+            pieces = segments(
+                arguments, values, _CALL, tag=tag, number=int(1e9 * left), chain=chain
+            )
             answer = None
             try:
-                answer = away(chain, limit, name, request, pieces)
+                answer = away(chain, left, name, request, pieces)
                 if answer.kind is _RESULT:
                     result = decode(answer.body, answer.buffers)
                 elif answer.kind is not _MOVED:
@@ -110,7 +115,7 @@ class WiredPath:
                 counts.add_call(took, size_of(pieces), came, failed=True)
                 raise
             if answer is None or answer.kind is _MOVED:  # it was not run
-                deadline = started + limit
+                deadline = started + left
                 return outlet.again(self, method.name, args, kwargs, deadline)
             took = time.monotonic() - started
             latency = answer.age + far.ahead
@@ -215,6 +220,7 @@ def _answering(
         limit=limit,
         counts=counts,
         translate=raise_callee_error,
+        is_over=caller.is_gone,
     )
 
 

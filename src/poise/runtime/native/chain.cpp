@@ -1,8 +1,11 @@
 #include "chain.h"
 
+#include "deadline.h"
+
 namespace poise {
 
 thread_local Chain thread_chain = no_chain;
+thread_local Moment thread_deadline = never;
 
 static Chain next = 1;  // under the GIL
 

@@ -4,6 +4,7 @@
 
 #include <cstddef>
 
+#include "deadline.h"
 #include "turn.h"
 
 namespace nb = nanobind;
@@ -24,44 +25,56 @@ struct DirectCall {
   double limit;         // [s]
 };
 
-void set_too_late(const DirectCall* call, double elapsed) {
+void set_too_late(const DirectCall* call, double elapsed, double limit) {
   nb::object name = nb::getattr(call->method, "__qualname__", nb::str("the callee"));
   nb::object error = nb::module_::import_("poise.errors").attr("Timeout");
-  nb::str text = nb::str("{} took {:.3f} s, limit {:g} s").format(name, elapsed, call->limit);
+  nb::str text = nb::str("{} took {:.3f} s, limit {:.3g} s").format(name, elapsed, limit);
   PyErr_SetObject(error.ptr(), text.ptr());
 }
 
-PyObject* refuse(DirectCall* call, Entry entry, std::int64_t began, PyObject* const* args,
+void count_failed(Counts& counts, double elapsed) {
+  counts.tally().calls.add(1);
+  counts.tally().errors.add(1);
+  counts.delay.add(elapsed);
+}
+
+PyObject* refuse(DirectCall* call, Entry entry, Moment began, double limit, PyObject* const* args,
                  std::size_t num, PyObject* names) {
   if (entry == Entry::retired && call->resend != Py_None)
     return PyObject_Vectorcall(call->resend, args, num, names);
-  if (entry == Entry::timeout) {
-    Counts& counts = *call->counts_of;
-    counts.tally().calls.add(1);
-    counts.tally().errors.add(1);
-    counts.delay.add(1e-9 * static_cast<double>(wall_now() - began));
-  }
-  set_entry_error(call->turn_of->what(), static_cast<int>(entry), call->limit, "was busy for");
+  if (entry == Entry::timeout)
+    count_failed(*call->counts_of, 1e-9 * static_cast<double>(wall_now() - began));
+  set_entry_error(call->turn_of->what(), static_cast<int>(entry), limit, "was busy for");
   return nullptr;
 }
 
 PyObject* invoke(PyObject* self, PyObject* const* args, std::size_t num, PyObject* names) {
   auto* call = reinterpret_cast<DirectCall*>(self);
   Counts& counts = *call->counts_of;
-  const std::int64_t began = wall_now();
-  const Entry entry = call->turn_of->enter(current_chain(), call->limit);
-  if (entry > Entry::late) return refuse(call, entry, began, args, num, names);
-  const std::int64_t inside = entry == Entry::late ? wall_now() : began;
+  const Moment began = wall_now();
+  const double limit = time_left(call->limit, began);
+  if (limit <= 0.0) {
+    count_failed(counts, 0.0);
+    set_over(call->turn_of->what());
+    return nullptr;
+  }
+  const Entry entry = call->turn_of->enter(current_chain(), limit);
+  if (entry > Entry::late) return refuse(call, entry, began, limit, args, num, names);
+  const Moment inside = entry == Entry::late ? wall_now() : began;
 
   // the facade may let go of this object while the callee runs
   Py_INCREF(self);
   const bool measured = counts.tally().cpu.should_measure(inside);
   const std::int64_t cpu_began = measured ? cpu_now() : 0;
-  PyObject* result = PyObject_Vectorcall(call->method, args, num, names);
+  PyObject* result;
+  {
+    const Deadline deadline(began, limit);
+    result = PyObject_Vectorcall(call->method, args, num, names);
+  }
   const std::int64_t cpu = measured ? cpu_now() - cpu_began : 0;
   call->turn_of->leave();
 
-  const std::int64_t ended = wall_now();
+  const Moment ended = wall_now();
   Tally& tally = counts.tally();  // by now it may be elsewhere than before
   if (measured)
     tally.cpu.add_measured(inside, ended - inside, cpu);
@@ -73,10 +86,10 @@ PyObject* invoke(PyObject* self, PyObject* const* args, std::size_t num, PyObjec
   if (!result) {
     tally.errors.add(1);
     translate_error(call->translate);
-  } else if (elapsed > call->limit) {
+  } else if (elapsed > limit) {
     tally.errors.add(1);
     Py_CLEAR(result);
-    set_too_late(call, elapsed);
+    set_too_late(call, elapsed, limit);
   }
   Py_DECREF(self);
   return result;
@@ -192,7 +205,13 @@ void set_entry_error(const std::string& what, int entry, double limit, const cha
     return;
   }
   nb::object error = nb::module_::import_("poise.errors").attr("Timeout");
-  nb::str text = nb::str("component '{}' {} {:g} s").format(what.c_str(), action, limit);
+  nb::str text = nb::str("component '{}' {} {:.3g} s").format(what.c_str(), action, limit);
+  PyErr_SetObject(error.ptr(), text.ptr());
+}
+
+void set_over(const std::string& what) {
+  nb::object error = nb::module_::import_("poise.errors").attr("Timeout");
+  nb::str text = nb::str("component '{}' was not called: no time is left").format(what.c_str());
   PyErr_SetObject(error.ptr(), text.ptr());
 }
 

@@ -63,4 +63,7 @@ void translate_error(nanobind::handle translate);
 void set_entry_error(const std::string& what, int entry, double limit,
                      const char* action);
 
+// Set the Python error of a call for which no time was left.
+void set_over(const std::string& what);
+
 }  // namespace poise

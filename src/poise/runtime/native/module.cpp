@@ -8,6 +8,7 @@
 #include <limits>
 
 #include "account.h"
+#include "deadline.h"
 #include "direct_call.h"
 #include "reader.h"
 #include "served_call.h"
@@ -42,6 +43,11 @@ NB_MODULE(_calls, module) {
   module.def("new_chain", &new_chain);
   module.def("join_chain", [](Chain chain) { thread_chain = chain; }, nb::arg("chain"));
   module.def("current_chain", &current_chain);
+
+  module.def("time_left", [](double limit) { return time_left(limit, wall_now()); },
+             nb::arg("limit"));
+  module.def("deadline", [] { return thread_deadline; });
+  module.def("set_deadline", [](Moment moment) { thread_deadline = moment; }, nb::arg("moment"));
 
   nb::class_<Turn>(module, "Turn")
       .def(nb::init<std::string>(), nb::arg("what"))
@@ -149,9 +155,9 @@ NB_MODULE(_calls, module) {
 
   nb::class_<ServedCall>(module, "ServedCall")
       .def(nb::init<nb::object, nb::object, nb::object, nb::object, double, nb::object,
-                    nb::object>(),
+                    nb::object, nb::object>(),
            nb::arg("decode"), nb::arg("method"), nb::arg("encode"), nb::arg("turn"),
-           nb::arg("limit"), nb::arg("counts"), nb::arg("translate"))
+           nb::arg("limit"), nb::arg("counts"), nb::arg("translate"), nb::arg("is_over"))
       .def("__call__", &ServedCall::answer, nb::arg("frame"));
   module.def("away", &away, nb::arg("chain"), nb::arg("limit"), nb::arg("what"),
              nb::arg("request"), nb::arg("pieces"));

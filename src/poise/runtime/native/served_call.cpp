@@ -1,5 +1,6 @@
 #include "served_call.h"
 
+#include "deadline.h"
 #include "visit.h"
 
 namespace nb = nanobind;
@@ -22,14 +23,17 @@ class Visiting {
     const Entry entry = visit_->take(limit);
     if (entry == Entry::interrupted) throw nb::python_error();
     if (entry > Entry::late)
-      raise_timeout(nb::str("an earlier call of the same caller ran {:g} s").format(limit));
+      raise_timeout(nb::str("an earlier call of the same caller ran {:.3g} s").format(limit));
+    waited_ = entry == Entry::late;
   }
   ~Visiting() { visit_->give(); }
+  bool waited() const { return waited_; }
   Visiting(const Visiting&) = delete;
   Visiting& operator=(const Visiting&) = delete;
 
  private:
   std::shared_ptr<Visit> visit_;
+  bool waited_ = false;
 };
 
 // Keeps other chains out of the component for as long as it lives.
@@ -37,16 +41,19 @@ class Inside {
  public:
   Inside(Turn& turn, Chain chain, double limit) : turn_(turn) {
     const Entry entry = turn.enter(chain, limit);
+    waited_ = entry == Entry::late;
     if (entry <= Entry::late) return;
     set_entry_error(turn.what(), static_cast<int>(entry), limit, "was busy for");
     throw nb::python_error();
   }
   ~Inside() { turn_.leave(); }
+  bool waited() const { return waited_; }
   Inside(const Inside&) = delete;
   Inside& operator=(const Inside&) = delete;
 
  private:
   Turn& turn_;
+  bool waited_ = false;
 };
 
 template <class Bound>
@@ -61,6 +68,7 @@ struct Fields {
   PyObject* body = PyUnicode_InternFromString("body");
   PyObject* buffers = PyUnicode_InternFromString("buffers");
   PyObject* chain = PyUnicode_InternFromString("chain");
+  PyObject* number = PyUnicode_InternFromString("number");
 };
 
 const Fields& fields() {
@@ -71,29 +79,37 @@ const Fields& fields() {
 }  // namespace
 
 ServedCall::ServedCall(nb::object decode, nb::object method, nb::object encode, nb::object turn,
-                       double limit, nb::object counts, nb::object translate)
+                       double limit, nb::object counts, nb::object translate,
+                       nb::object is_over)
     : decode_(std::move(decode)),
       method_(std::move(method)),
       encode_(std::move(encode)),
       turn_(std::move(turn)),
       counts_(std::move(counts)),
       translate_(std::move(translate)),
+      is_over_(std::move(is_over)),
       turn_of_(inside_of<Turn>(turn_, "a ServedCall takes a Turn")),
       counts_of_(inside_of<Counts>(counts_, "a ServedCall takes a Counts")),
       limit_(limit) {}
 
 nb::object ServedCall::answer(nb::handle frame) {
-  const std::int64_t began = wall_now();
+  const Moment began = wall_now();
   const bool measured = counts_of_.tally().cpu.should_measure_served(began);
   const std::int64_t cpu_began = measured ? cpu_now() : 0;
 
   const nb::object values = decode_(frame.attr(fields().body), frame.attr(fields().buffers));
   const auto chain = nb::cast<Chain>(frame.attr(fields().chain));
+  const double limit = limit_of(frame);
   nb::object pieces;
   {
-    const Visiting visiting(chain, limit_);
+    const Visiting visiting(chain, limit);
     thread_chain = chain;
-    const Inside inside(turn_of_, chain, limit_);
+    const Inside inside(turn_of_, chain, limit);
+    const bool waited = visiting.waited() || inside.waited();
+    if (waited && nb::cast<bool>(is_over_()))
+      raise_timeout(nb::str("component '{}' was not called: its caller is gone")
+                        .format(turn_of_.what().c_str()));
+    const Deadline deadline(began, limit);
     pieces = run(values);
   }
 
@@ -105,6 +121,12 @@ nb::object ServedCall::answer(nb::handle frame) {
     cpu.add(wall);
   if (!pieces.is_valid()) raise_callee_error();
   return pieces;
+}
+
+// What is left of the caller's time, at most this end's own limit.
+double ServedCall::limit_of(nb::handle frame) const {
+  const auto waits = nb::cast<std::uint64_t>(frame.attr(fields().number));
+  return waits ? std::min(limit_, 1e-9 * static_cast<double>(waits)) : limit_;
 }
 
 // None, and Python's error set, when the callee raised. The result is encoded inside its
@@ -143,7 +165,7 @@ nb::object away(Chain chain, double limit, const char* what, nb::handle request,
     throw nb::python_error();
   }
   raise_timeout(nb::str("connector {}: the call is over, but a call back from it still runs "
-                        "after {:g} s")
+                        "after {:.3g} s")
                     .format(what, limit),
                 error);
 }
