@@ -221,7 +221,8 @@ def ask(robot: str | None, what: Ask) -> Answer:
             control.send(connection, Asked(what))
             if not select.select([connection], [], [], ANSWER_LIMIT)[0]:
                 raise Timeout(
-                    f"it is busy since {ANSWER_LIMIT:g} s; see `poise status`"
+                    f"it is busy since {ANSWER_LIMIT:g} s; what it has begun goes on, "
+                    "and `poise status` shows what came of it"
                 )
             answered = control.receive(connection, Answered).what
     except (OSError, RunError, WireError) as error:
