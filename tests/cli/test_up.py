@@ -36,6 +36,11 @@ from poise import Component, Message, Published, every, subscribed
 class Number(Message):
     value: int
 
+def burn(seconds):
+    until = time.thread_time() + seconds
+    while time.thread_time() < until:
+        pass
+
 class Worker(Component):
     """Needs 2 % of a core; 40 % once there is a file of its name."""
 
@@ -47,9 +52,7 @@ class Worker(Component):
     @every(0.05)
     def work(self):
         much = os.path.exists(os.path.join(self.parameters["folder"], self.name))
-        until = time.thread_time() + (0.02 if much else 0.001)
-        while time.thread_time() < until:
-            pass
+        burn(0.02 if much else 0.001)
         self.count += 1
         self.numbers.publish(Number(self.count))
 
@@ -64,8 +67,11 @@ class Stubborn(Worker):
         raise LookupError("not from elsewhere")
 
 class Reader(Component):
+    """Needs 15 % of a core."""
+
     @subscribed(keep=10)
     def numbers(self, message: Number):
+        burn(0.0075)
         self.last = message.value
 
 class Writer(Reader):
@@ -209,13 +215,9 @@ def test_what_needs_more_than_it_did_gets_room(up: Path) -> None:
     assert status().placement == TOGETHER
 
     said = at_last("balance")
+    assert "done; the longest gate was shut for" in said
     placed = status().placement
-    if placed == TOGETHER:  # by now it has seen that the reader needs next to nothing
-        assert "best as it is" in said
-        assert "reader needs" in said
-    else:
-        assert "done; the longest gate was shut for" in said
-        assert placed["first"] != placed["reader"]
+    assert placed["first"] != placed["reader"]
 
     code, said = poise("balance", "--cost", "-1")
     assert code == 2
