@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import traceback
 from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
 from contextlib import ExitStack
@@ -23,6 +22,7 @@ from poise.runtime.connectors.wired import WiredPath, receiving
 from poise.runtime.input_file import noting_calls
 from poise.runtime.ports import Port
 from poise.runtime.runner import Runner
+from poise.runtime.telling import told
 from poise.wire.address import Address
 from poise.wire.link_pipe import LinkPipe
 from poise.wire.link_server import LinkServer
@@ -155,8 +155,9 @@ class Wiring:
                 continue
             try:
                 self._open[key] = self._join(spec, runners)
-            except Exception:  # noqa: BLE001, reading types runs users' code
-                text = f"connector {spec.name}:\n{traceback.format_exc()}"
+            # reading types runs users' code
+            except Exception as error:  # noqa: BLE001
+                text = f"connector {spec.name}: {told(error)}"
                 troubles.update(dict.fromkeys(here, text))
         self._hold_amid_a_move(known)
         for key in list(self._open):

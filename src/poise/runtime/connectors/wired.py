@@ -230,7 +230,9 @@ def _raise_failure(answer: Frame) -> NoReturn:
         raise Timeout(message)
     if not text and type_name == "WireError":
         raise WireError(f"the other end refused the call: {message}")
-    raise CalleeError(type_name, message, text)
+    error = CalleeError(type_name, message, text)
+    error.add_note(f"Raised in the callee:\n{text}")
+    raise error
 
 
 def _failure(error: CalleeError | Timeout | WireError) -> Pieces:
