@@ -36,8 +36,8 @@ def show_run(report: RunReport, console: Console) -> None:
     console.print(f"ran for {report.seconds:.1f} s; CPU used: {shares}")
     for component in report.components:
         if component.errors:
-            errors = "1 error" if component.errors == 1 else f"{component.errors} errors"
-            console.print(f"[red]{component.name}: {errors}, the last:[/]")
+            many = "1 error" if component.errors == 1 else f"{component.errors} errors"
+            console.print(f"[red]{component.name}: {many}, the last:[/]")
             # as it is: it may hold anything, and lines of code are not wrapped
             console.print(component.last_error, markup=False, soft_wrap=True)
     for fault in report.faults:

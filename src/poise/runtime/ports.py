@@ -127,7 +127,9 @@ class Timer(Struct, frozen=True):
     deadline: float | None = None
 
 
-def subscribed(*, keep: int = 0, block: int = 0) -> Callable[[F], F]:
+def subscribed(
+    bare: None = None, /, *, keep: int | None = None, block: int | None = None
+) -> Callable[[F], F]:
     """Make a method the handler of a subscribed topic; the port has its name.
 
     Parameters
@@ -143,12 +145,16 @@ def subscribed(*, keep: int = 0, block: int = 0) -> Callable[[F], F]:
     The method is called once per message, in the order of publication per publisher,
     while nothing else of the component runs.
     """
-    if keep and block:
+    if bare is not None:
+        raise UsageError("@subscribed takes what to queue, as in @subscribed(keep=1)")
+    if keep is not None and block is not None:
         msg = f"subscribed(keep={keep}, block={block}): give one of them, not both"
         raise UsageError(msg)
-    queue = Queue("block", block) if block else Queue("keep", keep or 1)
+    queue = Queue("keep", 1 if keep is None else keep)
+    if block is not None:
+        queue = Queue("block", block)
     if queue.size < 1:
-        msg = f"subscribed: a queue holds at least 1 message, not {queue.size}"
+        msg = f"subscribed({queue.policy}={queue.size}): a queue holds at least 1"
         raise UsageError(msg)
 
     def mark(method: F) -> F:
@@ -172,6 +178,8 @@ def every(period: float, *, deadline: float | None = None) -> Callable[[F], F]:
     deadline
         [s] after the release; > 0. None: not watched.
     """
+    if callable(period):
+        raise UsageError("@every takes its period [s], as in @every(0.1)")
     if not period > 0 or (deadline is not None and not deadline > 0):
         msg = f"every({period}, deadline={deadline}): both must be above 0 s"
         raise UsageError(msg)
