@@ -19,6 +19,7 @@ The component never learns where the other ends are.
 from __future__ import annotations
 
 import inspect
+import reprlib
 from collections.abc import Callable, Mapping
 from typing import (
     Annotated,
@@ -80,10 +81,11 @@ Each call may block up to the connector's time limit and raises
 class Published(Generic[M]):
     """``name: Published[MessageType]``: a topic that the component publishes."""
 
-    __slots__ = ("_send",)
+    __slots__ = ("_send", "_type")
 
-    def __init__(self, send: Callable[[M], None]) -> None:
+    def __init__(self, send: Callable[[M], None], type_: object = object) -> None:
         self._send = send
+        self._type = type_ if isinstance(type_, StructMeta) else object
 
     def publish(self, message: M) -> None:
         """Hand `message` to every subscriber, in order.
@@ -92,7 +94,14 @@ class Published(Generic[M]):
         room, and up to the connector's time limit; then the message is dropped for that
         subscriber, logged and counted as a drop of the connector. The message must not
         be changed afterwards.
+
+        Raises
+        ------
+        UsageError
+            It is of another type than the port says.
         """
+        if not isinstance(message, self._type):
+            _refuse_type(message, self._type)
         self._send(message)
 
 
@@ -242,6 +251,15 @@ def methods_of(interface: type) -> tuple[str, ...]:
         for name, _ in inspect.getmembers(interface, inspect.isfunction)
         if not name.startswith("_")
     )
+
+
+def _refuse_type(message: object, wanted: type) -> None:
+    given = type(message)
+    if given.__qualname__ != wanted.__qualname__:  # else imported under two names
+        raise UsageError(
+            f"the port publishes {wanted.__qualname__}, but was given a "
+            f"{given.__qualname__}: {reprlib.repr(message)}"
+        )
 
 
 def _annotated_port(name: str, hint: Any) -> Port | None:  # noqa: ANN401, any hint
