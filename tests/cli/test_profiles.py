@@ -71,6 +71,17 @@ def test_says_where_demands_are_from_and_what_is_missing(robot: Robot) -> None:
     assert ear.demand == pytest.approx({"cpu": 0.07})
 
 
+def test_says_that_the_robot_files_own_demands_go_first(robot: Robot) -> None:
+    folder = Path(robot.folder)
+    own = '"eyes:Eye", cpu: 30%, memory: 20 MB}'
+    (folder / "robot.yaml").write_text(TEXT.replace('"eyes:Eye"}', own))
+    robot = load(folder / "robot.yaml")
+    write(robot, measured(robot))
+    found = profiled(robot)
+    assert "but from the robot file, which goes first: eye" in found.says
+    assert next(found.robot.components()).demand == {"cpu": 0.3, "memory": 20e6}
+
+
 def test_says_that_a_profile_is_stale(robot: Robot) -> None:
     write(robot, measured(robot))
     assert stale(robot, measured(robot)) == []

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from io import StringIO
 
+from msgspec.structs import replace
 from rich.console import Console
 
-from poise.cli.status import component_table, remarks
+from poise.cli.status import _remarks, component_table, remarks
 from poise.estimate.running import Drift, Estimate
 from poise.manage.desk import RobotStatus
 from poise.manage.estimates import Standing
@@ -47,6 +48,17 @@ def test_says_what_is_needed_how_sure_that_is_and_what_was_expected() -> None:
     assert "10.0% ± 1.2%" in row
     assert "5.0%" in row
     assert list(remarks(answer)) == [f"{NAME}: 12 errors, starved 40%"]
+
+
+def test_says_what_was_raised_last_whatever_it_holds() -> None:
+    error = "Traceback (most recent call last):\n  somewhere\nKeyError: '[/red]'"
+    answer = status(Estimate(mean=0.1, p95=0.1, error=0.01))
+    container = answer.computers["vision"].containers[0]
+    component = replace(container.components[0], error=error)
+    (said,) = _remarks(component, None)
+    out = StringIO()
+    Console(file=out, width=80).print(said)
+    assert out.getvalue() == "12 errors (KeyError: '[/red]')\n"
 
 
 def test_says_that_a_starved_component_may_need_more() -> None:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
+from poise.errors import UsageError
 from poise.manage.journal import Journal
 
 
@@ -36,3 +39,28 @@ def test_it_can_be_read_while_it_is_written(tmp_path: Path) -> None:
     assert [e.what for e in reader.entries()] == ["something"]
     writer.close()
     reader.close()
+
+
+def test_a_full_disk_costs_lines_and_not_the_robot(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    journal = Journal(tmp_path / "journal.sqlite")
+    limit = journal._database.execute
+    limit("PRAGMA max_page_count = 1")
+    for _ in range(3):
+        journal.note("seen", "x" * 10_000)
+    limit("PRAGMA max_page_count = 1000")
+    journal.note("seen", "room again")
+    assert [e.what for e in journal.entries()] == ["room again"]
+    begun, over = caplog.messages
+    assert "journal.sqlite takes no more: database or disk is full" in begun
+    assert "written again; 3 lines are lost" in over
+    journal.close()
+
+
+def test_a_file_that_cannot_be_one_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"the journal .*nowhere/j cannot be written"):
+        Journal(tmp_path / "nowhere" / "j")
+    (tmp_path / "notes").write_text("buy milk, and then more milk, and some bread " * 9)
+    with pytest.raises(UsageError, match=r"notes cannot be written: file is not a da"):
+        Journal(tmp_path / "notes")

@@ -92,6 +92,17 @@ def test_traffic_beyond_a_links_bandwidth_is_refused(robot: Robot) -> None:
     assert "link between main and eye: needs 1e+07 B/s, has 5e+06" in apart.reason
 
 
+def test_a_link_that_is_too_narrow_is_told_with_its_units(robot: Robot) -> None:
+    problem = plan.problem_of(robot)
+    apart = tuple(
+        replace(c, only=("main",)) if c.name == "finder" else c
+        for c in problem.components
+    )
+    reason = plan.solve(replace(problem, components=apart)).reason
+    assert "link main - eye carries 5 MB/s" in reason
+    assert "Way out: 5 MB/s more bandwidth on main - eye (5 MB/s now)" in reason
+
+
 def test_link_distance_reaches_the_objective(robot: Robot) -> None:
     assert plan.problem_of(robot).distance == ((0.0, 3.0), (3.0, 0.0))
 

@@ -99,6 +99,17 @@ class Passing(Component):
     @subscribed(keep=2)
     def into(self, message: Pose) -> None: ...
 
+class Loose:
+    def turn(self, angle) -> None: ...
+
+class Turning(Component):
+    loose: Provided[Loose]
+
+    def turn(self, angle: float) -> None: ...
+
+class Vague(Component):
+    either: Published[Scan | Pose]
+
 class Misspelt(Component):
     scan: Published["Sacn"]
 """
@@ -207,6 +218,18 @@ def test_does_not_look_at_the_ports_of_what_has_no_code(check: Check) -> None:
             "",
             (10, 17),
             ["Untyped.scan", "takes one message"],
+        ),
+        (
+            'turning: {implementation: "PACKAGE.nav:Turning"}',
+            "",
+            (10, 17),
+            ["Loose.turn", "parameter 'angle' needs a type"],
+        ),
+        (
+            'vague: {implementation: "PACKAGE.nav:Vague"}',
+            "",
+            (10, 15),
+            ["cannot be read", "multiple Struct types"],
         ),
         (
             'misspelt: {implementation: "PACKAGE.nav:Misspelt"}',

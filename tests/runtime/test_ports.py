@@ -103,8 +103,9 @@ def test_a_timer_needs_times_above_zero(period: float, deadline: float | None) -
     ("queue", "says"),
     [
         ({"keep": 1, "block": 1}, "not both"),
-        ({"keep": -1}, "at least 1 message, not -1"),
-        ({"block": -2}, "at least 1 message, not -2"),
+        ({"keep": 0, "block": 1}, "not both"),
+        ({"keep": 0}, r"subscribed\(keep=0\): a queue holds at least 1"),
+        ({"block": -2}, r"subscribed\(block=-2\): a queue holds at least 1"),
     ],
 )
 def test_a_queue_is_of_one_policy_and_holds_something(
@@ -112,6 +113,15 @@ def test_a_queue_is_of_one_policy_and_holds_something(
 ) -> None:
     with pytest.raises(UsageError, match=says):
         subscribed(**queue)
+
+
+def test_what_needs_parentheses_says_so() -> None:
+    def tick() -> None: ...
+
+    with pytest.raises(UsageError, match=r"as in @every\(0.1\)"):
+        every(tick)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match=r"as in @subscribed\(keep=1\)"):
+        subscribed(tick)  # type: ignore[arg-type]
 
 
 def test_a_subscriber_says_the_type_of_its_message() -> None:

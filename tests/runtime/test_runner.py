@@ -176,7 +176,7 @@ def test_a_handler_that_fails_is_counted_and_the_component_goes_on(
     component.wait_for("good")
     told = runner.status()
     assert (told.state, told.errors) == ("active", 1)
-    assert told.error.endswith("LookupError: bad went wrong\n")
+    assert told.error.endswith("LookupError: bad went wrong")
 
 
 def test_a_timer_that_fails_goes_on_ticking(running: Fixture) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from poise import Component, Message, Provided, Published, Required, oneway, subscribed
 from poise.clock import Elapsed
-from poise.errors import CalleeError, Timeout, Unavailable
+from poise.errors import CalleeError, Timeout, Unavailable, UsageError
 from poise.runtime.connectors.interface import methods
 from poise.runtime.turn import new_chain
 from poise.wire.codec import WireError
@@ -150,7 +150,9 @@ def test_a_call_to_a_busy_component_times_out(pair: Pair) -> None:
     source, target = start(pair, "sums", limit=0.1)
     target_runner = pair.runners["target", 0]
     target_runner.turn.shut(LIMIT)  # as when another chain is inside
-    with pytest.raises(Timeout):
+    with pytest.raises(
+        Timeout, match="busy for" if pair.kind == "direct" else "add over"
+    ):
         source.sums.add(1, 2)
     target_runner.turn.open()
     wait_until(lambda: _answers(source))
@@ -188,6 +190,27 @@ def test_messages_keep_their_order_and_block_when_asked(pair: Pair) -> None:
         source.scan.publish(scan(number))
     assert [m.number for m in target.wait_for(50)] == list(range(50))
     np.testing.assert_array_equal(target.heard[9].ranges, scan().ranges)
+
+
+@every_kind
+def test_what_is_no_message_of_the_port_is_refused_near_and_far(pair: Pair) -> None:
+    source, target = start(pair, "scan")
+    with pytest.raises(UsageError, match=r"publishes Scan, but was given a list: \[1"):
+        source.scan.publish([1, 2])  # type: ignore[arg-type]
+    source.scan.publish(scan())
+    assert len(target.wait_for(1)) == 1
+
+
+@every_kind
+def test_code_whose_port_became_another_is_named_with_its_ports(pair: Pair) -> None:
+    """A replacement has what it has: the robot's check saw other code."""
+    pair.run("source", Source)
+    pair.run("target", Source)
+    spec = pair.join("scan")
+    troubles = pair.sides["target"].apply((spec,), pair.runners)
+    assert "component 'target' has no port 'scan' that " in troubles["target", 0]
+    assert "scan (publishes)" in troubles["target", 0]
+    assert "Traceback" not in troubles["target", 0]
 
 
 @every_kind
@@ -389,6 +412,7 @@ def test_what_cannot_cross_is_refused_where_it_is_sent(pair: Pair) -> None:
 @pytest.mark.parametrize("pair", ["local", "remote"], indirect=True)
 def test_a_caller_that_gave_up_does_not_enter_a_second_time(pair: Pair) -> None:
     source, target = start(pair, "sums", limit=0.1)
+    wait_until(lambda: _answers(source))  # to open the link may take longer than a call
     with pytest.raises(Timeout):
         source.sums.wait()
     with pytest.raises(Timeout):
@@ -400,7 +424,7 @@ def test_a_caller_that_gave_up_does_not_enter_a_second_time(pair: Pair) -> None:
 def _answers(source: Source) -> bool:
     try:
         return source.sums.add(1, 2) == 3
-    except Timeout:
+    except (Timeout, Unavailable):
         return False
 
 

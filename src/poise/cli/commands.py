@@ -6,6 +6,7 @@ import importlib
 import inspect
 import sys
 from collections.abc import Sequence
+from typing import NoReturn
 
 import typer
 
@@ -62,6 +63,10 @@ def run() -> None:
         # The reader, such as `head`, has seen enough.
         sys.stderr.close()
         sys.exit(1)
+    except OSError as error:
+        if error.filename is None:
+            raise
+        _fail(f"{error.filename}: {error.strerror}", 1)
 
 
 def _flowing(text: str) -> str:
@@ -75,6 +80,6 @@ def _not_loaded() -> None:
     """Stand for a command in the list of commands."""
 
 
-def _fail(error: PoiseError, code: int) -> None:
+def _fail(error: PoiseError | str, code: int) -> NoReturn:
     sys.stderr.write(f"{error}\n")
     sys.exit(code)

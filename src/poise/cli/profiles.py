@@ -68,6 +68,14 @@ def profiled(robot: Robot) -> Profiled:
         if profile.costs
         else "overheads are MB/s: `poise calibrate` measures what connectors cost"
     )
+    own = [
+        component.name
+        for component in robot.components()
+        if component.name in profile.components
+        and {"cpu", "memory"} <= component.demand.keys()
+    ]
+    if own:
+        says.append(f"but from the robot file, which goes first: {_some(own)}")
     gaps = missing(robot, profile)
     if gaps:
         says.append(f"no demand is known of: {_some(gaps)}")

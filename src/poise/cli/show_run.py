@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from poise.cli.clocks import clock_table
@@ -35,12 +36,12 @@ def show_run(report: RunReport, console: Console) -> None:
     console.print(f"ran for {report.seconds:.1f} s; CPU used: {shares}")
     for component in report.components:
         if component.errors:
-            console.print(
-                f"[red]{component.name}: {component.errors} errors, the last:[/]\n"
-                f"{component.last_error}"
-            )
+            many = "1 error" if component.errors == 1 else f"{component.errors} errors"
+            console.print(f"[red]{component.name}: {many}, the last:[/]")
+            # as it is: it may hold anything, and lines of code are not wrapped
+            console.print(component.last_error, markup=False, soft_wrap=True)
     for fault in report.faults:
-        console.print(f"[red]container {fault.container}[/] {fault.message}")
+        console.print(f"[red]container {fault.container}[/] {escape(fault.message)}")
     if report.simulation:
         facts = ", ".join(f"{key} {value}" for key, value in report.simulation.items())
         console.print(f"the simulated world says: {facts}")

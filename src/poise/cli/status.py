@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import msgspec
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from poise.cli.clocks import clock_table
@@ -44,7 +45,8 @@ def status_command(robot: Robot = None, as_json: AsJson = False) -> None:
         console.print(clocks)
     for name, computer in answer.computers.items():
         for fault in computer.faults:
-            console.print(f"[red]{name}: container '{fault.container}' {fault.message}")
+            said = escape(fault.message)
+            console.print(f"[red]{name}: container '{fault.container}' {said}")
 
 
 def component_table(answer: RobotStatus) -> Table:
@@ -75,7 +77,8 @@ def _each(
 
 def _remarks(component: ComponentStatus, standing: Standing | None) -> Iterator[str]:
     if component.errors:
-        yield f"{component.errors} errors"
+        last = component.error.rstrip().rpartition("\n")[2]
+        yield f"{component.errors} errors" + (f" ({escape(last)})" if last else "")
     if standing is not None and standing.estimate.starved:
         yield f"starved {standing.estimate.starved:.0%}"
     for timer in component.timers:

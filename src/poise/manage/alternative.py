@@ -180,7 +180,10 @@ def _architecture(robot: Robot, name: str) -> Architecture:
         if architecture.name == name:
             return architecture
     known = ", ".join(each.name for each in robot.architectures)
-    raise UsageError(f"robot '{robot.name}' has no architecture '{name}' ({known})")
+    text = f"robot '{robot.name}' has no architecture '{name}' ({known})"
+    if name in {component.name for component in robot.components()}:
+        text += "; to swap this component, name its new class, as package.module:Class"
+    raise UsageError(text)
 
 
 def _sentence(report: ReplaceReport) -> str:

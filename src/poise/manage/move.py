@@ -159,6 +159,11 @@ def _component(run: Run, name: str) -> Component:
 
 
 def _sentence(report: MoveReport) -> str:
+    if report.source == report.target:
+        done = "replaced" if report.committed else "did not replace"
+        shut = f"; gate shut for {report.gate_shut * 1e3:.1f} ms"
+        why = shut if report.committed else f": {report.reason}"
+        return f"{done} component '{report.component}' on '{report.source}'{why}"
     way = f"component '{report.component}' from '{report.source}' to '{report.target}'"
     if report.committed and report.short_stop:
         return f"moved {way} by a short stop of {report.gate_shut:.2f} s"

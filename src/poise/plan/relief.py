@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from poise.plan.problem import Computer, Link, Problem
 from poise.plan.result import More
 from poise.plan.tables import Placed
+from poise.units import format_bandwidth
 
 NEAR = 5e-3
 """How close a raise comes to the least that is enough, relative to it."""
@@ -64,8 +65,9 @@ class Way(NamedTuple):
     def __str__(self) -> str:
         """Return the way for people."""
         raises = (
-            f"{m.amount:.6g} more {m.resource} on {' - '.join(m.on)} ({now:.6g} now)"
-            for m, now in zip(self.more(), (k.now for k, _ in self.raises), strict=True)
+            f"{_said(m.resource, m.amount)} more {m.resource} on {' - '.join(m.on)} "
+            f"({_said(m.resource, k.now)} now)"
+            for m, (k, _) in zip(self.more(), self.raises, strict=True)
         )
         return " and ".join([*raises, *(limit.advice for limit in self.lifts)])
 
@@ -234,6 +236,11 @@ def limits_of(problem: Problem) -> Iterator[Limit]:
             yield Limit("only", (c.name,), text, _without_pin(c.name), advice)
 
 
+def _said(resource: str, amount: float) -> str:
+    """Return an amount with the unit that Poise knows; a problem's are its own."""
+    return format_bandwidth(amount) if resource == "bandwidth" else f"{amount:.6g}"
+
+
 def _groups(
     kind: str, groups: tuple[tuple[str, ...], ...], advice: str
 ) -> Iterator[Limit]:
@@ -263,7 +270,7 @@ def _link(link: Link, traffic: float) -> Limit:
     return Limit(
         "link",
         link.between,
-        f"link {' - '.join(link.between)} carries {link.bandwidth:.6g} B/s",
+        f"link {' - '.join(link.between)} carries {format_bandwidth(link.bandwidth)}",
         lambda problem: _with_bandwidth(problem, link.between, traffic),
         now=link.bandwidth,
         most=traffic,

@@ -17,9 +17,11 @@ from poise.model.check.ports import KnownPort, check_ports, check_required
 from poise.model.check.workload import check_generated
 from poise.model.positions import Finding, Path
 from poise.model.robot import Component, PortKind, Robot
+from poise.runtime.connectors.interface import methods
 from poise.runtime.fingerprint import fingerprint
 from poise.runtime.implementation import find, find_type
 from poise.runtime.ports import Port, is_oneway, methods_of, ports_of, timers_of
+from poise.wire.codec import codec
 
 _Known = dict[str, dict[str, KnownPort]]
 
@@ -82,6 +84,8 @@ def _coded_ports(
         ports = ports_of(code)
         timers_of(code)
         known = [(n, _known_of(port)) for n, port in ports.items()]
+        for port in ports.values():
+            _check_type(port)
     except PoiseError as error:
         raise _WrongCode(path, str(error)) from None
     # Reading annotations runs the user's code, and may raise whatever that raises.
@@ -92,6 +96,14 @@ def _coded_ports(
         )
         raise _WrongCode(path, message) from error
     yield from known
+
+
+def _check_type(port: Port) -> None:
+    """Raise when what crosses at a port has no type that a wire can carry."""
+    if port.kind in {"provides", "requires"}:
+        methods(port.type)
+    else:
+        codec(port.type)
 
 
 def _known_of(port: Port) -> KnownPort:

@@ -14,7 +14,6 @@ import socket
 import sys
 import threading
 import time
-import traceback
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import FrameType
@@ -28,6 +27,7 @@ from poise.runtime.implementation import find, specialised
 from poise.runtime.ledger import Incarnation, Ledger
 from poise.runtime.runner import Runner
 from poise.runtime.steps import Steps
+from poise.runtime.telling import told
 from poise.runtime.waker import Waker, is_writable, wait_readable
 from poise.runtime.wiring import Place, Transports, Wiring
 from poise.wire import control
@@ -207,9 +207,11 @@ class Container:
             )
             runner = Runner(component, implementation, self._clock, self._waker.wake)
             runner.asked_at = asked_at
-        except (Exception, SystemExit):
-            log.exception("component '%s' cannot start", component.name)
-            self._note_broken(component, traceback.format_exc())
+        # it is the user's: it may raise anything
+        except (Exception, SystemExit) as error:  # noqa: BLE001
+            text = told(error)
+            log.error("component '%s' cannot start: %s", component.name, text)  # noqa: TRY400, told
+            self._note_broken(component, text)
             return
         self._runners[component.name, component.epoch] = runner
         runner.start()
@@ -237,7 +239,7 @@ class Container:
     def _connect(self, spec: ContainerSpec, staying: list[Incarnation]) -> None:
         runners = {key: self._runners[key] for key in staying}
         for key, text in self._wiring.apply(spec.connectors, runners).items():
-            log.error("component '%s' cannot be joined:\n%s", key[0], text)
+            log.error("component '%s' cannot be joined: %s", key[0], text)
             self._note_broken(runners[key].spec, text)
 
     def _remove(self, key: Incarnation) -> None:

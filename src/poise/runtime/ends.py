@@ -171,4 +171,4 @@ class Ends:
                 send(message)
 
         send = sends[0] if len(sends) == 1 else send_all
-        setattr(self.component, port.name, Published(send))
+        setattr(self.component, port.name, Published(send, port.type))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import inspect
 import sys
-import traceback
 from collections.abc import Callable, Mapping
 from types import ModuleType
 from typing import Any
@@ -13,6 +12,7 @@ from typing import Any
 from poise.errors import RobotError
 from poise.model.suggest import did_you_mean, listed
 from poise.runtime.component import Component
+from poise.runtime.telling import told_in_brief
 
 
 def find(implementation: str, folder: str) -> type[Component]:
@@ -83,6 +83,7 @@ def _module(name: str, folder: str) -> ModuleType:
     if folder and folder not in sys.path:
         sys.path.insert(0, folder)
         importlib.invalidate_caches()
+    failed = f"the module '{name}' cannot be imported"
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
@@ -91,22 +92,10 @@ def _module(name: str, folder: str) -> ModuleType:
                 f"there is no module '{error.name}': it is looked for in {folder!r} "
                 "first, then among the installed packages"
             ) from None
-        raise RobotError(_failed(name, error)) from error
+        raise RobotError(f"{failed}: {told_in_brief(error)}") from error
     # The module is the user's: whatever it raises is told with its traceback.
     except (Exception, SystemExit) as error:
-        raise RobotError(_failed(name, error)) from error
-
-
-def _failed(module: str, error: BaseException) -> str:
-    """Return the error with its traceback, from the module's own line on."""
-    frames = [
-        frame
-        for frame in traceback.extract_tb(error.__traceback__)
-        if "importlib" not in frame.filename and frame.filename != __file__
-    ]
-    told = "".join(traceback.format_list(frames)).rstrip()
-    said = "".join(traceback.format_exception_only(error)).rstrip()
-    return f"the module '{module}' cannot be imported: {said}\n{told}".rstrip()
+        raise RobotError(f"{failed}: {told_in_brief(error)}") from error
 
 
 def _no_attribute(reference: str, holder: Any, name: str) -> str:  # noqa: ANN401, module or class

@@ -19,6 +19,7 @@ The component never learns where the other ends are.
 from __future__ import annotations
 
 import inspect
+import reprlib
 from collections.abc import Callable, Mapping
 from typing import (
     Annotated,
@@ -80,10 +81,11 @@ Each call may block up to the connector's time limit and raises
 class Published(Generic[M]):
     """``name: Published[MessageType]``: a topic that the component publishes."""
 
-    __slots__ = ("_send",)
+    __slots__ = ("_send", "_type")
 
-    def __init__(self, send: Callable[[M], None]) -> None:
+    def __init__(self, send: Callable[[M], None], type_: object = object) -> None:
         self._send = send
+        self._type = type_ if isinstance(type_, StructMeta) else object
 
     def publish(self, message: M) -> None:
         """Hand `message` to every subscriber, in order.
@@ -92,7 +94,14 @@ class Published(Generic[M]):
         room, and up to the connector's time limit; then the message is dropped for that
         subscriber, logged and counted as a drop of the connector. The message must not
         be changed afterwards.
+
+        Raises
+        ------
+        UsageError
+            It is of another type than the port says.
         """
+        if not isinstance(message, self._type):
+            _refuse_type(message, self._type)
         self._send(message)
 
 
@@ -127,7 +136,9 @@ class Timer(Struct, frozen=True):
     deadline: float | None = None
 
 
-def subscribed(*, keep: int = 0, block: int = 0) -> Callable[[F], F]:
+def subscribed(
+    bare: None = None, /, *, keep: int | None = None, block: int | None = None
+) -> Callable[[F], F]:
     """Make a method the handler of a subscribed topic; the port has its name.
 
     Parameters
@@ -143,12 +154,16 @@ def subscribed(*, keep: int = 0, block: int = 0) -> Callable[[F], F]:
     The method is called once per message, in the order of publication per publisher,
     while nothing else of the component runs.
     """
-    if keep and block:
+    if bare is not None:
+        raise UsageError("@subscribed takes what to queue, as in @subscribed(keep=1)")
+    if keep is not None and block is not None:
         msg = f"subscribed(keep={keep}, block={block}): give one of them, not both"
         raise UsageError(msg)
-    queue = Queue("block", block) if block else Queue("keep", keep or 1)
+    queue = Queue("keep", 1 if keep is None else keep)
+    if block is not None:
+        queue = Queue("block", block)
     if queue.size < 1:
-        msg = f"subscribed: a queue holds at least 1 message, not {queue.size}"
+        msg = f"subscribed({queue.policy}={queue.size}): a queue holds at least 1"
         raise UsageError(msg)
 
     def mark(method: F) -> F:
@@ -172,6 +187,8 @@ def every(period: float, *, deadline: float | None = None) -> Callable[[F], F]:
     deadline
         [s] after the release; > 0. None: not watched.
     """
+    if callable(period):
+        raise UsageError("@every takes its period [s], as in @every(0.1)")
     if not period > 0 or (deadline is not None and not deadline > 0):
         msg = f"every({period}, deadline={deadline}): both must be above 0 s"
         raise UsageError(msg)
@@ -234,6 +251,15 @@ def methods_of(interface: type) -> tuple[str, ...]:
         for name, _ in inspect.getmembers(interface, inspect.isfunction)
         if not name.startswith("_")
     )
+
+
+def _refuse_type(message: object, wanted: type) -> None:
+    given = type(message)
+    if given.__qualname__ != wanted.__qualname__:  # else imported under two names
+        raise UsageError(
+            f"the port publishes {wanted.__qualname__}, but was given a "
+            f"{given.__qualname__}: {reprlib.repr(message)}"
+        )
 
 
 def _annotated_port(name: str, hint: Any) -> Port | None:  # noqa: ANN401, any hint

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import traceback
 from collections.abc import Callable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager, nullcontext
@@ -26,6 +25,7 @@ from poise.runtime.histogram import Histogram
 from poise.runtime.mailbox import Inbox
 from poise.runtime.ports import ports_of, timers_of
 from poise.runtime.schedule import Schedule
+from poise.runtime.telling import Errors
 from poise.runtime.turn import Retired, Turn, new_chain
 from poise.wire.codec import codec
 from poise.wire.messages import Aim, ComponentSpec, ComponentStatus, State
@@ -90,8 +90,7 @@ class Runner:
         self._state_changed = threading.Condition()
         self._goal: Aim = "inactive"
         self._goal_changed = threading.Event()
-        self._error = ""
-        self._errors = 0
+        self._errors = Errors(spec.name)
         self._thread = threading.Thread(
             target=self._main, name=spec.name[:15], daemon=True
         )
@@ -238,8 +237,8 @@ class Runner:
             name=self.spec.name,
             epoch=self.spec.epoch,
             state=self._state,
-            error=self._error,
-            errors=self._errors,
+            error=self._errors.last,
+            errors=self._errors.count,
             cpu=self.account.cpu() if cpu is None else cpu,
             start=self._start,
             snapshot=self._snapshot,
@@ -300,8 +299,9 @@ class Runner:
                 getattr(self.component, hook)()
                 if hook == "deactivate" and self.spec.weigh:
                     self._snapshot = _weight(self.component.snapshot())
-        except (Exception, SystemExit):  # noqa: BLE001, a user's hook may raise anything
-            self._note_error(hook)
+        # a user's hook may raise anything
+        except (Exception, SystemExit) as error:  # noqa: BLE001
+            self._errors.note(hook, error, self._clock.now())
             self._clean_up_after(hook)
             state = "failed"
         if state == "active":
@@ -338,11 +338,6 @@ class Runner:
             self.component.cleanup()
         except (Exception, SystemExit):
             log.exception("component '%s': cleanup after an error", self.spec.name)
-
-    def _note_error(self, where: str) -> None:
-        self._errors += 1
-        self._error = traceback.format_exc()
-        log.error("component '%s', %s:\n%s", self.spec.name, where, self._error)
 
     def _work(self) -> None:
         """Run the timers that are due, then at most one message."""
@@ -401,8 +396,9 @@ class Runner:
         """Run user code in the turn that was entered, and leave it."""
         try:
             method(*args)
-        except (Exception, SystemExit):  # noqa: BLE001, a user's method may raise anything
-            self._note_error(what)
+        # a user's method may raise anything
+        except (Exception, SystemExit) as error:  # noqa: BLE001
+            self._errors.note(what, error, self._clock.now())
         finally:
             self.account.note_done()
             self.turn.leave()

@@ -16,6 +16,7 @@ from poise.priority import as_usual
 from poise.runtime.handover import Giver, key_of
 from poise.runtime.runner import Runner
 from poise.runtime.succession import Heir
+from poise.runtime.telling import told_in_brief
 from poise.runtime.wiring import Runners, Transports, Wiring
 from poise.wire.messages import (
     Activate,
@@ -73,7 +74,7 @@ class Steps:
         except PoiseError as error:
             return Failed(order.number, str(error))
         except Exception as error:  # noqa: BLE001, a user's restore may raise anything
-            return Failed(order.number, f"{type(error).__qualname__}: {error}")
+            return Failed(order.number, told_in_brief(error))
         return Done(order.number, dict(seconds))
 
     def _take(self, step: Step, deadline: float) -> None:  # noqa: C901, PLR0912, a table

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import traceback
 from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
 from contextlib import ExitStack
@@ -21,14 +20,19 @@ from poise.runtime.connectors.far_clock import FarClock, nobody_knows
 from poise.runtime.connectors.outlet import Outlet, Path
 from poise.runtime.connectors.wired import WiredPath, receiving
 from poise.runtime.input_file import noting_calls
-from poise.runtime.ports import Port
+from poise.runtime.ports import Kind, Port
 from poise.runtime.runner import Runner
+from poise.runtime.telling import told
 from poise.wire.address import Address
 from poise.wire.link_pipe import LinkPipe
 from poise.wire.link_server import LinkServer
 from poise.wire.messages import ConnectorKind, ConnectorSpec, ConnectorStatus, End
 from poise.wire.opening import CALLS, MESSAGES
 from poise.wire.pipe import Pipe
+
+SENDING: AbstractSet[Kind] = {"publishes", "requires"}
+TAKING: AbstractSet[Kind] = {"subscribes", "provides"}
+"""The kinds of ports at the two ends of a connector."""
 
 Runners = Mapping[tuple[str, int], Runner]
 """The incarnations of components in a container, by name and epoch."""
@@ -155,8 +159,9 @@ class Wiring:
                 continue
             try:
                 self._open[key] = self._join(spec, runners)
-            except Exception:  # noqa: BLE001, reading types runs users' code
-                text = f"connector {spec.name}:\n{traceback.format_exc()}"
+            # reading types runs users' code
+            except Exception as error:  # noqa: BLE001
+                text = f"connector {spec.name}: {told(error)}"
                 troubles.update(dict.fromkeys(here, text))
         self._hold_amid_a_move(known)
         for key in list(self._open):
@@ -241,10 +246,10 @@ class Wiring:
         self, ends: OpenEnds, source: Runner, target: Runner | None
     ) -> None:
         spec = ends.spec
-        port = _port(source, spec.source_port)
+        port = _port(source, spec.source_port, SENDING)
         outlet = source.ends.outlet(spec.slot or spec.name, port, spec.limit)
         if target is not None:
-            far = _port(target, spec.target_port)
+            far = _port(target, spec.target_port, TAKING)
             ends.path = DirectPath(spec.name, target.ends, far, spec.limit, outlet)
         else:
             credit = self._transports.credit(spec.kind)
@@ -259,7 +264,7 @@ class Wiring:
 
     def _open_target(self, ends: OpenEnds, target: Runner) -> None:
         spec = ends.spec
-        port = _port(target, spec.target_port)
+        port = _port(target, spec.target_port, TAKING)
         feed = target.ends.feed(port.name, ends.counts)
         open_pipe = partial(self._transports.pipe, GRANTS, calls=False)
         grants = Grants(spec.name, feed, ends.counts, open_pipe)
@@ -285,11 +290,13 @@ def _remove_path(source: Runner, outlet: Outlet, key: str) -> None:
         source.ends.drop_outlet(outlet.name)
 
 
-def _port(runner: Runner, name: str) -> Port:
-    try:
-        return runner.ports[name]
-    except KeyError:
-        known = ", ".join(runner.ports) or "none"
+def _port(runner: Runner, name: str, kinds: AbstractSet[Kind]) -> Port:
+    """Return a port that the check of the robot has seen, or its code of now lacks."""
+    port = runner.ports.get(name)
+    if port is None or port.kind not in kinds:
+        has = ", ".join(f"{p.name} ({p.kind})" for p in runner.ports.values()) or "none"
         raise RobotError(
-            f"component '{runner.spec.name}' has no port '{name}' (it has {known})"
-        ) from None
+            f"component '{runner.spec.name}' has no port '{name}' that "
+            f"{' or '.join(sorted(kinds))} (it has {has})"
+        )
+    return port

@@ -117,7 +117,9 @@ class Bench(Generic[C]):
         for name in self._named("publishes"):
             kept: list[Any] = []
             self.published[name] = kept
-            setattr(self.component, name, Published(kept.append))
+            setattr(
+                self.component, name, Published(kept.append, self._ports[name].type)
+            )
         wanted = self._named("requires")
         for name, other in required.items():
             if name not in wanted:

@@ -7,7 +7,6 @@ over a wire: the same limit and the same errors.
 from __future__ import annotations
 
 import time
-import traceback
 from collections.abc import Callable
 from typing import Any, NoReturn, Protocol
 
@@ -18,6 +17,7 @@ from poise.runtime.connectors.interface import Method, message_tag
 from poise.runtime.connectors.outlet import Outlet
 from poise.runtime.mailbox import Feed
 from poise.runtime.ports import Port
+from poise.runtime.telling import told
 from poise.runtime.turn import Turn
 
 
@@ -107,5 +107,4 @@ def direct_call(
 
 def raise_callee_error(error: Exception) -> NoReturn:
     """Raise what a caller gets when its callee raised `error`."""
-    text = "".join(traceback.format_exception(error))
-    raise CalleeError(type(error).__qualname__, str(error), text) from error
+    raise CalleeError(type(error).__qualname__, str(error), told(error)) from error

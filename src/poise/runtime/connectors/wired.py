@@ -109,10 +109,13 @@ class WiredPath:
                     _raise_failure(answer)
             except Closed:
                 pass
-            except (CallError, WireError):
+            except (CallError, WireError) as error:
                 came = answer.size if answer is not None else 0
                 took = time.monotonic() - started
                 counts.add_call(took, size_of(pieces), came, failed=True)
+                if isinstance(error, Timeout):
+                    late = f"{method.name} over {name}, limit {left:.3g} s: {error}"
+                    raise Timeout(late) from None
                 raise
             if answer is None or answer.kind is _MOVED:  # it was not run
                 deadline = started + left
@@ -230,7 +233,9 @@ def _raise_failure(answer: Frame) -> NoReturn:
         raise Timeout(message)
     if not text and type_name == "WireError":
         raise WireError(f"the other end refused the call: {message}")
-    raise CalleeError(type_name, message, text)
+    error = CalleeError(type_name, message, text)
+    error.add_note(f"Raised in the callee:\n{text}")
+    raise error
 
 
 def _failure(error: CalleeError | Timeout | WireError) -> Pieces:

@@ -1,0 +1,93 @@
+"""How an error that users' code lets out is told: by its lines, and not too often."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import math
+from pathlib import Path
+from traceback import (
+    StackSummary,
+    TracebackException,
+    extract_tb,
+    format_exception_only,
+)
+
+import poise
+from poise.errors import PoiseError
+
+_OURS = (
+    *(
+        f"{Path(folder).absolute()}/"
+        for folder in (*poise.__path__, *importlib.__path__)
+    ),
+    "<frozen importlib",
+)
+
+AGAIN = 10.0
+"""An error like one that was logged is logged again after this time [s]."""
+
+
+class Errors:
+    """What a component's code raised: how often, and the last.
+
+    A timer may fail a thousand times a second, for one reason. So an error is logged
+    when a method raises the first of its type, and then every `AGAIN` s at most, with
+    how many came meanwhile.
+    """
+
+    def __init__(self, component: str) -> None:
+        self._log = logging.getLogger(f"poise.component.{component}")
+        self.count = 0
+        self.last = ""
+        self._logged: dict[tuple[str, type[BaseException]], tuple[float, int]] = {}
+
+    def note(self, where: str, error: BaseException, now: float) -> None:
+        """Count an error that a method or hook raised at `now` [s]."""
+        self.count += 1
+        self.last = told(error)
+        key = where, type(error)
+        at, since = self._logged.get(key, (-math.inf, 0))
+        if now - at < AGAIN:
+            self._logged[key] = at, since + 1
+            return
+        self._logged[key] = now, 0
+        more = f" ({since} more like it since the last)" if since else ""
+        self._log.error("%s%s: %s", where, more, self.last)
+
+
+def told(error: BaseException) -> str:
+    """Return an error as text, with the lines of its traceback that lie outside Poise.
+
+    Without such lines, what Poise raised on purpose is told by its message alone: it
+    says what is wrong and where. Any other error is then a fault of Poise, and keeps
+    its whole traceback.
+    """
+    text = TracebackException.from_exception(error)
+    if not _keep_outside(text):
+        whole = TracebackException.from_exception(error)
+        return str(error) if isinstance(error, PoiseError) else "".join(whole.format())
+    return "".join(text.format()).rstrip()
+
+
+def told_in_brief(error: BaseException) -> str:
+    """Return what an error says, then the lines outside Poise that it came through."""
+    lines = _outside(extract_tb(error.__traceback__)).format()
+    said = "".join(format_exception_only(error)).strip()
+    return "".join([f"{said}\n", *lines]).rstrip()
+
+
+def _keep_outside(text: TracebackException) -> bool:
+    """Cut the rest off, and causes that are all of it; whether anything is left."""
+    text.stack = _outside(text.stack)
+    if text.__cause__ is not None and not _keep_outside(text.__cause__):
+        text.__cause__, text.__suppress_context__ = None, True
+    if text.__context__ is not None and not _keep_outside(text.__context__):
+        text.__context__ = None
+    return bool(text.stack or text.__cause__ or text.__context__)
+
+
+def _outside(stack: StackSummary) -> StackSummary:
+    return StackSummary.from_list(
+        [line for line in stack if not line.filename.startswith(_OURS)]
+    )
