@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sqlite3
 import time
 from pathlib import Path
@@ -9,6 +10,10 @@ from typing import Any
 
 import msgspec
 from msgspec import Struct
+
+from poise.errors import UsageError
+
+log = logging.getLogger(__name__)
 
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS entries (
@@ -33,25 +38,39 @@ class Entry(Struct, frozen=True):
 class Journal:
     """Written by the manager's thread; any program may read it meanwhile.
 
+    A line that cannot be written is logged instead, for the robot goes on: its disk
+    may be full, or somebody may hold the file.
+
     Parameters
     ----------
     path
         The file; made when it is not there. ``:memory:`` keeps it in memory.
+
+    Raises
+    ------
+    UsageError
+        It cannot be opened, or is something else.
     """
 
     def __init__(self, path: Path | str) -> None:
-        self._database = sqlite3.connect(path, isolation_level=None, timeout=1.0)
-        self._database.execute("PRAGMA journal_mode=WAL")
-        self._database.execute("PRAGMA synchronous=NORMAL")
-        self._database.execute(_SCHEMA)
+        try:
+            self._database = sqlite3.connect(path, isolation_level=None, timeout=1.0)
+            self._database.execute("PRAGMA journal_mode=WAL")
+            self._database.execute("PRAGMA synchronous=NORMAL")
+            self._database.execute(_SCHEMA)
+        except sqlite3.Error as error:
+            raise UsageError(f"journal {path} cannot be opened: {error}") from error
 
     def note(self, kind: str, what: str, **facts: object) -> None:
         """Add a line: `what` for people, `facts` for machines."""
         text = msgspec.json.encode(facts).decode()
-        self._database.execute(
-            "INSERT INTO entries (at, kind, what, facts) VALUES (?, ?, ?, ?)",
-            (time.time(), kind, what, text),
-        )
+        try:
+            self._database.execute(
+                "INSERT INTO entries (at, kind, what, facts) VALUES (?, ?, ?, ?)",
+                (time.time(), kind, what, text),
+            )
+        except sqlite3.Error as error:
+            log.warning("not in the journal (%s): %s: %s", error, kind, what)
 
     def entries(self) -> list[Entry]:
         """Return all lines, oldest first."""
