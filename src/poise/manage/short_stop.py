@@ -35,6 +35,7 @@ def short_stop(run: Run, old: Incarnation, new: Incarnation) -> Exchanged:
     except RunError as error:
         return Exchanged(reason=f"telling what should run: {error}")
     return Exchanged(
+        committed=not reason,
         reason=reason,
         prepared=stopped - started,
         gate_shut=time.monotonic() - stopped,
