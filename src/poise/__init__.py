@@ -4,19 +4,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from poise.clock import Stamp
-    from poise.runtime.component import Component
-    from poise.runtime.deadline import time_left, within
-    from poise.runtime.ports import (
-        Message,
-        Provided,
-        Published,
-        Required,
-        every,
-        oneway,
-        subscribed,
-    )
-    from poise.wire.loans import loan
+    from poise.clock import Stamp as Stamp
+    from poise.runtime.component import Component as Component
+    from poise.runtime.deadline import time_left as time_left
+    from poise.runtime.deadline import within as within
+    from poise.runtime.ports import Message as Message
+    from poise.runtime.ports import Provided as Provided
+    from poise.runtime.ports import Published as Published
+    from poise.runtime.ports import Required as Required
+    from poise.runtime.ports import every as every
+    from poise.runtime.ports import oneway as oneway
+    from poise.runtime.ports import subscribed as subscribed
+    from poise.wire.loans import loan as loan
 else:
     _HOMES = {
         "Component": "poise.runtime.component",
@@ -32,6 +31,7 @@ else:
         "time_left": "poise.runtime.deadline",
         "within": "poise.runtime.deadline",
     }
+    __all__ = list(_HOMES)
 
     def __getattr__(name: str) -> object:
         """Import a name when it is first asked for: until then Ctrl-C has no answer."""
@@ -39,19 +39,3 @@ else:
             raise AttributeError(f"module 'poise' has no attribute '{name}'")
         found = globals()[name] = getattr(import_module(_HOMES[name]), name)
         return found
-
-
-__all__ = [
-    "Component",
-    "Message",
-    "Provided",
-    "Published",
-    "Required",
-    "Stamp",
-    "every",
-    "loan",
-    "oneway",
-    "subscribed",
-    "time_left",
-    "within",
-]

@@ -74,6 +74,18 @@ def test_nothing_is_left_after_close(
     child.stdout.close()
 
 
+@pytest.mark.usefixtures("needs_limits")
+def test_processes_end_that_their_quota_would_not_let_end(tmp_path: Path) -> None:
+    robot = Robot(
+        name="slow", computers=(Computer(name="snail", capacity={"cpu": 1e-3}),)
+    )
+    emulation = Emulation(robot, tmp_path / "run")
+    argv = ["sh", "-c", "while :; do :; done"]
+    children = [emulation.computers["snail"].popen(argv) for _ in range(30)]
+    emulation.close(ask=0.0)  # they would have 1 ms of CPU time in a second
+    assert all(child.wait(timeout=LIMIT) for child in children)
+
+
 def test_nothing_is_left_after_an_exception(
     two_computers: Robot, tmp_path: Path
 ) -> None:

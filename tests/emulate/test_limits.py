@@ -47,7 +47,7 @@ def test_small_quota_has_a_longer_period() -> None:
     assert Limits(quota=0.5, cpus=(0,)).period == pytest.approx(0.01)
 
 
-@pytest.mark.parametrize("cores", [0.0, -1.0, math.inf])
+@pytest.mark.parametrize("cores", [0.0, 0.0009, -1.0, math.inf])
 def test_computer_without_cores_is_refused_by_name(cores: float) -> None:
     with pytest.raises(RobotError, match="'c0' cannot be emulated with"):
         share_out(computers(cores), [0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 import socket
 import tempfile
 from collections.abc import Iterator
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.errors import UsageError
+from poise.errors import RunError, UsageError
 from poise.manage.desk import Answered, Asked, AskStop, Desk, Refusal, Stopping, ask
 from poise.wire import control
 
@@ -104,6 +105,18 @@ def test_a_desk_at_which_many_wait_is_found(desk: Desk, folder: Path) -> None:
 def test_a_robot_runs_once() -> None:
     with pytest.raises(UsageError, match="robot 'first' runs already"):
         Desk("first")
+
+
+@pytest.mark.parametrize("runtime", ["/proc/nowhere", f"/tmp/{'long' * 30}"])
+def test_a_desk_that_cannot_be_had_says_where(
+    runtime: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", runtime)
+    try:
+        with pytest.raises(RunError, match=rf"{runtime}/poise/first.sock cannot be"):
+            Desk("first")
+    finally:
+        shutil.rmtree(runtime, ignore_errors=True)
 
 
 @pytest.mark.usefixtures("desk")

@@ -110,6 +110,14 @@ def test_stops_the_others_when_one_refuses(robot: Robot, fleet: FakeFleet) -> No
     assert not fleet.statuses()["right"].containers
 
 
+def test_what_does_not_stop_is_named(robot: Robot, fleet: FakeFleet) -> None:
+    run, _ = run_of(robot, fleet)
+    run.start()
+    fleet.deaf.add("left")
+    with pytest.raises(RunError, match="everything on 'left' still ran 5 s"):
+        run.stop()
+
+
 def test_does_not_wait_for_a_lost_computer_to_stop(
     robot: Robot, fleet: FakeFleet
 ) -> None:

@@ -134,7 +134,7 @@ def test_refuses_a_bandwidth_out_of_range(bandwidth: float) -> None:
         ),
         (_joined(between="ab"), "connector: between is the text 'ab'"),
         (robot(together=("ab",)), "together: a set is the text 'ab'"),
-        (robot(apart="ab"), "apart is the text 'ab'"),
+        (robot(apart="ab"), r"apart is the text 'ab', .* such as \['ab'\]$"),
         (_component(present="tow"), "did you mean 'two'"),
         (_joined(between=("a",)), "connector between a: it must join two"),
         (robot(objective=Objective(scale="papr")), "scale is 'papr', must be"),  # type: ignore[arg-type]

@@ -58,6 +58,28 @@ def test_each_of_many_callers_gets_its_own_answer(wire: Wire) -> None:
 
 
 @both
+def test_links_are_let_in_again_when_there_are_threads_again(
+    wire: Wire, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    wire.server().open("echo", Receiver())
+    start, refused = threading.Thread.start, threading.Event()
+
+    def none_left(thread: threading.Thread) -> None:
+        if thread.name == "link":
+            refused.set()
+            raise RuntimeError("can't start new thread")
+        start(thread)
+
+    monkeypatch.setattr(threading.Thread, "start", none_left)
+    with pytest.raises(Unavailable):
+        wire.pipe().request(call("ab"), LIMIT)
+    assert refused.is_set()
+    monkeypatch.undo()
+    assert wire.pipe().request(call("ab"), LIMIT).value(TEXT) == "ba"
+    assert "there: no link is served: can't start new thread" in caplog.text
+
+
+@both
 def test_a_call_may_come_back_while_it_waits(wire: Wire) -> None:
     pipe = wire.pipe()
 

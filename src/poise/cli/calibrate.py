@@ -16,7 +16,7 @@ from poise.cli.calibration_costs import costs_of
 from poise.cli.calibration_robots import pairs, yardsticks
 from poise.cli.launch import Up, Watching, checked, running
 from poise.cli.options import parse_option
-from poise.cli.profiles import read_profile, store_of
+from poise.cli.profiles import check_keepable, read_profile, store_of
 from poise.cli.tables import table
 from poise.errors import RunError, UsageError
 from poise.estimate import profile_file
@@ -48,6 +48,7 @@ def calibrate_command(
     Example: poise calibrate robot.yaml
     """
     robot = checked(file)
+    check_keepable(robot)
     seconds = parse_option("--for", for_, SECONDS)
     console = Console(highlight=False)
     console.print(_speeds(robot, reference or robot.computers[0].name, seconds))

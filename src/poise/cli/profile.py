@@ -16,8 +16,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from poise.cli.launch import checked
 from poise.cli.measure_alone import Tick, measure_alone
-from poise.cli.options import parse_option
-from poise.cli.profiles import read_profile, stale, store_of
+from poise.cli.options import parse_option, to_write
+from poise.cli.profiles import check_keepable, read_profile, stale, store_of
 from poise.cli.show_profile import history_table, show_profile
 from poise.cli.stand import EMPTY, Stand, stand_of
 from poise.cli.write_demands import write_demands
@@ -57,7 +57,9 @@ def profile_command(
     ] = False,
     plot: Annotated[
         Path | None,
-        typer.Option(help="For show: draw it into a .svg, .png or .pdf file."),
+        typer.Option(
+            help="For show: draw it into a .svg, .png or .pdf file.", callback=to_write
+        ),
     ] = None,
     history: Annotated[
         bool, typer.Option("--history", help="For show: beside earlier profiles.")
@@ -88,6 +90,7 @@ def profile_command(
         raise UsageError(f"{shown}: give one robot file, or `show` and a robot file")
     robot = checked(file)
     names = _chosen(robot, architecture or [])
+    check_keepable(robot)
     session = _Session(
         robot,
         on or robot.computers[0].name,

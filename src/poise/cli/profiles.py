@@ -6,6 +6,7 @@ from pathlib import Path
 
 from msgspec import Struct
 
+from poise.cli.options import to_write
 from poise.errors import RobotError
 from poise.estimate import profile_file
 from poise.estimate.profile import Profile
@@ -40,8 +41,20 @@ def read_profile(robot: Robot) -> Profile | None:
 
 
 def store_of(robot: Robot) -> Store:
-    """Return the store of all profiles of the robots in this folder."""
+    """Return the store of all profiles of the robots in this folder.
+
+    Raises
+    ------
+    UsageError
+        It cannot be had there.
+    """
     return Store(Path(robot.folder) / STORE)
+
+
+def check_keepable(robot: Robot) -> None:
+    """Raise UsageError when what is measured could not be kept afterwards."""
+    with store_of(robot):
+        to_write(Path(robot.folder) / robot.profile if robot.profile else None)
 
 
 def profiled(robot: Robot) -> Profiled:

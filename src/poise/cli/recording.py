@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from poise.cli.launch import checked
+from poise.cli.options import to_write
 from poise.cli.profiles import read_profile
 from poise.cli.tables import table
 from poise.errors import UsageError
@@ -27,7 +28,8 @@ def recording_command(
     ],
     file: Annotated[Path, typer.Argument(help="The recording.")],
     to: Annotated[
-        Path | None, typer.Option(help="For export: a .csv or .parquet file.")
+        Path | None,
+        typer.Option(help="For export: a .csv or .parquet file.", callback=to_write),
     ] = None,
     of: Annotated[
         Literal["components", "connectors"],

@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from poise.cli.launch import Kind, decide, prepared, run_task
+from poise.cli.options import to_write
 from poise.cli.progress import progress
 from poise.cli.show_run import show_run
 from poise.errors import UsageError
@@ -31,7 +32,10 @@ def run_command(
     ] = None,
     record: Annotated[
         Path | None,
-        typer.Option(help="File for what is used, and what architectures publish."),
+        typer.Option(
+            help="File for what is used, and what architectures publish.",
+            callback=to_write,
+        ),
     ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the report as JSON.")
@@ -49,7 +53,7 @@ def run_command(
     robot = prepared(file, console.print)
     decision = decide(robot, task, placement)
     if report is not None:
-        report.mkdir(parents=True, exist_ok=True)
+        _make_folder(report)
     with progress(console, seconds) as show:
         result = run_task(
             robot,
@@ -70,6 +74,14 @@ def run_command(
         show_run(result, console)
     if result.void:
         raise typer.Exit(1)
+
+
+def _make_folder(path: Path) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"--report {path}: {error.strerror}") from error
+    to_write(path / "report.json")
 
 
 def _seconds(text: str) -> float:

@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 
 from poise.cli.launch import Kind, Watching, decide, prepared, running
+from poise.cli.options import to_write
 from poise.cli.profiles import read_profile
 from poise.errors import RobotError, UsageError
 from poise.manage.alternative import replace_architecture
@@ -59,13 +60,19 @@ def up_command(
         Path | None, typer.Option(help="File for the journal (SQLite).")
     ] = None,
     metrics: Annotated[
-        int | None, typer.Option(help="TCP port for Prometheus, on this computer.")
+        int | None,
+        typer.Option(
+            min=1, max=65535, help="TCP port for Prometheus, on this computer."
+        ),
     ] = None,
     otel: Annotated[
         str | None, typer.Option(help="URL of an OpenTelemetry collector (OTLP/HTTP).")
     ] = None,
     record: Annotated[
-        Path | None, typer.Option(help="File for what agents tell of what is used.")
+        Path | None,
+        typer.Option(
+            help="File for what agents tell of what is used.", callback=to_write
+        ),
     ] = None,
 ) -> None:
     """Start a robot and keep it running until Ctrl-C or `poise stop`.
@@ -78,6 +85,7 @@ def up_command(
     robot = prepared(file, console.print)
     chosen = task or _first_task(robot)
     decision = decide(robot, chosen, placement)
+    send = telemetry() if otel is not None else None
     with contextlib.ExitStack() as stack:
         desk = Desk(robot.name)
         stack.callback(desk.close)
@@ -102,8 +110,7 @@ def up_command(
             address = ("127.0.0.1", metrics)
             server = MetricsServer(estimates, run.fleet.statuses, address)
             stack.callback(server.close)
-        if otel is not None:
-            send = telemetry()
+        if send is not None and otel is not None:
             to = send(robot.name, estimates, run.fleet.statuses, otel)
             stack.callback(to.close)
         console.print(

@@ -15,6 +15,7 @@ from typing import Any
 from poise.errors import RobotError, RunError
 from poise.model.robot import Robot
 from poise.runtime.command import die_with_parent, program
+from poise.runtime.waker import wait_readable
 
 READY_LIMIT = 20.0
 """A simulated world says ``ready`` within this time [s]."""
@@ -22,13 +23,14 @@ _END_LIMIT = 3.0
 
 
 class World:
-    """The simulated world's process.
+    """The simulated world's process, and what that starts.
 
     What it prints is read all the time, or it would stop when the pipe is full.
     """
 
     def __init__(self, process: subprocess.Popen[bytes]) -> None:
         self._process = process
+        self._ended = os.pidfd_open(process.pid)
         self._first: bytes | None = None
         self._last = b""
         self._has_spoken = threading.Event()
@@ -51,7 +53,8 @@ class World:
 
     def has_ended(self) -> bool:
         """Return at once whether it ended by itself."""
-        return self._process.poll() is not None
+        # not waited for, its number stays its own, and its group's
+        return self._process.returncode is not None or self._is_over(0.0)
 
     def result(self) -> Mapping[str, Any]:
         """End it, if it has not, and return the JSON object of its last line.
@@ -59,7 +62,7 @@ class World:
         Raises
         ------
         RunError
-            Its last line is something else.
+            Its last line is something else, or it does not end.
         """
         self._end()
         return _object(self._last.decode(errors="replace"))
@@ -75,16 +78,25 @@ class World:
         self._has_spoken.set()
 
     def _end(self) -> None:
+        if self._process.returncode is not None:
+            return
         if self._process.stdin is not None:
             self._process.stdin.close()
-        if self._process.poll() is None:
-            self._process.send_signal(signal.SIGTERM)
-        try:
-            self._process.wait(_END_LIMIT)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait(_END_LIMIT)
+        self._signal(signal.SIGTERM)
+        self._is_over(_END_LIMIT)
+        self._signal(signal.SIGKILL)
+        if not self._is_over(_END_LIMIT):
+            raise RunError(f"the simulator still runs {_END_LIMIT:g} s after SIGKILL")
+        self._process.wait()
+        os.close(self._ended)
         self._reader.join(_END_LIMIT)
+
+    def _is_over(self, limit: float) -> bool:
+        return bool(wait_readable([self._ended], limit))
+
+    def _signal(self, number: signal.Signals) -> None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, number)
 
 
 @contextlib.contextmanager

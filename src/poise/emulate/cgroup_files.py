@@ -59,8 +59,19 @@ def table(text: str) -> dict[str, int]:
     return {name: int(value) for name, value in map(str.split, text.splitlines())}
 
 
+def lift(folder: Path) -> None:
+    """Lift a cgroup's quota, if it has one: who gets no CPU does not end, even killed.
+
+    OSError when the kernel refuses.
+    """
+    for name, value in (("cpu.cfs_quota_us", "-1"), ("cpu.max", "max")):
+        with suppress(FileNotFoundError), (folder / name).open("r+") as file:
+            file.write(value)
+
+
 def remove(folder: Path) -> None:
     """End every process in a cgroup and remove it; nothing happens when it is gone."""
+    lift(folder)
     stop(lambda: pids(folder), ask=0.0)
     with suppress(FileNotFoundError):
         folder.rmdir()

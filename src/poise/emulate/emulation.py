@@ -91,6 +91,7 @@ class Emulation:
             When something could not be ended or removed.
         """
         try:
+            self._remains.lift_quotas()
             processes.stop(self._running, ask)
         finally:
             self._remains.remove()

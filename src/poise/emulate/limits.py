@@ -13,6 +13,8 @@ from poise.model.robot import Computer
 
 _SMALLEST = 0.001
 """The kernel refuses quotas of less than this in a period [s]."""
+_LONGEST = 1.0
+"""The kernel refuses longer periods [s]."""
 _ROUNDING = 1e-9
 
 
@@ -22,7 +24,7 @@ class Limits(Struct, frozen=True, kw_only=True):
     Parameters
     ----------
     quota
-        Host cores; > 0.
+        Host cores; 0.001 at least.
     cpus
         The host CPUs that it may run on; one at least.
     memory
@@ -93,10 +95,11 @@ def _sharing(cpu: int, quotas: Mapping[str, float]) -> str:
 
 def _quota(computer: Computer) -> float:
     quota = computer.capacity.get("cpu", 0.0) * computer.speed
-    if not 0 < quota < math.inf:
+    least = _SMALLEST / _LONGEST
+    if not least <= quota < math.inf:
         message = (
             f"computer {computer.name!r} cannot be emulated with {quota:g} cores "
-            "(cpu capacity x speed); it must be more than 0, and finite"
+            f"(cpu capacity x speed); it must be at least {least:g}, and finite"
         )
         raise RobotError(message)
     return quota

@@ -61,6 +61,17 @@ class Remains(Struct, frozen=True, kw_only=True):
         draft.write_bytes(msgspec.json.encode(self))
         draft.rename(self._list)
 
+    def lift_quotas(self) -> None:
+        """Let all processes have the CPU time that they need to end.
+
+        Raises
+        ------
+        OSError
+            The kernel refuses.
+        """
+        for group in self.groups:
+            cgroup_files.lift(Path(group))
+
     def remove(self) -> None:
         """Remove everything, and then the list. Repeating it is harmless.
 

@@ -10,6 +10,7 @@ from typing import Self
 
 import msgspec
 
+from poise.errors import UsageError
 from poise.estimate.profile import KindCosts, Profile
 
 _SCHEMA = """
@@ -38,12 +39,20 @@ class Store:
     ----------
     path
         The file; it and its folder are made when they are not there.
+
+    Raises
+    ------
+    UsageError
+        It cannot be had there, or is something else.
     """
 
     def __init__(self, path: Path) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._database = sqlite3.connect(path, isolation_level=None, timeout=1.0)
-        self._database.executescript(_SCHEMA)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._database = sqlite3.connect(path, isolation_level=None, timeout=1.0)
+            self._database.executescript(_SCHEMA)
+        except (OSError, sqlite3.Error) as error:
+            raise UsageError(f"{path} cannot keep profiles: {error}") from error
 
     def __enter__(self) -> Self:
         return self

@@ -5,46 +5,29 @@ All its components take over at once, or none does: it is one exchange.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-from msgspec import Struct, structs
+from msgspec import structs
 
 from poise import plan
 from poise.errors import UsageError
 from poise.manage.change import Change
 from poise.manage.deployment import Incarnation, Placement
-from poise.manage.exchange import Exchange
+from poise.manage.exchange import Exchange, Exchanged
 from poise.manage.run import Run
 from poise.model.robot import Architecture, Robot
 
 
-class ReplaceReport(Struct, frozen=True, kw_only=True):
-    """How the replacement of an architecture went.
+class ReplaceReport(Exchanged, frozen=True, kw_only=True):
+    """How the replacement of an architecture `by` another went.
 
     Parameters
     ----------
     placement
         Where the components of `by` run, or would have.
-    committed
-        Whether `by` runs now; else `architecture` does, as before.
-    reason
-        Why not.
-    prepared
-        How long it took before the gate shut [s].
-    gate_shut
-        How long the gate was shut [s].
-    seconds
-        How long each part took [s] (`poise.manage.exchange.Exchanged`).
     """
 
     architecture: str
     by: str
     placement: Placement
-    committed: bool
-    reason: str = ""
-    prepared: float = 0.0
-    gate_shut: float = 0.0
-    seconds: Mapping[str, float] = {}
 
 
 def replace_architecture(
@@ -89,11 +72,7 @@ def replace_architecture(
         architecture=architecture,
         by=by,
         placement=where,
-        committed=not done.reason,
-        reason=done.reason,
-        prepared=done.prepared,
-        gate_shut=done.gate_shut,
-        seconds=done.seconds,
+        **structs.asdict(done),
     )
     kind = "done" if report.committed else "failed"
     run.journal.note(kind, _sentence(report), replacement=report)

@@ -141,12 +141,22 @@ class Desk:
     UsageError
         A robot of this name runs already.
     RunError
-        The folder for its socket is another user's.
+        Its socket cannot be had, or the folder for it is another user's.
     """
 
     def __init__(self, robot: str) -> None:
         self._robot = robot
         self._path = _path_of(robot)
+        try:
+            self._make_folder()
+            self._listener = _listening(self._path)
+        except OSError as error:
+            raise RunError(
+                f"{self._path} cannot be listened on ({error}): set XDG_RUNTIME_DIR to "
+                "a folder of yours with a short path"
+            ) from error
+
+    def _make_folder(self) -> None:
         folder = self._path.parent
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if folder.stat().st_uid != os.getuid():
@@ -154,16 +164,11 @@ class Desk:
                 f"{folder} is another user's: set XDG_RUNTIME_DIR to a folder of yours"
             )
         if _is_alive(self._path):
-            raise UsageError(f"robot '{robot}' runs already; `poise stop` ends it")
+            name = self._robot
+            raise UsageError(f"robot '{name}' runs already; `poise stop` ends it")
         for left in folder.glob("*.sock"):  # by managers that were killed
             if not _is_alive(left):
                 left.unlink(missing_ok=True)
-        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        # under its name only when it is alive
-        draft = self._path.with_suffix(f".{os.getpid()}")
-        self._listener.bind(os.fspath(draft))
-        self._listener.listen(_MOST_WAITING)
-        draft.rename(self._path)
 
     def serve(self, answer: Callable[[Asked], Answered], limit: float) -> bool:
         """Answer one asker; False when none comes within `limit` [s].
@@ -254,6 +259,20 @@ def _find(robot: str | None) -> Path:
         raise UsageError(f"several robots run ({names}): name one with --robot")
     which = f"robot '{robot}' does not run" if robot else "no robot runs"
     raise UsageError(f"{which} here (running: {names}); `poise up FILE` starts one")
+
+
+def _listening(path: Path) -> socket.socket:
+    """Return a socket that listens, and is at `path` only since it does."""
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        draft = path.with_suffix(f".{os.getpid()}")
+        listener.bind(os.fspath(draft))
+        listener.listen(_MOST_WAITING)
+        draft.rename(path)
+    except OSError:
+        listener.close()
+        raise
+    return listener
 
 
 def _is_alive(path: Path) -> bool:

@@ -55,8 +55,10 @@ class Exchanged(Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
+    committed
+        Whether the new ones run now; else the old ones do, as before.
     reason
-        Why it led back; empty: it is kept.
+        Why not.
     prepared
         How long it took before the gate shut [s].
     gate_shut
@@ -66,6 +68,7 @@ class Exchanged(Struct, frozen=True, kw_only=True):
         ``open``), and the longest step of each kind in a container (``Rest``, ...).
     """
 
+    committed: bool = False
     reason: str = ""
     prepared: float = 0.0
     gate_shut: float = 0.0
@@ -123,6 +126,7 @@ class Exchange:
     def _outcome(self, started: float, reason: str = "") -> Exchanged:
         shut = self._shut_at or time.monotonic()
         return Exchanged(
+            committed=not reason,
             reason=reason,
             prepared=shut - started,
             gate_shut=self._opened_at - self._shut_at if self._shut_at else 0.0,

@@ -38,6 +38,9 @@ class Entry(Struct, frozen=True):
 class Journal:
     """Written by the manager's thread; any program may read it meanwhile.
 
+    A line that cannot be written is logged instead, for the robot goes on: its disk
+    may be full, or somebody may hold the file.
+
     Parameters
     ----------
     path
@@ -46,12 +49,10 @@ class Journal:
     Raises
     ------
     UsageError
-        The file cannot be written, or is no journal.
+        It cannot be opened, or is something else.
     """
 
     def __init__(self, path: Path | str) -> None:
-        self._path = path
-        self._lost = 0
         try:
             self._database = sqlite3.connect(path, isolation_level=None, timeout=1.0)
             self._database.execute("PRAGMA journal_mode=WAL")
@@ -64,11 +65,7 @@ class Journal:
             ) from error
 
     def note(self, kind: str, what: str, **facts: object) -> None:
-        """Add a line: `what` for people, `facts` for machines.
-
-        A robot must not stop because its diary is full: a line that cannot be written
-        is lost, which is logged when it begins and when it is over.
-        """
+        """Add a line: `what` for people, `facts` for machines."""
         text = msgspec.json.encode(facts).decode()
         try:
             self._database.execute(
@@ -76,14 +73,7 @@ class Journal:
                 (time.time(), kind, what, text),
             )
         except sqlite3.Error as error:
-            if not self._lost:
-                log.warning("the journal %s takes no more: %s", self._path, error)
-            self._lost += 1
-        else:
-            if self._lost:
-                text = "the journal %s is written again; %d lines are lost"
-                log.warning(text, self._path, self._lost)
-            self._lost = 0
+            log.warning("not in the journal (%s): %s: %s", error, kind, what)
 
     def entries(self) -> list[Entry]:
         """Return all lines, oldest first."""

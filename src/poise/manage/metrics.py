@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
+from poise.errors import RunError
 from poise.manage.estimates import Estimates
 from poise.manage.report import Statuses
 from poise.wire.messages import ConnectorStatus
@@ -147,6 +148,11 @@ class MetricsServer:
         Returns what every agent said last; any thread may call it.
     address
         IP address and TCP port; port 0: any that is free.
+
+    Raises
+    ------
+    RunError
+        The address cannot be had.
     """
 
     def __init__(
@@ -173,7 +179,11 @@ class MetricsServer:
             def log_message(self, *_: object) -> None:
                 """Say nothing: the terminal is the robot's."""
 
-        self._server = ThreadingHTTPServer(address, Handler)
+        try:
+            self._server = ThreadingHTTPServer(address, Handler)
+        except OSError as error:
+            where = "{}:{}".format(*address)
+            raise RunError(f"metrics cannot be served on {where}: {error}") from error
         self._server.daemon_threads = True
         self._thread = threading.Thread(
             target=self._server.serve_forever, name="metrics", daemon=True

@@ -6,50 +6,34 @@ component is stopped and started: a short stop, and the report says so.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-import msgspec
-from msgspec import Struct
+from msgspec import structs
 
 from poise.errors import UsageError
 from poise.manage.change import Change
 from poise.manage.deployment import Incarnation
-from poise.manage.exchange import Exchange
+from poise.manage.exchange import Exchange, Exchanged
 from poise.manage.run import Run
 from poise.manage.short_stop import short_stop
 from poise.model.check.hosts import allowed_hosts
 from poise.model.robot import Component
 
 
-class MoveReport(Struct, frozen=True, kw_only=True):
-    """How a move went.
+class MoveReport(Exchanged, frozen=True, kw_only=True):
+    """How the move of a component went, or its replacement on its computer.
 
     Parameters
     ----------
-    committed
-        Whether the component runs at the target now; else it is where it was.
-    reason
-        Why not.
+    source, target
+        The computers from which it was to go, and to which.
     short_stop
         Whether it was stopped and started anew, as command-line components are;
         `gate_shut` is how long it was away then.
-    prepared
-        How long it took before the gate shut [s].
-    gate_shut
-        How long the gate was shut [s].
-    seconds
-        How long each part took [s] (`poise.manage.exchange.Exchanged`).
     """
 
     component: str
     source: str
     target: str
-    committed: bool
-    reason: str = ""
     short_stop: bool = False
-    prepared: float = 0.0
-    gate_shut: float = 0.0
-    seconds: Mapping[str, float] = {}
 
 
 def move(run: Run, component: str, computer: str) -> MoveReport:
@@ -98,7 +82,7 @@ def replace(
         raise UsageError(
             f"component '{component}' is a command line: it has no implementation"
         )
-    new = msgspec.structs.replace(
+    new = structs.replace(
         old,
         epoch=run.next_epoch(component),
         goal="inactive",
@@ -120,12 +104,8 @@ def _exchange(run: Run, old: Incarnation, new: Incarnation) -> MoveReport:
         component=old.component,
         source=old.computer,
         target=new.computer,
-        committed=not done.reason,
-        reason=done.reason,
         short_stop=is_command,
-        prepared=done.prepared,
-        gate_shut=done.gate_shut,
-        seconds=done.seconds,
+        **structs.asdict(done),
     )
     kind = "done" if report.committed else "failed"
     run.journal.note(kind, _sentence(report), move=report)

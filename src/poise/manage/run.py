@@ -108,8 +108,9 @@ class Run:
         with contextlib.suppress(RunError):  # it is only for quiet
             self._come_to_rest()
         self.tell((), left)
-        if not self.fleet.wait_news(lambda: self._is_empty(left), STOP_LIMIT):
-            raise RunError(f"containers still ran {STOP_LIMIT:g} s after the stop")
+        if not self.fleet.wait_news(lambda: not self._running(left), STOP_LIMIT):
+            running = ", ".join(self._running(left))
+            raise RunError(f"{running} still ran {STOP_LIMIT:g} s after the stop")
         self.journal.note("done", "everything stopped")
 
     def _come_to_rest(self) -> None:
@@ -240,6 +241,20 @@ class Run:
             for component in components_of({gone.computer: status})
         )
 
+    def wait_ended(self, gone: Incarnation) -> None:
+        """Wait until an incarnation that is not wanted any more has ended.
+
+        Raises
+        ------
+        RunError
+            It still ran after `STOP_LIMIT`.
+        """
+        if not self.fleet.wait_news(lambda: self.has_ended(gone), STOP_LIMIT):
+            raise RunError(
+                f"component '{gone.component}' still runs on '{gone.computer}' "
+                f"{STOP_LIMIT:g} s after it was to end"
+            )
+
     def _missing(self, wanted: tuple[Incarnation, ...]) -> list[str]:
         """Return what there is still to wait for, in words."""
         statuses = self.current()
@@ -261,12 +276,16 @@ class Run:
             return []
         return missing + [f"container '{f.container}' {f.message}" for f in faults]
 
-    def _is_empty(self, computers: set[str]) -> bool:
+    def _running(self, computers: set[str]) -> list[str]:
+        """Return the containers that still run there, for all that is known."""
         statuses = self.current()
-        return all(
-            computer in statuses and not statuses[computer].containers
-            for computer in computers - self.fleet.lost()
-        )
+        left = sorted(computers - self.fleet.lost())
+        return [f"everything on '{each}'" for each in left if each not in statuses] + [
+            f"container '{container.name}' on '{each}'"
+            for each in left
+            if each in statuses
+            for container in statuses[each].containers
+        ]
 
     def _raise_on_trouble(self) -> bool:
         self.raise_on_lost()

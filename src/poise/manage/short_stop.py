@@ -13,7 +13,7 @@ from msgspec import structs
 from poise.errors import RunError
 from poise.manage.deployment import Incarnation
 from poise.manage.exchange import Exchanged
-from poise.manage.run import ACTIVE_LIMIT, READY_LIMIT, STOP_LIMIT, Run
+from poise.manage.run import ACTIVE_LIMIT, READY_LIMIT, Run
 
 
 def short_stop(run: Run, old: Incarnation, new: Incarnation) -> Exchanged:
@@ -35,6 +35,7 @@ def short_stop(run: Run, old: Incarnation, new: Incarnation) -> Exchanged:
     except RunError as error:
         return Exchanged(reason=f"telling what should run: {error}")
     return Exchanged(
+        committed=not reason,
         reason=reason,
         prepared=stopped - started,
         gate_shut=time.monotonic() - stopped,
@@ -48,7 +49,8 @@ def _swap(
     """Return why `old` runs again; empty: `new` runs."""
     active = new.with_goal("active")
     try:
-        _stop(run, [*others, new.with_goal("inactive")], old)
+        run.tell([*others, new.with_goal("inactive")], run.computers())
+        run.wait_ended(old)
         run.tell([*others, active], run.computers())
         run.wait([active], ACTIVE_LIMIT)
     except RunError as error:
@@ -58,9 +60,3 @@ def _swap(
         return str(error)
     run.placed[new.component] = active
     return ""
-
-
-def _stop(run: Run, rest: list[Incarnation], old: Incarnation) -> None:
-    run.tell(rest, run.computers())
-    if not run.fleet.wait_news(lambda: run.has_ended(old), STOP_LIMIT):
-        raise RunError(f"'{old.component}' does not end on '{old.computer}'")

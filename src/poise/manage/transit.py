@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
-from poise.errors import RunError
+from poise.errors import RunError, UsageError
 from poise.manage.deployment import Incarnation
 from poise.manage.move import MoveReport, move
-from poise.manage.run import ACTIVE_LIMIT, READY_LIMIT, STOP_LIMIT, Run
+from poise.manage.run import ACTIVE_LIMIT, READY_LIMIT, Run
 from poise.manage.transition import Step
 
 
@@ -37,28 +37,87 @@ class TransitionReport(Struct, frozen=True, kw_only=True):
 def transit(run: Run, steps: tuple[Step, ...]) -> TransitionReport:
     """Take the steps of a planned transition; when one fails, take all back."""
     run.journal.note("decided", f"transition of {len(steps)} steps", steps=steps)
-    moves: list[MoveReport] = []
+    way = _Way(run)
     for number, step in enumerate(steps):
-        reason = _try(run, step, moves)
+        reason = way.take(step)
         if reason:
             reason = f"step '{step}' failed: {reason}"
-            reason += _go_back(run, steps[:number], moves)
+            reason += way.go_back(steps[:number])
             run.journal.note("failed", f"transition called off; {reason}")
             return TransitionReport(
-                steps=steps, committed=False, reason=reason, moves=tuple(moves)
+                steps=steps, committed=False, reason=reason, moves=tuple(way.moves)
             )
     run.journal.note("done", "transition", placement=run.placement())
-    return TransitionReport(steps=steps, committed=True, moves=tuple(moves))
+    return TransitionReport(steps=steps, committed=True, moves=tuple(way.moves))
 
 
-def _go_back(run: Run, taken: Sequence[Step], moves: list[MoveReport]) -> str:
-    """Undo the steps that were taken, last first; return what went wrong thereby."""
-    troubles = ""
-    for step in reversed(taken):
-        reason = _try(run, _inverse(step), moves)
-        if reason:
-            troubles += f"; taking back '{step}' failed: {reason}"
-    return troubles
+class _Way:
+    """The steps of one transition, there or back; one that fails changes nothing."""
+
+    def __init__(self, run: Run) -> None:
+        self.moves: list[MoveReport] = []
+        self._run = run
+        # what is started again may have been replaced since the robot began
+        self._implementations: dict[str, str] = {}
+
+    def take(self, step: Step) -> str:
+        """Take a step; return why it failed, or an empty text."""
+        try:
+            match step.kind:
+                case "move":
+                    report = move(self._run, step.component, step.target)
+                    self.moves.append(report)
+                    return report.reason
+                case "start":
+                    self._start(step.component, step.target)
+                case "stop":
+                    self._stop(step.component)
+        except (RunError, UsageError) as error:
+            return str(error)
+        return ""
+
+    def go_back(self, taken: Sequence[Step]) -> str:
+        """Undo the steps that were taken, last first; return what went wrong there."""
+        troubles = ""
+        for step in reversed(taken):
+            reason = self.take(_inverse(step))
+            if reason:
+                troubles += f"; taking back '{step}' failed: {reason}"
+        return troubles
+
+    def _start(self, component: str, computer: str) -> None:
+        run = self._run
+        others = tuple(run.placed.values())
+        new = Incarnation(
+            component=component,
+            computer=computer,
+            epoch=run.next_epoch(component),
+            implementation=self._implementations.get(component, ""),
+        )
+        ready = new.with_goal("inactive")
+        try:
+            for wanted, limit in ((ready, READY_LIMIT), (new, ACTIVE_LIMIT)):
+                run.tell([*others, wanted], run.computers())
+                run.wait([wanted], limit)
+        except RunError:
+            run.tell(others, run.computers())
+            raise
+        run.placed[component] = new
+
+    def _stop(self, component: str) -> None:
+        run = self._run
+        old = run.placed.pop(component)
+        self._implementations[component] = old.implementation
+        try:
+            run.tell(run.placed.values(), run.computers())
+            run.wait_ended(old)
+        except RunError:
+            # the old one has lost its state by now, if it listens at all
+            run.placed[component] = structs.replace(
+                old, epoch=run.next_epoch(component)
+            )
+            run.tell(run.placed.values(), run.computers())
+            raise
 
 
 def _inverse(step: Step) -> Step:
@@ -69,41 +128,3 @@ def _inverse(step: Step) -> Step:
         source=step.target,
         target=step.source,
     )
-
-
-def _try(run: Run, step: Step, moves: list[MoveReport]) -> str:
-    """Take a step; return why it failed, or an empty text."""
-    try:
-        match step.kind:
-            case "move":
-                report = move(run, step.component, step.target)
-                moves.append(report)
-                return report.reason
-            case "start":
-                _start(run, step)
-            case "stop":
-                _stop(run, step)
-    except RunError as error:
-        return str(error)
-    return ""
-
-
-def _start(run: Run, step: Step) -> None:
-    new = Incarnation(
-        component=step.component,
-        computer=step.target,
-        epoch=run.next_epoch(step.component),
-    )
-    run.placed[step.component] = new
-    others = [each for each in run.placed.values() if each != new]
-    ready = new.with_goal("inactive")
-    for wanted, limit in ((ready, READY_LIMIT), (new, ACTIVE_LIMIT)):
-        run.tell([*others, wanted], run.computers())
-        run.wait([wanted], limit)
-
-
-def _stop(run: Run, step: Step) -> None:
-    gone = run.placed.pop(step.component)
-    run.tell(run.placed.values(), run.computers())
-    if not run.fleet.wait_news(lambda: run.has_ended(gone), STOP_LIMIT):
-        raise RunError(f"component '{step.component}' still runs")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from math import inf
 from typing import get_args
@@ -68,10 +68,12 @@ def _lists(problem: Problem) -> Iterator[tuple[str, object]]:
         yield "link: between", link.between
     for a in problem.architectures:
         yield f"architecture {a.name!r}: components", a.components
-    for kind, groups in (("together", problem.together), ("apart", problem.apart)):
+    sets: dict[str, Iterable[object]]
+    sets = {"together": problem.together, "apart": problem.apart}
+    for kind, groups in sets.items():
         yield kind, groups
-        for group in groups:
-            yield f"{kind}: a set", group
+        if not isinstance(groups, str):  # else each of its letters were a set
+            yield from ((f"{kind}: a set", group) for group in groups)
 
 
 def _twice(kind: str, names: Sequence[object]) -> Iterator[str]:

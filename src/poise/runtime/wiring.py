@@ -177,7 +177,7 @@ class Wiring:
         UsageError
             There is none.
         """
-        for ends in self._open.values():
+        for ends in self.ends():
             if ends.spec.name == name and ends.outlet is not None:
                 return ends.outlet
         raise UsageError(f"no connector '{name}' begins in this container")
@@ -197,16 +197,14 @@ class Wiring:
 
     def unjoined(self) -> frozenset[str]:
         """Return the keys of the connectors whose other end is not there."""
-        return frozenset(
-            key for key, ends in list(self._open.items()) if not ends.is_ready()
-        )
+        return frozenset(ends.spec.key for ends in self.ends() if not ends.is_ready())
 
     def status(self) -> tuple[ConnectorStatus, ...]:
         """Return the status of every open connector."""
-        return tuple(ends.status() for ends in list(self._open.values()))
+        return tuple(ends.status() for ends in self.ends())
 
     def ends(self) -> list[OpenEnds]:
-        """Return what is open now, for those who count."""
+        """Return what is open now; any thread may ask."""
         return list(self._open.values())
 
     def close(self) -> None:

@@ -1,3 +1,4 @@
+import socket
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -5,7 +6,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from poise.errors import UsageError
+from poise.errors import RunError, UsageError
 from poise.estimate.profile import ComponentProfile, Profile
 from poise.estimate.spread import Spread
 from poise.manage.estimates import Estimates
@@ -142,6 +143,14 @@ def test_serves_metrics_and_nothing_else(robot: Robot, steady: Sampler) -> None:
         assert refused.value.code == 404
     finally:
         server.close()
+
+
+def test_metrics_where_somebody_else_listens_name_the_address(robot: Robot) -> None:
+    estimates = Estimates(robot, None, emulated=True)
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        with pytest.raises(RunError, match=f"on 127.0.0.1:{port}: .* in use"):
+            MetricsServer(estimates, dict, ("127.0.0.1", port))
 
 
 def moved(sample: AgentSample, cpu: float) -> AgentSample:

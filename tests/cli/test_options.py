@@ -1,0 +1,60 @@
+"""What is written at the end of a command can be written, or it does not begin."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from poise.cli.commands import build
+from poise.cli.options import to_write
+from poise.errors import UsageError
+
+HELLO = Path(__file__).parents[2] / "examples" / "hello"
+
+
+def test_what_is_there_stays_and_what_is_not_is_not_made(tmp_path: Path) -> None:
+    old, new = tmp_path / "old", tmp_path / "new"
+    old.write_text("kept")
+    assert (to_write(old), to_write(new), to_write(None)) == (old, new, None)
+    assert old.read_text() == "kept"
+    assert not new.exists()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["run", "FILE", "--task", "greet", "--record", "nowhere/it"],
+        ["run", "FILE", "--task", "greet", "--report", "robot.yaml"],
+        ["up", "FILE", "--record", "nowhere/it"],
+        ["up", "FILE", "--journal", "nowhere/it"],
+        ["up", "FILE", "--journal", "robot.yaml"],
+        ["profile", "show", "FILE", "--plot", "nowhere/it.svg"],
+        ["recording", "export", "FILE", "--to", "nowhere/it.csv"],
+    ],
+    ids=lambda words: f"{words[0]} {words[-2]} {words[-1]}",
+)
+def test_a_command_that_could_not_write_its_file_names_it(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(HELLO, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    words = ["robot.yaml" if word == "FILE" else word for word in words]
+    result = CliRunner().invoke(build(words), words)
+    assert isinstance(result.exception, UsageError)
+    assert words[-1] in str(result.exception)
+    assert "emulating" not in result.stdout
+
+
+@pytest.mark.parametrize("command", ["profile", "calibrate"])
+def test_nothing_is_measured_that_could_not_be_kept(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(HELLO, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / ".poise").write_text("in the way")
+    result = CliRunner().invoke(build([command]), [command, "robot.yaml"])
+    assert isinstance(result.exception, UsageError)
+    assert "profiles.sqlite cannot keep profiles" in str(result.exception)
