@@ -135,6 +135,15 @@ class Unsnapshotable(Counter):
     def snapshot(self) -> Counted:
         raise LookupError("no such tape")
 
+class Lingering(Counter):
+    """Takes its snapshot as long as a file is there."""
+
+    def snapshot(self) -> Counted:
+        lingers = os.path.join(self.parameters["folder"], "lingers")
+        while os.path.exists(lingers):
+            threading.Event().wait(0.01)
+        return self.state
+
 class Unwritable(Counter):
     def snapshot(self) -> Counted:
         return Counted(object(), 0, 0)
@@ -455,6 +464,26 @@ def test_leads_back_and_says_so_when_the_component_does_not_come_to_rest(
     busy.unlink()
     assert not report.committed
     assert "component 'counter' did not come to rest" in report.reason
+    world.works()
+    assert world.told("sink")[1] == 0
+
+
+def test_goes_on_in_its_container_when_a_snapshot_that_took_too_long_ends(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("poise.manage.exchange.GATE_LIMIT", 0.5)
+    run = world.start("Lingering")
+    lingers = world.folder / world.name / "lingers"
+    lingers.touch()
+    first = move(run, "counter", "right")
+    second = move(run, "counter", "right")  # while that snapshot is taken
+    assert (first.committed, second.committed) == (False, False)
+    lingers.unlink()
+    world.works()
+    assert not any(status.faults for status in run.fleet.statuses().values())
+    assert world.told("sink")[1] == 0
+    monkeypatch.undo()
+    assert move(run, "counter", "right").committed
     world.works()
     assert world.told("sink")[1] == 0
 
