@@ -573,6 +573,22 @@ def test_goes_on_when_the_targets_agent_dies(
         assert mortal.told("sink")[1] == 0
 
 
+def test_the_gate_opens_without_waiting_for_why_an_agent_is_silent(
+    mortal: World, mortals: Agents, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("poise.manage.exchange.GATE_LIMIT", 0.5)
+    monkeypatch.setattr("poise.manage.fleet._NEWS", 3 * LIMIT)
+    run = mortal.start("Counter")
+    right = mortals.processes["right"]
+    mortal.striking.before[Rest] = lambda: right.send_signal(signal.SIGSTOP)
+    mortal.striking.before[Open] = lambda: right.send_signal(signal.SIGCONT)
+    report = move(run, "counter", "right")
+    assert "the agent of 'right'" in report.reason
+    assert report.gate_shut < LIMIT
+    mortal.works()
+    assert mortal.told("sink")[1] == 0
+
+
 def test_a_caller_that_waits_no_longer_than_its_limit(world: World) -> None:
     world.limit = 0.1
     run = world.start("Late")
