@@ -135,6 +135,15 @@ class Unsnapshotable(Counter):
     def snapshot(self) -> Counted:
         raise LookupError("no such tape")
 
+class Lingering(Counter):
+    """Takes its snapshot as long as a file is there."""
+
+    def snapshot(self) -> Counted:
+        lingers = os.path.join(self.parameters["folder"], "lingers")
+        while os.path.exists(lingers):
+            threading.Event().wait(0.01)
+        return self.state
+
 class Unwritable(Counter):
     def snapshot(self) -> Counted:
         return Counted(object(), 0, 0)
@@ -459,6 +468,26 @@ def test_leads_back_and_says_so_when_the_component_does_not_come_to_rest(
     assert world.told("sink")[1] == 0
 
 
+def test_goes_on_in_its_container_when_a_snapshot_that_took_too_long_ends(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("poise.manage.exchange.GATE_LIMIT", 0.5)
+    run = world.start("Lingering")
+    lingers = world.folder / world.name / "lingers"
+    lingers.touch()
+    first = move(run, "counter", "right")
+    second = move(run, "counter", "right")  # while that snapshot is taken
+    assert (first.committed, second.committed) == (False, False)
+    lingers.unlink()
+    world.works()
+    assert not any(status.faults for status in run.fleet.statuses().values())
+    assert world.told("sink")[1] == 0
+    monkeypatch.undo()
+    assert move(run, "counter", "right").committed
+    world.works()
+    assert world.told("sink")[1] == 0
+
+
 def test_a_move_after_one_that_led_back_succeeds(world: World) -> None:
     run = world.start("Counter")
     world.striking.before[Rest] = lambda: world.kill("right", "counter")
@@ -542,6 +571,31 @@ def test_goes_on_when_the_targets_agent_dies(
         assert run.placement()["counter"] == "left"
         mortal.works()
         assert mortal.told("sink")[1] == 0
+
+
+def test_the_gate_opens_without_waiting_for_why_an_agent_is_silent(
+    mortal: World, mortals: Agents, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waited: list[float] = []
+    why = Fleet._why_silent
+
+    def noting(self: Fleet, computer: str, limit: float, patience: float) -> str:
+        waited.append(limit - patience)
+        return why(self, computer, limit, patience)
+
+    monkeypatch.setattr(Fleet, "_why_silent", noting)
+    monkeypatch.setattr("poise.manage.fleet._NEWS", LIMIT)
+    monkeypatch.setattr("poise.manage.exchange.GATE_LIMIT", 0.5)
+    run = mortal.start("Counter")
+    right = mortals.processes["right"]
+    mortal.striking.before[Rest] = lambda: right.send_signal(signal.SIGSTOP)
+    mortal.striking.before[Open] = lambda: right.send_signal(signal.SIGCONT)
+    report = move(run, "counter", "right")
+    assert "the agent of 'right'" in report.reason
+    assert waited
+    assert min(waited) > 0  # no longer than for its answer, in all
+    mortal.works()
+    assert mortal.told("sink")[1] == 0
 
 
 def test_a_caller_that_waits_no_longer_than_its_limit(world: World) -> None:

@@ -308,6 +308,51 @@ def test_an_order_to_rest_that_waits_ends_with_the_move(running: Fixture) -> Non
     component.wait_for("a")
 
 
+def test_an_order_to_rest_that_waits_ends_with_its_own_move(
+    running: Fixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runner = running.start(Recorder)
+    component = reach(runner, "active")
+    shut = runner._shut
+
+    def meanwhile(limit: float) -> None:
+        runner.aim("active")
+        runner.stay()  # for the next move
+        shut(limit)
+
+    monkeypatch.setattr(runner, "_shut", meanwhile)
+    with pytest.raises(RunError, match="does not move"):
+        rest(runner, LIMIT)
+    receive(runner, "a")
+    component.wait_for("a")
+
+
+def test_goes_on_after_its_code_ran_at_rest(running: Fixture) -> None:
+    runner = running.start(Recorder)
+    component = reach(runner, "active")
+    rest(runner, LIMIT)
+    with runner.at_rest():  # a snapshot, say
+        runner.aim("active")  # does not wait for it
+        runner.stay()  # nor for the next move
+        receive(runner, "a")
+        with pytest.raises(Timeout):
+            runner.turn.enter(7, 0.05)
+    component.wait_for("a")
+
+
+def test_stays_at_rest_after_its_code_ran_there(running: Fixture) -> None:
+    runner = running.start(Recorder)
+    component = reach(runner, "active")
+    rest(runner, LIMIT)
+    with runner.at_rest():
+        runner.aim("active")
+        rest(runner, LIMIT)  # for the next move
+    receive(runner, "a")
+    with pytest.raises(Timeout):
+        runner.turn.enter(7, 0.05)
+    assert "a" not in component.record
+
+
 def test_what_is_ready_does_nothing_before_it_is_active(running: Fixture) -> None:
     runner = running.start(Ticking)
     runner.aim("ready")

@@ -112,6 +112,20 @@ def scan(number: int = 1) -> Scan:
 
 
 @every_kind
+def test_no_topic_waits_for_another_ones_grants(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # whoever takes another link's place waits for that so long
+    monkeypatch.setattr("poise.wire.link_server._PATIENCE", 3 * LIMIT)
+    source, target = start(pair, "scan", "careful")
+    for number in range(3):
+        source.scan.publish(scan(number))
+        source.careful.publish(scan(number))
+    target.wait_for(6)
+    assert pair.drops() == 0
+
+
+@every_kind
 def test_calls_bring_back_results(pair: Pair) -> None:
     source, _ = start(pair, "sums")
     assert source.sums.add(1, 2) == 3

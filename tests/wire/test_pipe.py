@@ -104,6 +104,18 @@ def test_messages_keep_their_order(wire: Wire) -> None:
 
 
 @both
+def test_many_send_over_a_shared_connector_at_the_same_time(wire: Wire) -> None:
+    receiver = Receiver()
+    server = wire.server()
+    server.open("echo", receiver, shared=True)
+    first, second = wire.pipe(use=MESSAGES), wire.pipe(use=MESSAGES)
+    for number, pipe in enumerate((first, second) * 3, 1):
+        pipe.push(message(str(number)), LIMIT)
+        receiver.wait_for(number)
+    assert len(server._links) == 2  # none ended for another
+
+
+@both
 def test_a_large_message_comes_whole(wire: Wire) -> None:
     wire.server().open("echo", Receiver())
     text = "0123456789" * 600_000

@@ -188,6 +188,7 @@ class Fleet:
             Computers and orders. An agent that does not answer counts as failed.
         """
         said: _Said = SimpleQueue()
+        began = self._clock.now()
         asked = {order.number: (computer, order) for computer, order in orders}
         for number, (computer, order) in asked.items():
             self._session.get(
@@ -196,12 +197,13 @@ class Fleet:
                 payload=msgspec.msgpack.encode(order),
                 timeout=order.limit + MARGIN,
             )
-        return self._outcomes(asked, said)
+        return self._outcomes(asked, said, began)
 
     def _outcomes(
         self,
         asked: dict[int, tuple[str, Order]],
         said: _Said,
+        began: float,
     ) -> Iterator[Outcome]:
         limit = max((order.limit for _, order in asked.values()), default=0.0)
         while asked:
@@ -211,7 +213,7 @@ class Fleet:
                 number, reply = next(iter(asked)), None
             if number in asked:
                 computer, order = asked.pop(number)
-                yield self._outcome(computer, order, reply)
+                yield self._outcome(computer, order, reply, began)
 
     def _ask(
         self, computer: str, request: Request, limit: float
@@ -228,30 +230,33 @@ class Fleet:
         if isinstance(answer, Accepted):
             return ""
         if answer is None:
-            return self._why_silent(computer, ANSWER_LIMIT)
+            return self._why_silent(computer, ANSWER_LIMIT, _NEWS)
         why = answer.reason if isinstance(answer, Refused) else str(answer)
         return f"refused: {why}"
 
     def _outcome(
-        self, computer: str, order: Order, reply: zenoh.Reply | None
+        self, computer: str, order: Order, reply: zenoh.Reply | None, began: float
     ) -> Outcome:
-        """Return what came of an order."""
+        """Return what came of an order that was given at `began` [s]."""
         answer = _answer(() if reply is None else (reply,))
         if isinstance(answer, Done | Failed):
             return answer
         if answer is None:
-            why = self._why_silent(computer, order.limit + MARGIN)
+            limit = order.limit + MARGIN
+            # a gate may be shut: who was waited for has had time enough
+            left = max(0.0, began + limit - self._clock.now())
+            why = self._why_silent(computer, limit, min(_NEWS, left))
         else:
             why = f"answered {answer}"
         return Failed(order.number, f"the agent of '{computer}' {why}")
 
-    def _why_silent(self, computer: str, limit: float) -> str:
+    def _why_silent(self, computer: str, limit: float, patience: float) -> str:
         """Return what is known of an agent that gave no answer within `limit` [s].
 
         The answer fails to come as soon as its connection ends, which may be a little
-        before zenoh tells that the agent is lost.
+        before zenoh tells that the agent is lost: `patience` [s] is for that.
         """
-        if self._wait(lambda: computer in self._lost, _NEWS):
+        if self._wait(lambda: computer in self._lost, patience):
             return "is gone"
         return f"did not answer within {limit:g} s"
 

@@ -14,6 +14,7 @@ import socket
 import sys
 import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import FrameType
@@ -41,6 +42,7 @@ from poise.wire.messages import (
     FromContainer,
     Goal,
     Order,
+    Outcome,
     ToContainer,
 )
 
@@ -157,13 +159,14 @@ class Container:
 
     def _hear(self, what: ContainerSpec | Order) -> None:
         if isinstance(what, Order):
-            self._step_threads.submit(self._take_step, what, time.monotonic())
+            self._step_threads.submit(self._take_steps, self._steps.hear(what))
         else:
+            self._steps.note_deployment()
             with as_usual():
                 self._apply(what)
 
-    def _take_step(self, order: Order, heard: float) -> None:
-        outcome = self._steps.take(order, heard)
+    def _take_steps(self, take: Callable[[], Outcome]) -> None:
+        outcome = take()
         with contextlib.suppress(Timeout, Unavailable):  # the agent gave up on us
             self._tell(outcome)
 

@@ -76,10 +76,12 @@ class Runner:
         self.ends = Ends(spec.name, self.component, self.ports, self.turn, self.account)
         self.schedules: dict[str, Schedule] = {}
         self._phases: Mapping[str, float] = {}
-        # whoever runs its code while it is at rest holds this; it is born at rest
+        # whoever runs its code while it is at rest holds the first; it is born at rest
+        self._lending = threading.Lock()
         self._resting = threading.RLock()
         self._is_resting = True
-        self._stays = False
+        self._is_lent = self._goes_on = False
+        self._stays: object = None
         self._awaits_lull = False
         self._lull = threading.Event()
         self._clock = clock
@@ -124,7 +126,7 @@ class Runner:
         Once it is `active`, it goes on after a rest.
         """
         with self._state_changed:
-            self._stays = False
+            self._stays = None
             if self._goal != "finalized":
                 self._goal = goal
         if goal == "active":
@@ -133,8 +135,12 @@ class Runner:
         self.ends.mailbox.wake()
 
     def stay(self) -> None:
-        """Stay as it is: it is about to move, and may be told to rest."""
-        self._stays = True
+        """Stay as it is: it is about to move, and may be told to rest.
+
+        The move before is over, and what that left at rest goes on.
+        """
+        self._stays = object()  # one for each move: an order from before is late
+        self.go_on()
 
     def wait_ended(self, limit: float) -> bool:
         """Wait up to `limit` [s] for its thread to end; whether it did."""
@@ -145,19 +151,34 @@ class Runner:
     def at_rest(self) -> Iterator[None]:
         """Run its code on this thread, while it is at rest; it does not go on before.
 
+        If it was told to go on meanwhile, it does then.
+
         Raises
         ------
         RunError
             It is at work.
         """
-        with self._resting:
-            if not self._is_resting:
-                raise RunError(f"component '{self.spec.name}' is not at rest")
+        try:
+            with self._lent():
+                yield
+        finally:
+            if self._goes_on:
+                self.go_on()
+
+    @contextmanager
+    def _lent(self) -> Iterator[None]:
+        with self._lending:
+            with self._resting:
+                if not self._is_resting:
+                    raise RunError(f"component '{self.spec.name}' is not at rest")
+                self._is_lent = True
             self.turn.lend(new_chain())
             try:
                 yield
             finally:
                 self.turn.lend(0)
+                with self._resting:
+                    self._is_lent = False
 
     def wait_lull(self, limit: float) -> bool:
         """Wait until it has just worked on a timer or message, and none waits.
@@ -188,11 +209,13 @@ class Runner:
         RunError
             It does not move: the order is late, and it goes on as before.
         """
+        stays = self._stays
         self._shut(limit)
         with self._resting:
-            if not self._stays:
+            if stays is None or self._stays is not stays:
                 self.go_on()
                 raise RunError(f"component '{self.spec.name}' does not move")
+            self._goes_on = False
 
     def _shut(self, limit: float) -> None:
         if not self._is_resting:
@@ -201,24 +224,19 @@ class Runner:
                 self._is_resting = True
                 self.ends.let_in(freely=True)
 
-    def go_on(self, limit: float = _PATIENCE) -> None:
+    def go_on(self) -> None:
         """Go on after a rest, if it is active; harmless when repeated.
 
-        Raises
-        ------
-        Timeout
-            Its `snapshot` or `restore` ran for `limit` [s]; it is still at rest.
+        While a thread runs its code at rest nobody waits: it goes on after that.
         """
-        if not self._resting.acquire(timeout=limit):
-            raise Timeout(f"component '{self.spec.name}' is busy with its state")
-        try:
-            if self._is_resting and (self._state, self._goal) == ("active", "active"):
+        with self._resting:
+            self._goes_on = self._is_lent
+            is_at_work = (self._state, self._goal) == ("active", "active")
+            if self._is_resting and not self._is_lent and is_at_work:
                 self._is_resting = False
                 self.ends.let_in(freely=False)
                 self.ends.let_go()
                 self.turn.open()
-        finally:
-            self._resting.release()
 
     def keep_phases(self, due: Mapping[str, float]) -> None:
         """Let timers be due first at these moments [s], by name."""
@@ -295,7 +313,7 @@ class Runner:
         # callers wait for one that takes over
         hurry = ahead() if self._goal == "ready" else nullcontext()
         try:
-            with hurry, self.at_rest():
+            with hurry, self._lent():
                 getattr(self.component, hook)()
                 if hook == "deactivate" and self.spec.weigh:
                     self._snapshot = _weight(self.component.snapshot())

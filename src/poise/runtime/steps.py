@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Callable
+from functools import partial
 
 from poise.errors import PoiseError, RunError, Timeout
 from poise.priority import as_usual
@@ -61,13 +63,27 @@ class Steps:
         self._transports = transports
         self._givers: dict[Runner, tuple[str, Giver]] = {}
         self._heirs: dict[Runner, Heir] = {}
+        self._num_deployments = 0
 
-    def take(self, order: Order, heard: float) -> Outcome:
-        """Take the steps of an order that was heard at `heard` [s, monotonic clock]."""
+    def note_deployment(self) -> None:
+        """Refuse the orders that were heard until now: a deployment says what is so.
+
+        The next move of the same component may follow, and is none of theirs.
+        """
+        self._num_deployments += 1
+
+    def hear(self, order: Order) -> Callable[[], Outcome]:
+        """Return what takes the steps of an order that was heard just now."""
+        return partial(self._take_all, order, time.monotonic(), self._num_deployments)
+
+    def _take_all(self, order: Order, heard: float, deployment: int) -> Outcome:
         deadline = heard + _SHARE * order.limit
         seconds: Counter[str] = Counter()
         try:
             for step in order.steps:
+                if deployment != self._num_deployments:
+                    text = f"{type(step).__name__} is late: a deployment came before it"
+                    return Failed(order.number, text)
                 began = time.monotonic()
                 self._take(step, deadline)
                 seconds[type(step).__name__] += time.monotonic() - began  # type: ignore[assignment] # a counter of times

@@ -66,7 +66,7 @@ class Transports:
         self._place = place
         self._credits = Credits()
         self.server = LinkServer(FilePath(place.folder), place.container)
-        self.server.open(GRANTS, self._credits.handle)
+        self.server.open(GRANTS, self._credits.handle, shared=True)
 
     def pipe(self, connector: str, address: str, *, calls: bool = True) -> Pipe:
         """Return a pipe to the container at an address; for messages without `calls`.

@@ -61,6 +61,7 @@ class LinkServer:
 
     def __init__(self, folder: Path, container: str) -> None:
         self._handlers: dict[str, Handler] = {}
+        self._shared: set[str] = set()
         self._refused: dict[str, Refused] = {}
         self._links: set[_Served] = set()
         self._messages: dict[str, _Served] = {}
@@ -73,12 +74,22 @@ class LinkServer:
         self._neighbours.listen(64)
         threading.Thread(target=self._accept, name="accept", daemon=True).start()
 
-    def open(self, connector: str, handler: Handler, refused: Refused = ignore) -> None:
+    def open(
+        self,
+        connector: str,
+        handler: Handler,
+        refused: Refused = ignore,
+        *,
+        shared: bool = False,
+    ) -> None:
         """Receive the frames of `connector` from now on.
 
         What is no frame is logged, answered with an error where an answer is waited
-        for, and told to `refused`.
+        for, and told to `refused`. A connector is `shared` when many send messages over
+        it: then a new link takes no other's place, and there is no order among them.
         """
+        if shared:
+            self._shared.add(connector)
         self._refused[connector] = refused
         self._handlers[connector] = handler
 
@@ -175,7 +186,7 @@ class LinkServer:
             raise
         served.connector, served.use = name, hello.number
         before = None
-        if served.use == MESSAGES:
+        if served.use == MESSAGES and name not in self._shared:
             before = self._messages.get(name)
             self._messages[name] = served
         link.send(frame.segments(NAME, name, Kind.WELCOME), deadline)

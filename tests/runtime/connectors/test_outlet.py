@@ -16,6 +16,7 @@ from poise.runtime.connectors.interface import Method
 from poise.runtime.connectors.outlet import Facade, Outlet
 from poise.runtime.ports import Port
 from poise.runtime.turn import Turn, new_chain
+from poise.wire.codec import WireError
 
 LONG = 20.0
 
@@ -30,6 +31,8 @@ class Sums(Protocol):
 
 class FakePath:
     """Remembers what goes over it."""
+
+    UNFIT = object()
 
     def __init__(self, *, ready: bool = True) -> None:
         self.ready = ready
@@ -53,6 +56,8 @@ class FakePath:
     def push(self, _method: Method | None, value: object) -> int:
         if not self.ready:
             raise Unavailable("nobody there")
+        if value is self.UNFIT:
+            raise WireError("an object cannot cross a connector")
         self.went.append(value)
         self.room -= 1
         return 1
@@ -161,6 +166,34 @@ def test_what_was_held_goes_where_one_way_is_left(
     assert went[kept].went == [1, 2]
     assert went[gone].went == []
     assert went[gone].is_closed
+
+
+def test_what_was_held_goes_out_before_the_next_move(
+    outlet: Outlet, old: FakePath, new: FakePath
+) -> None:
+    """As when it begins at once, and the order to release was lost."""
+    outlet.hold()
+    outlet.send(1)
+    next_one = FakePath()
+    outlet.add("next", next_one)
+    outlet.remove("new")
+    assert (old.went, new.went, next_one.went) == ([1], [], [])
+    outlet.hold()
+    outlet.send(2)
+    outlet.release("next")
+    assert (old.went, next_one.went) == ([1], [2])
+
+
+def test_what_was_held_and_cannot_cross_hinders_nothing_else(
+    outlet: Outlet, old: FakePath, new: FakePath
+) -> None:
+    outlet.hold()
+    for value in (1, FakePath.UNFIT, 3):
+        outlet.send(value)
+    outlet.release("new")
+    outlet.send(4)
+    assert (old.went, new.went) == ([], [1, 3, 4])
+    assert outlet.counts.drops == 1
 
 
 @pytest.mark.usefixtures("old")

@@ -20,6 +20,7 @@ from poise.runtime.connectors.interface import Method, methods
 from poise.runtime.connectors.reentrant import stepping_out
 from poise.runtime.ports import Port
 from poise.runtime.turn import Turn
+from poise.wire.codec import WireError
 
 log = logging.getLogger(__name__)
 
@@ -127,16 +128,15 @@ class Outlet:
     def remove(self, key: str) -> None:
         """Close a path; when it was used, another one is, if there is one.
 
-        When one path is left the move is over, and what was held goes there: so no
+        The move for which there were two is over, and what was held goes out: so no
         message waits for ever for a `release` that got lost.
         """
         with self._changed:
             path = self._paths.pop(key)
             if path is self._current:
                 self._use(next(iter(self._paths.values()), None))
-            if len(self._paths) < _WHILE_MOVING:
-                self._target_moves = False
-                self._send_held()
+            self._target_moves = False
+            self._send_held()
         path.close()
 
     def paths(self) -> dict[str, Path]:
@@ -281,8 +281,13 @@ class Outlet:
     def _send_held(self) -> None:
         if self._target_moves or self._is_kept_back:
             return
-        for method, value, began in self._held or ():
-            self._push(method, value, began)
+        while self._held:
+            method, value, began = self._held.popleft()
+            try:
+                self._push(method, value, began)
+            except WireError as error:  # nobody is there to be told: it was taken
+                self.counts.drops += 1
+                log.warning("connector %s: a message is dropped: %s", self.name, error)
         self._held = None
         self._changed.notify_all()
 
