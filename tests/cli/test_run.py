@@ -209,11 +209,21 @@ def test_used_wrongly_it_says_so_and_starts_nothing(
 
 
 @pytest.mark.parametrize(
-    "arguments", [[], ["--task", "greet", "--placement", "lucky"], ["--tsak", "greet"]]
+    "arguments", [["--task", "greet", "--placement", "lucky"], ["--tsak", "greet"]]
 )
 def test_options_that_are_wrong_end_with_code_2(arguments: list[str]) -> None:
     result = CliRunner().invoke(build(["run"]), ["run", str(HELLO), *arguments])
     assert result.exit_code == 2
+
+
+@pytest.mark.parametrize("command", ["run", "up"])
+def test_without_a_task_it_says_how_to_write_one(command: str, tmp_path: Path) -> None:
+    text = HELLO.read_text()
+    (tmp_path / "robot.yaml").write_text(text[: text.index("tasks:")])
+    (tmp_path / "hello.py").write_text((HELLO.parent / "hello.py").read_text())
+    done = run_poise(command, tmp_path / "robot.yaml")
+    assert done.returncode == 1
+    assert "robot 'hello' has no task to run: add" in done.stderr
 
 
 @pytest.mark.parametrize(

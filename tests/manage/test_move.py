@@ -152,6 +152,9 @@ class Untyped(Counter):
     def restore(self, state):
         self.state = state
 
+class Unrestoring(Counter):
+    restore = Component.restore
+
 class Late(Counter):
     """Takes longer to restore than its callers wait."""
 
@@ -435,6 +438,10 @@ def test_a_publisher_waits_for_a_slow_subscriber_that_moves(world: World) -> Non
         ("Hanging", "is not activated|took over"),
         ("Unsnapshotable", "LookupError: no such tape"),
         ("Unwritable", "WireError: a object cannot cross"),
+        (
+            "Unrestoring",
+            "Unrestoring has `snapshot`, but no `restore`: its state would",
+        ),
         ("Untyped", "Untyped.restore: parameter 'state' must say the state's type"),
     ],
 )

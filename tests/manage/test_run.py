@@ -75,7 +75,8 @@ def test_what_is_not_there_in_time_is_named(robot: Robot, fleet: FakeFleet) -> N
     run, _ = run_of(robot, fleet)
     with pytest.raises(RunError) as caught:
         run.start()
-    assert "component 'thinker' is not inactive" in str(caught.value)
+    says = "component 'thinker' on 'right' is unconfigured, not yet inactive (does its"
+    assert says in str(caught.value)
     assert "container 'mind' was killed by SIGSEGV" in str(caught.value)
 
 

@@ -110,6 +110,9 @@ class Turning(Component):
 class Vague(Component):
     either: Published[Scan | Pose]
 
+class Forgetting(Component):
+    def restore(self, state): ...
+
 class Misspelt(Component):
     scan: Published["Sacn"]
 """
@@ -230,6 +233,12 @@ def test_does_not_look_at_the_ports_of_what_has_no_code(check: Check) -> None:
             "",
             (10, 15),
             ["cannot be read", "multiple Struct types"],
+        ),
+        (
+            'forgetting: {implementation: "PACKAGE.nav:Forgetting"}',
+            "",
+            (10, 20),
+            ["Forgetting.restore", "must say the state's type"],
         ),
         (
             'misspelt: {implementation: "PACKAGE.nav:Misspelt"}',

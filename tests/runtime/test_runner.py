@@ -209,6 +209,27 @@ def test_many_that_end_at_once_are_asked_how_they_are(running: Fixture) -> None:
         assert runner.status().cpu >= 0.0
 
 
+def test_a_goal_that_is_told_again_waits_for_no_hook(running: Fixture) -> None:
+    """Its container would not listen meanwhile, or end with all that it holds."""
+
+    class Slow(Recorder):
+        go_on: ClassVar = threading.Event()
+
+        def activate(self) -> None:
+            super().activate()
+            assert self.go_on.wait(LIMIT)
+
+    runner = running.start(Slow)
+    component = reach(runner, "inactive")
+    runner.aim("active")
+    component.wait_for("activate")
+    runner.aim("active")
+    Slow.go_on.set()
+    assert _reached(runner, "active") is component
+    receive(runner, "works")
+    component.wait_for("works")
+
+
 def test_a_component_that_is_busy_does_not_come_to_rest(running: Fixture) -> None:
     class Slow(Recorder):
         go_on: ClassVar = threading.Event()

@@ -228,6 +228,16 @@ def test_code_whose_port_became_another_is_named_with_its_ports(pair: Pair) -> N
 
 
 @every_kind
+def test_a_method_that_is_not_there_is_told_with_those_that_are(pair: Pair) -> None:
+    source, _ = start(pair, "sums")
+    says = (
+        r"source.sums \(Sums\) has no method 'ad' \(did you mean 'add'\?\); methods: "
+    )
+    with pytest.raises(AttributeError, match=says):
+        source.sums.ad(1, 2)  # type: ignore[attr-defined]
+
+
+@every_kind
 def test_publishing_to_nobody_is_no_error(pair: Pair) -> None:
     source, _ = start(pair)
     source.scan.publish(scan())

@@ -85,6 +85,22 @@ def prepared(path: Path, say: Say) -> Robot:
     return found.robot
 
 
+def first_task(robot: Robot) -> str:
+    """Return the task that is run when none is named.
+
+    Raises
+    ------
+    RobotError
+        There is none.
+    """
+    if not robot.tasks:
+        raise RobotError(
+            f"robot '{robot.name}' has no task to run: add to its file, for instance, "
+            "`tasks: {work: {actions: [{name: work, functions: [...]}]}}`"
+        )
+    return robot.tasks[0].name
+
+
 def decide(robot: Robot, task: str, kind: Kind) -> Decision:
     """Decide where the components of a task run.
 

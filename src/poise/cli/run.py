@@ -10,7 +10,7 @@ import msgspec
 import typer
 from rich.console import Console
 
-from poise.cli.launch import Kind, decide, prepared, run_task
+from poise.cli.launch import Kind, decide, first_task, prepared, run_task
 from poise.cli.options import to_write
 from poise.cli.progress import progress
 from poise.cli.show_run import show_run
@@ -20,7 +20,9 @@ from poise.units import SECONDS, parse
 
 def run_command(
     file: Annotated[Path, typer.Argument(help="The robot file.")],
-    task: Annotated[str, typer.Option(help="The task to run.")],
+    task: Annotated[
+        str | None, typer.Option(help="The task; else the file's first.")
+    ] = None,
     placement: Annotated[
         Kind, typer.Option(help="auto: Poise decides; static: home computers.")
     ] = "auto",
@@ -43,21 +45,22 @@ def run_command(
 ) -> None:
     """Run a task on the robot's computers; without addresses they are emulated.
 
-    A recording can be a `workload`, on which `poise profile` measures, and is read by
-    `poise recording`.
+    What --record keeps can be the `workload` on which `poise profile` measures;
+    `poise recording` reads it.
 
     Example: poise run robot.yaml --task fetch --for 20s
     """
     seconds = _seconds(for_)
     console = Console(stderr=as_json, highlight=False)
     robot = prepared(file, console.print)
-    decision = decide(robot, task, placement)
+    chosen = task or first_task(robot)
+    decision = decide(robot, chosen, placement)
     if report is not None:
         _make_folder(report)
     with progress(console, seconds) as show:
         result = run_task(
             robot,
-            task,
+            chosen,
             decision,
             seconds=seconds,
             say=console.print,

@@ -9,10 +9,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from poise.cli.launch import Kind, Watching, decide, prepared, running
+from poise.cli.launch import (
+    Kind,
+    Watching,
+    decide,
+    first_task,
+    prepared,
+    running,
+)
 from poise.cli.options import to_write
 from poise.cli.profiles import read_profile
-from poise.errors import RobotError, UsageError
+from poise.errors import UsageError
 from poise.manage.alternative import replace_architecture
 from poise.manage.balance import propose
 from poise.manage.desk import (
@@ -38,7 +45,6 @@ from poise.manage.move import move, replace
 from poise.manage.recording import Recording, save
 from poise.manage.run import Run
 from poise.manage.transit import transit
-from poise.model.robot import Robot
 from poise.wire.recorded import Recorded
 from poise.wire.samples import AgentSample
 
@@ -83,7 +89,7 @@ def up_command(
     """
     console = Console(highlight=False)
     robot = prepared(file, console.print)
-    chosen = task or _first_task(robot)
+    chosen = task or first_task(robot)
     decision = decide(robot, chosen, placement)
     send = telemetry() if otel is not None else None
     with contextlib.ExitStack() as stack:
@@ -212,9 +218,3 @@ class _Manager:
         if dry or not proposal.steps:
             return Balanced(proposal)
         return Balanced(proposal, transit(run, proposal.steps))
-
-
-def _first_task(robot: Robot) -> str:
-    if not robot.tasks:
-        raise RobotError(f"robot '{robot.name}' has no task to run")
-    return robot.tasks[0].name

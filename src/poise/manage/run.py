@@ -31,6 +31,12 @@ REST_LIMIT = 1.0
 """Components that call others become inactive within this time [s], or are not waited
 for any longer."""
 
+_WORKING = {
+    "unconfigured": " (does its `configure` end?)",
+    "inactive": " (does its `activate` end?)",
+}
+"""What may keep a component in a state."""
+
 
 class Run:
     """The components of a task on the robot's computers.
@@ -259,13 +265,15 @@ class Run:
         """Return what there is still to wait for, in words."""
         statuses = self.current()
         silent = self._told.keys() - statuses.keys()
-        there = {(c.name, c.epoch, c.state) for c in components_of(statuses)}
+        states = {(c.name, c.epoch): c.state for c in components_of(statuses)}
         faults = [fault for status in statuses.values() for fault in status.faults]
         missing = [f"computer '{name}' is silent" for name in sorted(silent)]
         missing += [
-            f"component '{each.component}' is not {each.goal}"
+            f"component '{each.component}' on '{each.computer}' is {state}, not yet "
+            f"{each.goal}{_WORKING.get(state, '')}"
             for each in wanted
-            if (each.component, each.epoch, each.goal) not in there
+            if (state := states.get((each.component, each.epoch), "not there"))
+            != each.goal
         ]
         missing += [
             f"connector '{connector.name}' is not joined"

@@ -19,6 +19,7 @@ from poise.model.positions import Finding, Path
 from poise.model.robot import Component, PortKind, Robot
 from poise.runtime.connectors.interface import methods
 from poise.runtime.fingerprint import fingerprint
+from poise.runtime.handover import check_state
 from poise.runtime.implementation import find, find_type
 from poise.runtime.ports import Port, is_oneway, methods_of, ports_of, timers_of
 from poise.wire.codec import codec
@@ -86,6 +87,7 @@ def _coded_ports(
         known = [(n, _known_of(port)) for n, port in ports.items()]
         for port in ports.values():
             _check_type(port)
+        check_state(code)
     except PoiseError as error:
         raise _WrongCode(path, str(error)) from None
     # Reading annotations runs the user's code, and may raise whatever that raises.

@@ -154,8 +154,8 @@ class Ends:
         if port.kind == "publishes":
             self._rewire(port)
         elif port.kind == "requires":
-            facade = Facade()
             what = f"{self._name}.{port.name}"
+            facade = Facade(f"{what} ({port.type.__qualname__})")
             for name in methods_of(port.type):
                 setattr(facade, name, refusing(what))
             setattr(self.component, port.name, facade)

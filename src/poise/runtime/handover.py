@@ -219,6 +219,8 @@ def take(
     runner.keep_phases({name: now + left for name, left in given.due.items()})
     with runner.at_rest():
         if given.state:
+            if adapt is None:
+                _check_restores(component)
             state = _value_of(given.state, adapt or component.restore)
             component.restore(adapt(state) if adapt else state)
         if given.delta:
@@ -253,6 +255,25 @@ def _frame_of(state: Struct | None) -> bytes:
 
 def _value_of(data: bytes, method: Any) -> Any:  # noqa: ANN401, a user's method
     return frame.parse(data).value(codec(_type_taken_by(method)))
+
+
+def check_state(component: type[Component]) -> None:
+    """Raise UsageError when what `restore` takes has no type."""
+    for name in ("restore", "restore_delta"):
+        method = getattr(component, name)
+        if method is not getattr(Component, name):
+            _type_taken_by(method.__get__(component))
+
+
+def _check_restores(component: Component) -> None:
+    """Raise UsageError when what the component gave would be lost."""
+    code = type(component)
+    is_given = code.snapshot is not Component.snapshot
+    if is_given and code.restore is Component.restore:
+        raise UsageError(
+            f"{code.__qualname__} has `snapshot`, but no `restore`: its state would be "
+            "lost. Write `restore`, or leave `snapshot` out to begin anew"
+        )
 
 
 def _type_taken_by(method: Any) -> Any:  # noqa: ANN401, a user's method

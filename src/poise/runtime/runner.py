@@ -129,7 +129,8 @@ class Runner:
             self._stays = None
             if self._goal != "finalized":
                 self._goal = goal
-        if goal == "active":
+        # in a hook it goes on by itself when that ends, which nobody should wait for
+        if goal == "active" and self._state == "active":
             self.go_on()
         self._goal_changed.set()
         self.ends.mailbox.wake()

@@ -147,4 +147,6 @@ def _label(axes: Any, title: str, unit: str) -> None:  # noqa: ANN401, as above
     axes.grid(axis="x", alpha=0.3)
     axes.tick_params(axis="y", labelsize=7)
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(fontsize=7, loc="lower right")
+        # beside the panel, where it hides nothing
+        beside = {"loc": "upper left", "bbox_to_anchor": (1, 1), "frameon": False}
+        axes.legend(fontsize=7, **beside)

@@ -306,7 +306,7 @@ def test_what_does_not_go_out_is_counted(outlet: Outlet) -> None:
 
 @pytest.fixture
 def calling() -> tuple[Outlet, Any]:
-    facade: Any = Facade()
+    facade: Any = Facade("a.sums (Sums)")
     outlet = Outlet("a.sums-b.sums", Port("sums", "requires", Sums), facade, 0.05)
     return outlet, facade
 

@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NoReturn, Protocol
 
 from poise.errors import CallError, RunError, Timeout, Unavailable
+from poise.model.suggest import did_you_mean, listed
 from poise.runtime.connectors.counts import Counts
 from poise.runtime.connectors.interface import Method, methods
 from poise.runtime.connectors.reentrant import stepping_out
@@ -77,6 +78,17 @@ class Path(Protocol):
 
 class Facade:
     """What a required port holds: the interface's methods as attributes."""
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+
+    def __getattr__(self, name: str) -> NoReturn:
+        """Say which methods there are; only asked for one that is not."""
+        known = [each for each in vars(self) if not each.startswith("_")]
+        raise AttributeError(
+            f"{self._what} has no method '{name}'{did_you_mean(name, known)}; "
+            f"methods: {listed(known)}"
+        )
 
 
 class Outlet:
