@@ -67,7 +67,7 @@ class Estimates:
         self._where: dict[str, str] = {}
         self._epochs: dict[str, int] = {}
         self._ends: dict[tuple[str, str], tuple[float, ConnectorSample]] = {}
-        self._traffic: dict[str, ConnectorProfile] = {}
+        self._traffic: dict[str, tuple[str, ConnectorProfile]] = {}
 
     def take(self, sample: AgentSample) -> list[tuple[str, Drift]]:
         """Take a sample; return the components whose demand has shifted by it."""
@@ -96,7 +96,7 @@ class Estimates:
         with self._lock:
             return [
                 Traffic(connector=name, expected=known.get(name), now=now)
-                for name, now in sorted(self._traffic.items())
+                for name, (_, now) in sorted(self._traffic.items())
             ]
 
     def _update(
@@ -143,12 +143,16 @@ class Estimates:
                 )
 
     def _count(self, key: str, at: float, now: ConnectorSample) -> None:
-        """Estimate a connector's rates over the last seconds, from the busier end."""
+        """Estimate a connector's rates over the last seconds.
+
+        As the end says at which something went over it last.
+        """
         began, before = self._ends.setdefault((key, now.name), (at, now))
         seconds = at - began
         if seconds < _COUNT_OVER:
             return
         self._ends[key, now.name] = (at, now)
         found = traffic_between(before, now, seconds)
-        if found.rate:
-            self._traffic[now.name] = found
+        teller, _ = self._traffic.get(now.name, ("", None))
+        if found.rate or teller == key:
+            self._traffic[now.name] = key, found

@@ -65,6 +65,27 @@ def test_estimates_traffic(robot: Robot, steady: Sampler) -> None:
     assert traffic.now.size == 500
 
 
+def test_a_connector_that_falls_silent_has_no_traffic(
+    robot: Robot, steady: Sampler
+) -> None:
+    """The other end, where nothing is ever counted, has no say in it."""
+    estimates = Estimates(robot, None, emulated=True)
+    silent = msgspec.structs.replace(
+        steady(0.0).containers[0].connectors[0], messages=0, bytes_out=0
+    )
+    rates = set()
+    for k in range(100):
+        (here,) = steady(min(0.2 * k, 10.0)).containers
+        there = msgspec.structs.replace(here, name="other", connectors=(silent,))
+        both = tuple(msgspec.structs.replace(c, at=0.2 * k) for c in (here, there))
+        sample = msgspec.structs.replace(steady(0.2 * k), containers=both)
+        estimates.take(sample)
+        rates |= {round(t.now.messages) for t in estimates.traffic()}
+    assert rates == {10, 0}
+    (traffic,) = estimates.traffic()
+    assert traffic.now.rate == 0
+
+
 def test_a_replay_gives_the_same_estimates(
     robot: Robot, steady: Sampler, tmp_path: Path
 ) -> None:
