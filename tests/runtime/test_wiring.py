@@ -434,6 +434,17 @@ def test_what_cannot_cross_is_refused_where_it_is_sent(pair: Pair) -> None:
 
 
 @pytest.mark.parametrize("pair", ["local", "remote"], indirect=True)
+def test_what_is_refused_again_and_again_is_logged_once(
+    pair: Pair, caplog: pytest.LogCaptureFixture
+) -> None:
+    source, _ = start(pair, "sums")
+    for _ in range(20):
+        with pytest.raises(WireError, match="not a tuple"):
+            source.sums.add("one", 2)  # type: ignore[arg-type]
+    assert sum("refused: not a tuple" in text for text in caplog.messages) == 1
+
+
+@pytest.mark.parametrize("pair", ["local", "remote"], indirect=True)
 def test_a_caller_that_gave_up_does_not_enter_a_second_time(pair: Pair) -> None:
     source, target = start(pair, "sums", limit=0.1)
     wait_until(lambda: _answers(source))  # to open the link may take longer than a call

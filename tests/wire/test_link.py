@@ -226,6 +226,15 @@ def test_refuses_a_block_that_could_crash_it(
     small.close()
 
 
+def test_who_is_gone_amid_announcing_a_block_is_gone(
+    raw: tuple[socket.socket, Link],
+) -> None:
+    raw[0].sendall(head(0, NEW | 1, 1 << 17))
+    raw[0].shutdown(socket.SHUT_WR)
+    with pytest.raises(Unavailable, match="is gone"):
+        raw[1].receive(time.monotonic() + LONG)
+
+
 def _hand_over(connection: socket.socket, file: int | None) -> None:
     assert connection.recv(1) == b"+"
     if file is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import logging
 import math
+from collections.abc import Hashable
 from pathlib import Path
 from traceback import (
     StackSummary,
@@ -25,35 +26,52 @@ _OURS = (
 )
 
 AGAIN = 10.0
-"""An error like one that was logged is logged again after this time [s]."""
+"""What is like something that was logged is logged again after this time [s]."""
+
+
+class Sparing:
+    """Says when to log what may come a thousand times a second, for one reason."""
+
+    def __init__(self) -> None:
+        self._logged: dict[Hashable, tuple[float, int]] = {}
+
+    def more(self, like: Hashable, now: float) -> str | None:
+        """Return how many came since the last that was logged, in words; None: not now.
+
+        Parameters
+        ----------
+        like
+            What makes it the same; there must be few of these.
+        now
+            [s]
+        """
+        at, since = self._logged.get(like, (-math.inf, 0))
+        if now - at < AGAIN:
+            self._logged[like] = at, since + 1
+            return None
+        self._logged[like] = now, 0
+        return f" ({since} more like it since the last)" if since else ""
 
 
 class Errors:
     """What a component's code raised: how often, and the last.
 
-    A timer may fail a thousand times a second, for one reason. So an error is logged
-    when a method raises the first of its type, and then every `AGAIN` s at most, with
-    how many came meanwhile.
+    An error is logged when a method raises the first of its type, and then sparingly.
     """
 
     def __init__(self, component: str) -> None:
         self._log = logging.getLogger(f"poise.component.{component}")
         self.count = 0
         self.last = ""
-        self._logged: dict[tuple[str, type[BaseException]], tuple[float, int]] = {}
+        self._sparing = Sparing()
 
     def note(self, where: str, error: BaseException, now: float) -> None:
         """Count an error that a method or hook raised at `now` [s]."""
         self.count += 1
         self.last = told(error)
-        key = where, type(error)
-        at, since = self._logged.get(key, (-math.inf, 0))
-        if now - at < AGAIN:
-            self._logged[key] = at, since + 1
-            return
-        self._logged[key] = now, 0
-        more = f" ({since} more like it since the last)" if since else ""
-        self._log.error("%s%s: %s", where, more, self.last)
+        more = self._sparing.more((where, type(error)), now)
+        if more is not None:
+            self._log.error("%s%s: %s", where, more, self.last)
 
 
 def told(error: BaseException) -> str:

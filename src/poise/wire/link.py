@@ -251,9 +251,11 @@ class Link:
             raise Unreadable(f"a shared block with slot {slot} was announced")
         try:
             self._connection.sendall(_READY)
-            _, files, _, _ = socket.recv_fds(self._connection, 1, 1)
+            data, files, _, _ = socket.recv_fds(self._connection, 1, 1)
         except OSError as error:
             raise Unavailable(f"the other end is gone: {error}") from error
+        if not data:
+            raise Unavailable("the other end is gone: it announced a block at its end")
         if not files:
             raise Unreadable("a shared block was announced, and no file came")
         try:

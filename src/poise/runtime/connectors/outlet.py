@@ -20,6 +20,7 @@ from poise.runtime.connectors.counts import Counts
 from poise.runtime.connectors.interface import Method, methods
 from poise.runtime.connectors.reentrant import stepping_out
 from poise.runtime.ports import Port
+from poise.runtime.telling import Sparing
 from poise.runtime.turn import Turn
 from poise.wire.codec import WireError
 
@@ -119,6 +120,7 @@ class Outlet:
         self.name = name
         self.port = port
         self.counts = Counts()
+        self._sparing = Sparing()
         self._limit = limit
         self._methods = tuple(methods(port.type).values()) if facade else ()
         self._facade = facade
@@ -171,8 +173,10 @@ class Outlet:
         with self._changed:
             if not self._has_room() and not self._wait_for_room(began + self._limit):
                 self.counts.drops += 1
-                text = "connector %s: no room for %g s, a message is dropped"
-                log.warning(text, self.name, self._limit)
+                more = self._sparing.more("dropped", time.monotonic())
+                if more is not None:
+                    text = "connector %s: no room for %g s, a message is dropped%s"
+                    log.warning(text, self.name, self._limit, more)
             elif self._held is None:
                 self._push(method, value, began)
             else:

@@ -17,6 +17,7 @@ from poise.runtime.connectors.interface import Method, message_tag, methods
 from poise.runtime.connectors.outlet import Outlet
 from poise.runtime.mailbox import Feed
 from poise.runtime.ports import Port
+from poise.runtime.telling import Sparing
 from poise.runtime.turn import Retired, current_chain
 from poise.wire import caller, frame
 from poise.wire.codec import Codec, WireError, codec
@@ -146,6 +147,8 @@ def receiving(
     }
     tag, coder = message_tag(port.type), codec(port.type) if not known else _NOTHING
 
+    tell = _telling(connector)
+
     def handle(received: Frame) -> Pieces | None:
         if received.kind is _MARK:
             target.note_mark(connector, received.number)
@@ -165,7 +168,7 @@ def receiving(
             feed.put((received.tag, value))
         except WireError as error:
             counts.refuse(error)
-            log.warning("connector %s: refused: %s", connector, error)
+            tell(error)
         return None
 
     def serve(received: Frame) -> Pieces:
@@ -176,7 +179,7 @@ def receiving(
             answer = segments(_NOTHING, None, _MOVED)
         except (CalleeError, Timeout, WireError) as error:
             if isinstance(error, WireError):
-                log.warning("connector %s: refused: %s", connector, error)
+                tell(error)
             answer = _failure(error)
         took, failed = time.monotonic() - began, answer[0][1] == _ERROR
         size, latency = size_of(answer), received.age + far.ahead
@@ -184,6 +187,18 @@ def receiving(
         return answer
 
     return handle
+
+
+def _telling(connector: str) -> Callable[[WireError], None]:
+    """Return what logs that something was refused: now and then, when much is."""
+    sparing = Sparing()
+
+    def tell(error: WireError) -> None:
+        more = sparing.more("refused", time.monotonic())
+        if more is not None:
+            log.warning("connector %s: refused%s: %s", connector, more, error)
+
+    return tell
 
 
 def entry_codec(port: Port, tag: int) -> Codec[Any]:
