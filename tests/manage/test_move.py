@@ -619,7 +619,8 @@ def test_nothing_is_lost_when_containers_stand_still_amid_moves(
                     move(run, "counter", other)
     world.wait_for(lambda: world.active() == [run.placement()["counter"]])
     world.works()
-    assert world.wrong() == 0
+    # a call may have been refused: its caller stood still when it had chosen its way
+    assert world.told("sink")[1] == 0
 
 
 @pytest.mark.parametrize("before", ROUNDS)
