@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import os
+import random
 import re
 import signal
 import subprocess
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -250,6 +252,7 @@ class World:
         self.source = "Source"
         self.joints = JOINTS
         self.limit = 3.0
+        self.chance = random.Random(1)
         self.run: Run
 
     def start(
@@ -276,6 +279,36 @@ class World:
     def wrong(self) -> int:
         """Return how many numbers or answers did not come as they should."""
         return self.told("sink")[1] + self.told("source")[1]
+
+    @contextlib.contextmanager
+    def standing_still(self, component: str, seconds: float) -> Iterator[None]:
+        """Stop a component's containers before some round, for so long [s]."""
+        container = self.run.layout.container_of(component)
+        stopped = [
+            each.pid
+            for status in self.run.fleet.statuses().values()
+            for each in status.containers
+            if each.name == container
+        ]
+
+        def send(number: signal.Signals) -> None:
+            for pid in stopped:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, number)
+
+        going_on = threading.Timer(seconds, send, [signal.SIGCONT])
+
+        def strike() -> None:
+            send(signal.SIGSTOP)
+            going_on.start()
+
+        self.striking.before[self.chance.choice(ROUNDS)] = strike
+        try:
+            yield
+        finally:
+            self.striking.before.clear()
+            if going_on.is_alive():
+                going_on.join(LIMIT)
 
     def wait_for(self, holds: Callable[[], bool]) -> None:
         assert self.run.fleet.wait_news(holds, LIMIT)
@@ -567,6 +600,27 @@ def test_a_sink_that_is_killed_between_two_rounds(world: World, before: type) ->
     assert_bounded(report)
     world.works()
     world.wait_for(lambda: world.active() == [run.placement()["counter"]])
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_nothing_is_lost_when_containers_stand_still_amid_moves(
+    world: World, seed: int
+) -> None:
+    world.limit = 2 * LIMIT  # far longer than they do
+    world.chance = chance = random.Random(seed)
+    run = world.start("Counter", isolated=True)
+    for _ in range(5):
+        other = "left" if run.placement()["counter"] == "right" else "right"
+        component = chance.choice(("source", "counter", "sink"))
+        with world.standing_still(component, chance.uniform(0.1, 2.5)):
+            # it may move again before what stood still has heard that it led back
+            for _ in range(2):
+                if run.placement()["counter"] != other:
+                    move(run, "counter", other)
+    world.wait_for(lambda: world.active() == [run.placement()["counter"]])
+    world.works()
+    # a call may have been refused: its caller stood still when it had chosen its way
+    assert world.told("sink")[1] == 0
 
 
 @pytest.mark.parametrize("before", ROUNDS)

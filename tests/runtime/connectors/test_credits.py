@@ -66,6 +66,10 @@ class Joined:
         assert self.credit.has_room()
         if not self.credit.sent:
             self.ask()
+        self.push(arrives=arrives)
+
+    def push(self, *, arrives: bool = True) -> None:
+        """Send without a question, or after one that got lost."""
         self.credit.sent += 1
         number, life = self.credit.sent, self.credit.life
         if arrives:
@@ -161,6 +165,24 @@ def test_when_all_got_lost_the_question_tells(joined: Joined) -> None:
     joined.ask()
     assert joined.counts.drops == 3
     assert joined.send_all() == 3
+
+
+def test_what_got_lost_before_anything_came_is_counted_once(joined: Joined) -> None:
+    joined.push(arrives=False)
+    joined.push()
+    joined.ask()
+    assert joined.counts.drops == 1
+    joined.ask()
+    assert joined.counts.drops == 1
+    assert joined.send_all() == 3
+
+
+def test_when_all_got_lost_from_the_first_on_the_question_tells(joined: Joined) -> None:
+    joined.push(arrives=False)
+    joined.push(arrives=False)
+    joined.ask()
+    assert joined.counts.drops == 2
+    assert joined.send_all() == 4
 
 
 def test_a_target_that_was_started_anew_grants_again(joined: Joined) -> None:

@@ -33,6 +33,10 @@ log = logging.getLogger(__name__)
 GRANTS = "grants"
 """What the pipe is called over which a container hears all of its grants."""
 _UNBOUNDED = 1 << 62
+_AT_FIRST = 1
+"""Every queue has room for one: the first message need not wait for a grant."""
+_UNHEARD, _HEARD = 0, 1
+"""The tag of a question: whether the source ever heard of a grant for this path."""
 _LIMIT = 0.2
 """Whoever grants waits no longer than this for the way to the source [s]."""
 _NOTHING: Codec[None] = Codec(type(None))
@@ -53,8 +57,7 @@ class Credit:
         self.sent = 0
         self.on_grant: Callable[[], None] = _do_nothing
         self._address = address
-        # every queue has room for one: the first message need not wait for a grant
-        self._granted = 1
+        self._granted = _AT_FIRST
 
     def has_room(self) -> bool:
         """Return whether one more message may go."""
@@ -63,7 +66,12 @@ class Credit:
     def question(self) -> Pieces:
         """Return the frame that asks for a grant."""
         return frame.segments(
-            _ADDRESS, self._address, Kind.ASK, number=self.sent, chain=self.life
+            _ADDRESS,
+            self._address,
+            Kind.ASK,
+            tag=_HEARD if self._granted > _AT_FIRST else _UNHEARD,
+            number=self.sent,
+            chain=self.life,
         )
 
     def hear(self, granted: int) -> None:
@@ -120,6 +128,7 @@ class Grants:
         self._open_pipe = open_pipe
         self._lock = threading.Lock()
         self._life = 0
+        self._before = 0
         self._came = 0
         self._told = 0
         self._address = ""
@@ -143,6 +152,10 @@ class Grants:
         address = received.value(_ADDRESS)
         with self._lock:
             self._note(received.chain, received.number)
+            # else they came to this target before its container was started anew
+            if received.tag == _UNHEARD:
+                self._count_lost(self._before)
+            self._before = 0
             if address != self._address or self._pipe is None:
                 self._close_pipe()
                 self._pipe = self._open_pipe(address)
@@ -161,12 +174,16 @@ class Grants:
         if life != self._life:
             self._life = life
             self._told = 0
-        elif came > self._came:
-            lost = came - self._came
+            self._before = came
+        else:
+            self._count_lost(came - self._came)
+        self._came = came
+
+    def _count_lost(self, lost: int) -> None:
+        if lost > 0:
             self._counts.drops += lost
             text = "connector %s: %d messages were lost on their way"
             log.warning(text, self._connector, lost)
-        self._came = came
 
     def _may_have_sent(self) -> int:
         room = self._feed.room()
