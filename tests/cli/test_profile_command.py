@@ -5,7 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from poise.cli.commands import build
+from poise.errors import UsageError
 from poise.estimate import profile_file
 from poise.model import load
 from tests.command import Poise
@@ -60,3 +63,16 @@ def test_measures_command_line_components(tmp_path: Path, poise: Poise) -> None:
     (tmp_path / "burn.py").write_text(changed)
     shown = poise("profile", "show", "robot.yaml")
     assert "changed since it was measured: burner" in shown.stdout
+
+
+def test_a_computer_that_a_real_robot_has_not_is_named(tmp_path: Path) -> None:
+    hello = Path(__file__).parents[2] / "examples" / "hello"
+    text = (hello / "robot.yaml").read_text()
+    for name, address in (("left", "127.0.0.2"), ("right", "127.0.0.3")):
+        text = text.replace(f"{name}: {{", f"{name}: {{address: {address}, ")
+    (tmp_path / "robot.yaml").write_text(text)
+    (tmp_path / "hello.py").write_bytes((hello / "hello.py").read_bytes())
+    words = ["profile", str(tmp_path / "robot.yaml"), "--on", "middle"]
+    result = CliRunner().invoke(build(words), words)
+    assert isinstance(result.exception, UsageError)
+    assert "--on middle: the robot's computers are left, right" in str(result.exception)

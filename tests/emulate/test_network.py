@@ -12,7 +12,7 @@ import pytest
 
 from poise.emulate import Emulation, network
 from poise.emulate.owner import Owner
-from poise.errors import RobotError
+from poise.errors import RobotError, RunError
 from poise.model.robot import Link, Robot
 
 OWNER = Owner(4242, 7)
@@ -27,6 +27,18 @@ def test_cable_is_as_wide_as_the_widest_link_of_its_computer() -> None:
     plan = network.plan(OWNER, 0, ["a", "b", "c", "d"], LINKS)
     assert [c.bandwidth for c in plan.cables] == [1e6, 5e6, 5e6, float("inf")]
     assert [c.latency for c in plan.cables] == [0.002, 0.002, 0.001, 0.0]
+
+
+def test_a_tool_that_hangs_is_an_error_like_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def hang(*_: object, **__: object) -> None:
+        raise subprocess.TimeoutExpired("ip", 10.0)
+
+    monkeypatch.setattr(subprocess, "run", hang)
+    plan = network.plan(OWNER, 0, ["a", "b"], ())
+    with pytest.raises(RunError, match=r"ip took over 10 s: netns add poise-4242-7-0"):
+        network.build(plan)
 
 
 def test_addresses_differ_and_names_say_whose_they_are() -> None:

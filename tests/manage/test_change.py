@@ -5,7 +5,7 @@ from __future__ import annotations
 from poise.manage.change import Change, Rounds
 from poise.manage.deployment import Incarnation, Layout
 from poise.model.robot import Architecture, Component, Connector, End, Robot
-from poise.wire.messages import (
+from poise.wire.orders import (
     Activate,
     Drain,
     Flush,

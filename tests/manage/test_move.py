@@ -32,17 +32,8 @@ from poise.model.robot import (
     End,
     Robot,
 )
-from poise.wire.messages import (
-    Await,
-    Deployment,
-    Lull,
-    Offer,
-    Open,
-    Order,
-    Outcome,
-    Precopy,
-    Rest,
-)
+from poise.wire.messages import Deployment
+from poise.wire.orders import Await, Lull, Offer, Open, Order, Outcome, Precopy, Rest
 from tests.manage.agents import TELLING, agent
 from tests.runtime.conftest import free_port, wait_until
 

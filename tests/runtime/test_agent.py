@@ -27,13 +27,11 @@ from poise.wire.messages import (
     ContainerSpec,
     ContainerStatus,
     Deployment,
-    Failed,
     Goal,
-    Order,
     Refused,
     Request,
-    Retire,
 )
+from poise.wire.orders import Failed, Order, Retire
 from poise.wire.session import open_session
 
 from .conftest import LIMIT, free_port

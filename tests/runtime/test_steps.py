@@ -11,17 +11,8 @@ from poise import Component
 from poise.clock import SystemClock
 from poise.runtime.runner import Runner
 from poise.runtime.steps import Steps
-from poise.wire.messages import (
-    ComponentSpec,
-    Done,
-    Failed,
-    Give,
-    Offer,
-    Open,
-    Order,
-    Rest,
-    Step,
-)
+from poise.wire.messages import ComponentSpec
+from poise.wire.orders import Done, Failed, Give, Offer, Open, Order, Rest, Step
 
 from .conftest import LIMIT
 

@@ -9,6 +9,7 @@ from typing import Annotated
 import msgspec
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from poise.cli.move import AsJson, Robot
 from poise.errors import UsageError
@@ -69,7 +70,7 @@ def _show_proposal(proposal: Proposal, console: Console) -> None:
 
 def _show_report(report: TransitionReport, console: Console) -> None:
     if not report.committed:
-        console.print(f"[red]called off:[/] {report.reason}")
+        console.print(f"[red]called off:[/] {escape(report.reason)}")
         return
     longest = max((move.gate_shut for move in report.moves), default=0.0)
     gates = f"; the longest gate was shut for {format_seconds(longest)}"

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from msgspec import Struct
 from rich.console import Console
+from rich.markup import escape
 
 from poise.cli.launch import Decision, decide, prepared, run_task
 from poise.cli.progress import Meanwhile, progress
@@ -107,7 +108,8 @@ def told(scene: Scene) -> str:
     """Return what happened, for people."""
     report = scene.move
     if not report.committed:
-        return f"[yellow]{_MOVED} stayed on {report.source}:[/] {report.reason}"
+        why = escape(report.reason)
+        return f"[yellow]{_MOVED} stayed on {report.source}:[/] {why}"
     parts = ("before", scene.before), ("during", scene.during), ("after", scene.after)
     missed = ", ".join(f"{name} {m} of {of}" for name, (m, of) in parts)
     return (

@@ -184,9 +184,6 @@ class _Session:
         self._warm_up = warm_up
         self._repeat = repeat
         self._console = console
-        emulated = all(c.address is None for c in robot.computers)
-        # an emulated computer of speed 0.5 runs half of the time, at full speed
-        self._speed = 1.0 if emulated else robot.computer(computer).speed
 
     def measure(self, architecture: str) -> Figures:
         """Measure one architecture: as it is used, and with its components apart."""
@@ -216,7 +213,7 @@ class _Session:
                 c.name: version_of(c, self._robot.folder)
                 for c in self._robot.components()
             },
-            speed=self._speed,
+            speed=self._speed(),
             played=stand.played,
         )
         return figures(subject, runs, sizes)
@@ -250,6 +247,13 @@ class _Session:
         if run.void:
             self._console.print(f"[yellow]{run.void}[/]")
         return run
+
+    def _speed(self) -> float:
+        """Return what turns the computer's CPU time into the reference computer's."""
+        if all(c.address is None for c in self._robot.computers):
+            # an emulated one of speed 0.5 runs half of the time, at full speed
+            return 1.0
+        return self._robot.computer(self._computer).speed
 
     def _progress(self, architecture: str) -> Progress:
         self._console.print(f"measuring {architecture} on {self._computer}")

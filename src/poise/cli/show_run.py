@@ -44,7 +44,7 @@ def show_run(report: RunReport, console: Console) -> None:
         console.print(f"[red]container {fault.container}[/] {escape(fault.message)}")
     if report.simulation:
         facts = ", ".join(f"{key} {value}" for key, value in report.simulation.items())
-        console.print(f"the simulated world says: {facts}")
+        console.print(f"the simulated world says: {escape(facts)}")
     if report.void:
         console.print(f"[bold yellow]void:[/] {report.void}")
 

@@ -209,16 +209,20 @@ def _leaving(cable: Cable, *, delays: bool) -> list[str]:
 
 def _run(tool: str, namespace: str, commands: Sequence[str]) -> None:
     within = ["-n", namespace] if namespace else []
-    done = subprocess.run(  # noqa: S603 - no shell; the names are our own
-        [tool, *within, "-batch", "-"],
-        input="\n".join(commands) + "\n",
-        capture_output=True,
-        text=True,
-        timeout=_LIMIT,
-        check=False,
-    )
+    where = f" in namespace {namespace}" if namespace else ""
+    try:
+        done = subprocess.run(  # noqa: S603 - no shell; the names are our own
+            [tool, *within, "-batch", "-"],
+            input="\n".join(commands) + "\n",
+            capture_output=True,
+            text=True,
+            timeout=_LIMIT,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        message = f"{tool} took over {_LIMIT:g} s{where}: {commands[0]} ..."
+        raise RunError(message) from None
     if done.returncode:
-        where = f" in namespace {namespace}" if namespace else ""
         message = f"{tool} failed{where}: {done.stderr.strip()}"
         raise RunError(message)
 

@@ -14,7 +14,7 @@ from msgspec import Struct
 from poise.manage.deployment import Incarnation, Layout, name_of
 from poise.manage.levels import levels
 from poise.model.robot import Connector
-from poise.wire.messages import (
+from poise.wire.orders import (
     Activate,
     Await,
     Drain,

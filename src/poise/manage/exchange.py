@@ -31,7 +31,7 @@ from poise.manage.change import Change, Rounds, Where
 from poise.manage.deployment import Incarnation
 from poise.manage.run import Run, components_of
 from poise.priority import first
-from poise.wire.messages import Done, Order, Step
+from poise.wire.orders import Done, Order, Step
 
 PREPARE_LIMIT = 30.0
 """The new ones are configured, and a large state is there, within this time [s]."""

@@ -21,13 +21,10 @@ from poise.wire.messages import (
     AgentStatus,
     Answer,
     Deployment,
-    Done,
-    Failed,
-    Order,
-    Outcome,
     Refused,
     Request,
 )
+from poise.wire.orders import Done, Failed, Order, Outcome
 from poise.wire.samples import AgentSample
 from poise.wire.session import open_session
 

@@ -43,10 +43,10 @@ from poise.wire.messages import (
     ContainerSpec,
     Deployment,
     Fault,
-    Order,
     Refused,
     Request,
 )
+from poise.wire.orders import Order
 from poise.wire.samples import SAMPLE_EVERY
 from poise.wire.session import open_session
 from poise.wire.socket_path import socket_path

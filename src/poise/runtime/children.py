@@ -18,10 +18,9 @@ from poise.wire.messages import (
     ContainerSpec,
     ContainerStatus,
     FromContainer,
-    Order,
-    Outcome,
     ToContainer,
 )
+from poise.wire.orders import Order, Outcome
 
 STOP_LIMIT = 2.0
 """A container that was asked to end is killed after this time [s]."""

@@ -37,14 +37,11 @@ from poise.wire.messages import (
     ComponentStatus,
     ContainerSpec,
     ContainerStatus,
-    Done,
-    Failed,
     FromContainer,
     Goal,
-    Order,
-    Outcome,
     ToContainer,
 )
+from poise.wire.orders import Done, Failed, Order, Outcome
 
 log = logging.getLogger(__name__)
 

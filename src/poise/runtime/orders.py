@@ -12,7 +12,7 @@ from msgspec import Struct
 
 from poise.runtime.children import Child
 from poise.runtime.requests import answer
-from poise.wire.messages import Failed, Order, Outcome
+from poise.wire.orders import Failed, Order, Outcome
 
 
 class _Carried(Struct, frozen=True):

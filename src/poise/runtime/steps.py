@@ -20,7 +20,7 @@ from poise.runtime.runner import Runner
 from poise.runtime.succession import Heir
 from poise.runtime.telling import told_in_brief
 from poise.runtime.wiring import Runners, Transports, Wiring
-from poise.wire.messages import (
+from poise.wire.orders import (
     Activate,
     Await,
     Done,

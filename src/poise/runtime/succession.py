@@ -34,7 +34,7 @@ from poise.runtime.implementation import find_function
 from poise.runtime.runner import Runner
 from poise.wire import frame
 from poise.wire.codec import codec
-from poise.wire.messages import Precopy
+from poise.wire.orders import Precopy
 from poise.wire.pipe import Pipe
 
 _POLL = 0.001

@@ -13,12 +13,7 @@ from poise.manage.estimates import Estimates
 from poise.manage.metrics import MetricsServer, to_prometheus
 from poise.manage.recording import Recording, load, replay, save
 from poise.model.robot import Robot
-from poise.wire.messages import (
-    AgentStatus,
-    ConnectorStatus,
-    ContainerStatus,
-    Summary,
-)
+from poise.wire.messages import AgentStatus, ConnectorStatus, ContainerStatus, Summary
 from poise.wire.recorded import Recorded
 from poise.wire.samples import AgentSample
 from tests.manage.sampled.conftest import Sampler
