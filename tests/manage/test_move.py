@@ -669,6 +669,25 @@ def test_a_caller_that_waits_no_longer_than_its_limit(world: World) -> None:
     assert world.told("source")[1] > 0
 
 
+def test_what_a_manager_left_that_is_gone_is_ended_first(world: World) -> None:
+    """Else it would run on as it was, though it has other code or parameters by now."""
+
+    def processes() -> set[int]:
+        statuses = world.run.current().values()
+        return {each.pid for status in statuses for each in status.containers}
+
+    run = world.start("Counter")
+    before = processes()
+    placement, folder = run.placement(), str(world.folder)
+    world.run = Run(run.robot, placement, run.fleet, world.journal, folder)
+    world.run.start()
+    world.works()
+    assert before
+    assert before.isdisjoint(processes())
+    told = [entry.what for entry in world.journal.entries()]
+    assert any("an earlier manager left containers: " in what for what in told)
+
+
 @pytest.mark.parametrize("source", ["left", "right"])
 def test_a_chain_that_comes_back_to_its_caller_while_the_callee_moves(
     world: World, source: str

@@ -60,6 +60,25 @@ def test_tells_again_and_again() -> None:
     assert told[-1].containers[0].memory > 1e6
 
 
+def test_what_could_not_be_told_once_ends_nothing(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    told: list[bytes] = []
+    enough = threading.Event()
+
+    def publish(body: bytes) -> None:
+        told.append(body)
+        if len(told) == 1:
+            raise RuntimeError("nobody listens")
+        enough.set()
+
+    collector = Collector("a", 0.001, list, publish)
+    collector.start()
+    assert enough.wait(20)
+    collector.stop()
+    assert "nobody listens" in caplog.text
+
+
 def test_reads_the_memory_of_processes() -> None:
     assert proportional_memory(os.getpid()) > 1e6
     assert proportional_memory(1 << 30) == 0

@@ -176,6 +176,13 @@ def test_a_program_that_is_not_there_fails_before_anything_runs(
     )
 
 
+def test_arguments_that_no_program_can_get_fail_it(running: Running) -> None:
+    command = running.command(sys.executable, "a\0b")
+    command.aim("active")
+    assert command.status().state == "failed"
+    assert "null byte" in command.status().error
+
+
 def test_a_program_may_lie_beside_the_robot_file(tmp_path: Path) -> None:
     script = tmp_path / "driver"
     script.write_text("#!/bin/sh\n")

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from queue import Empty, SimpleQueue
-from typing import Self
+from typing import Self, TypeVar
 
 import msgspec
 import zenoh
@@ -41,6 +41,7 @@ _NEWS = 0.5
 """That an agent is lost is known so long [s] after its connection ends, at most."""
 
 
+S = TypeVar("S")
 _Said = SimpleQueue[tuple[int, zenoh.Reply | None]]
 """What zenoh's threads say: of which order, and an answer, or None at its end."""
 
@@ -82,18 +83,16 @@ class Fleet:
             )
         self._declared = [
             self._session.declare_subscriber(
-                f"{self._prefix}/status/*", self._on_status
+                f"{self._prefix}/status/*", _reading(AgentStatus, self._on_status)
             ),
             self._session.liveliness().declare_subscriber(
                 f"{self._prefix}/alive/*", self._on_alive, history=True
             ),
         ]
         if on_sample is not None:
-            decoder = msgspec.msgpack.Decoder(AgentSample)
             self._declared.append(
                 self._session.declare_subscriber(
-                    f"{self._prefix}/samples/*",
-                    lambda sample: on_sample(decoder.decode(sample.payload.to_bytes())),
+                    f"{self._prefix}/samples/*", _reading(AgentSample, on_sample)
                 )
             )
 
@@ -264,12 +263,7 @@ class Fleet:
     def _there(self) -> set[str]:
         return self._alive & self._statuses.keys()
 
-    def _on_status(self, sample: zenoh.Sample) -> None:
-        try:
-            status = msgspec.msgpack.decode(sample.payload.to_bytes(), type=AgentStatus)
-        except msgspec.DecodeError as error:
-            log.warning("%s: refused: %s", sample.key_expr, error)
-            return
+    def _on_status(self, status: AgentStatus) -> None:
         with self._changed:
             self._statuses[status.computer] = status
             self._changed.notify_all()
@@ -284,6 +278,21 @@ class Fleet:
                 self._alive.discard(computer)
                 self._lost.add(computer)
             self._changed.notify_all()
+
+
+def _reading(type_: type[S], take: Callable[[S], object]) -> Callable[..., None]:
+    """Return what takes the records of a type that agents say; others are logged."""
+    decode = msgspec.msgpack.Decoder(type_).decode
+
+    def hear(sample: zenoh.Sample) -> None:
+        try:
+            record = decode(sample.payload.to_bytes())
+        except msgspec.DecodeError as error:
+            log.warning("%s: refused: %s", sample.key_expr, error)
+        else:
+            take(record)
+
+    return hear
 
 
 def _note(said: _Said, number: int, reply: zenoh.Reply | None = None) -> None:

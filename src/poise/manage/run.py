@@ -84,6 +84,7 @@ class Run:
             A component failed, a computer was lost, or a limit passed; its message
             names the component and holds its traceback.
         """
+        self._end_remains()
         self.reach("inactive", READY_LIMIT)
         self.reach("active", ACTIVE_LIMIT)
         self.journal.note("done", "everything runs", placement=self.placement())
@@ -113,11 +114,26 @@ class Run:
         left = self.computers()
         with contextlib.suppress(RunError):  # it is only for quiet
             self._come_to_rest()
-        self.tell((), left)
-        if not self.fleet.wait_news(lambda: not self._running(left), STOP_LIMIT):
-            running = ", ".join(self._running(left))
-            raise RunError(f"{running} still ran {STOP_LIMIT:g} s after the stop")
+        self._end_all(left)
         self.journal.note("done", "everything stopped")
+
+    def _end_remains(self) -> None:
+        """End what a manager has left that is gone: it may be of older code."""
+        remains = [
+            f"'{container.name}' on '{computer}'"
+            for computer, status in sorted(self.fleet.statuses().items())
+            for container in status.containers
+        ]
+        if remains:
+            text = f"an earlier manager left containers: {', '.join(remains)}"
+            self.journal.note("seen", f"{text}; they are ended first")
+            self._end_all(self.computers())
+
+    def _end_all(self, computers: set[str]) -> None:
+        self.tell((), computers)
+        if not self.fleet.wait_news(lambda: not self._running(computers), STOP_LIMIT):
+            running = ", ".join(self._running(computers))
+            raise RunError(f"{running} still ran {STOP_LIMIT:g} s after the stop")
 
     def _come_to_rest(self) -> None:
         """Make callers inactive before those whom they call: no call goes nowhere."""

@@ -86,7 +86,10 @@ class Collector:
 
     def _main(self) -> None:
         while not self._ended.wait(self._every):
-            self._publish(self.sample())
+            try:
+                self._publish(self.sample())
+            except Exception:  # what is told next may go out again
+                log.exception("a sample could not be told")
 
     def _weigh(self, containers: Sequence[tuple[str, int, Reader]]) -> None:
         """Read the memory of new containers, and of the others one after the other."""

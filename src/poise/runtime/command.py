@@ -79,7 +79,7 @@ class Command:
                 self._pidfd = os.pidfd_open(self._process.pid)
                 self.account.watch(self._process.pid)
                 self._state = "active"
-        except OSError as error:
+        except (OSError, ValueError, subprocess.SubprocessError) as error:
             self._error = f"'{self.spec.command[0]}' cannot be started: {error}"
             self._state = "failed"
         if goal != "active" and self._process is not None:
