@@ -148,4 +148,4 @@ def test_a_command_that_was_throttled_tells_a_lower_bound(folder: Path) -> None:
     burner = Component(name="burner", command=("sh", "-c", "while :; do :; done"))
     seen = starved(burner, folder, lambda seen: seen.seconds > 3.0)
     assert seen.cores < 1.1 * QUOTA
-    assert seen.found[-1].starved > 0.8
+    assert seen.found[-1].starved > 0.5
