@@ -53,7 +53,8 @@ def test_measures_command_line_components(tmp_path: Path, poise: Poise) -> None:
     burner, idler = profile.components["burner"], profile.components["idler"]
     # a machine that is busy may give it less, never more
     assert 0.05 < burner.cpu.mean < 0.23
-    assert burner.cpu.mean <= burner.cpu.p95 <= burner.cpu.p99 <= burner.cpu.peak
+    # one window that stands out raises the mean, and not the 95th percentile
+    assert burner.cpu.p95 <= burner.cpu.p99 <= burner.cpu.peak >= burner.cpu.mean
     assert idler.cpu.mean < 0.02
     # 64 MiB are its own, and Python's own few, less what it shares with the container
     assert 60 * 2**20 < burner.memory < 100 * 2**20
