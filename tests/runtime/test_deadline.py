@@ -100,6 +100,14 @@ def test_a_call_in_a_call_keeps_a_shorter_limit_of_its_own(pair: Pair) -> None:
 
 
 @every_kind
+@pytest.mark.parametrize("limit", [1e12, 1e300, math.inf])
+def test_a_limit_may_be_of_any_length(pair: Pair, limit: float) -> None:
+    with joined(pair, limit=limit) as (source, _, _):
+        (left,) = source.out.left(0)
+        assert left > 1e8
+
+
+@every_kind
 def test_a_block_gives_its_calls_up(pair: Pair) -> None:
     with joined(pair) as (source, target, _):
         began = time.monotonic()

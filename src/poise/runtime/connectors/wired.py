@@ -32,6 +32,8 @@ _NOTHING: Codec[None] = Codec(type(None))
 # looking a member up costs as much as a call
 _CALL, _RESULT, _MARK, _MOVED = Kind.CALL, Kind.RESULT, Kind.MARK, Kind.MOVED
 _ERROR = Kind.ERROR
+_LONGEST = 1e9
+"""A caller that waits for longer says so much: a frame holds no more [s]."""
 
 
 class WiredPath:
@@ -98,8 +100,9 @@ class WiredPath:
                 counts.add_call(0.0, failed=True)
                 raise Timeout(f"connector {name}: no call was made: no time is left")
             values = bind(*args, **kwargs)
+            waits = int(1e9 * min(left, _LONGEST)) or 1  # 0 were no limit
             pieces = segments(
-                arguments, values, _CALL, tag=tag, number=int(1e9 * left), chain=chain
+                arguments, values, _CALL, tag=tag, number=waits, chain=chain
             )
             answer = None
             try:
