@@ -147,12 +147,13 @@ class LinkServer:
         with self._lock:
             is_full = len(self._links) >= _MOST_LINKS
             if not is_full and not self._closed.is_set():
+                self._links.add(served)
                 try:
                     served.thread.start()
                 except RuntimeError as error:  # others may end, and make room
+                    self._links.discard(served)
                     log.warning("%s: no link is served: %s", self._container, error)
                 else:
-                    self._links.add(served)
                     return
         if is_full:
             log.warning("%s: more than %d links", self._container, _MOST_LINKS)
