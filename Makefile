@@ -38,7 +38,7 @@ sanitize: setup
 	  cp build/sanitize/src/poise/$$part/native/*.so build/sanitize/site/poise/$$part; done
 	@LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" ASAN_OPTIONS=detect_leaks=0 \
 	  PYTHONPATH=build/sanitize/site:$(SITE) $(BIN)/python -S -m pytest -q -s --timeout 600 \
-	  tests/plan/test_engine.py tests/plan/test_cut.py tests/plan/test_core_boundary.py \
+	  tests/plan/test_engine.py tests/plan/test_core_boundary.py \
 	  tests/wire/test_filling.py tests/wire/test_frame.py tests/wire/test_link.py \
 	  tests/wire/test_pipe.py \
 	  tests/runtime/connectors tests/runtime/test_histogram.py tests/runtime/test_ledger.py \

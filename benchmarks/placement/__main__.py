@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.placement import (
-    cut,
     growth,
     plot,
     proof,
@@ -49,10 +48,6 @@ def main() -> None:
     if "quality" in (arguments.only or "quality").split(","):
         robots = arguments.robots or (3 if quick else 10)
         report["quality"] = quality.run(robots, Path(arguments.references))
-    graphs = {"cut-1k": 1_000, "cut-10k": 10_000, "cut-100k": 100_000}
-    wanted = arguments.only.split(",") if arguments.only else () if quick else graphs
-    if sizes := [nodes for name, nodes in graphs.items() if name in wanted]:
-        report["cut"] = cut.run(sizes)
     if arguments.gqap:
         report["public"] = public.run(Path(arguments.gqap), quick=quick)
     if arguments.json:
@@ -80,7 +75,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--quick", action="store_true", help="fewer and smaller")
     parser.add_argument(
         "--only",
-        help="sections: speed,proof,quality,tight,growth,cut-1k,cut-10k,cut-100k",
+        help="sections: speed,proof,quality,tight,growth",
     )
     parser.add_argument(
         "--references",

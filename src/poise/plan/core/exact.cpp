@@ -4,7 +4,6 @@
 
 #include "exact_frontier.h"
 #include "exact_tree.h"
-#include "exact_two.h"
 
 namespace poise {
 namespace {
@@ -160,7 +159,6 @@ std::unique_ptr<Exact::Tree> tree_for(const Problem& problem) {
     auto tree = std::make_unique<FrontierTree>(problem);
     if (tree->narrow()) return tree;
   }
-  if (TwoTree::takes(problem)) return std::make_unique<TwoTree>(problem);
   switch (problem.m) {
     case 2: return std::make_unique<TreeOf<2>>(problem);
     case 3: return std::make_unique<TreeOf<3>>(problem);

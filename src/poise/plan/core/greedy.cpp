@@ -97,10 +97,6 @@ int first_below(const double* total, double limit) {
 }  // namespace
 
 Greedy::Greedy(const Problem& problem) : p_(problem) {
-  if (FewGreedy::takes(p_)) {
-    few_ = std::make_unique<FewGreedy>(p_);
-    return;
-  }
   bool alike = p_.m >= kManyComputers && p_.cost.empty() && p_.distance.empty() &&
                p_.bandwidth.empty();
   first_share_.resize(p_.capacity.size());
@@ -142,7 +138,6 @@ Greedy::Greedy(const Problem& problem) : p_(problem) {
 }
 
 bool Greedy::run(Placement& placed) {
-  if (few_) return few_->run(placed);
   start();
   placed.assign(p_.n, -1);
   for (int i = 0; i < p_.n; ++i) {

@@ -1,9 +1,6 @@
 // The paper's greedy: the mirror of ../greedy.py, decision for decision.
 #pragma once
 
-#include <memory>
-
-#include "greedy_few.h"
 #include "problem.h"
 
 namespace poise {
@@ -51,7 +48,6 @@ class Greedy {
   void find_high(int resource);
 
   const Problem& p_;
-  std::unique_ptr<FewGreedy> few_;    // which then does it all
   int blocks_ = 0;                    // 0: every computer is always weighed
   std::vector<double> first_share_;   // (r, m) with nothing placed
   std::vector<double> share_, room_;  // (r, m): residue; what of it may still be used

@@ -9,8 +9,7 @@
 
 namespace poise {
 
-// Branch and bound over the units of two computers, as `TwoTree` does for a whole
-// problem: with a few dozen units it takes microseconds. It starts from how they are
+// Branch and bound over the units of two computers: with a few dozen units it takes microseconds. It starts from how they are
 // shared out now, so that it can only improve, and gives up after some nodes.
 class Resplit {
  public:

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 
-#include "cut/cut.h"
 #include "fleet.h"
 #include "fluid.h"
 #include "pack.h"
@@ -96,7 +95,6 @@ Outcome search(const Problem& p, const Placement& known, Stop& stop, std::uint64
   Outcome out;
   Random random(seed ^ 0x9e3779b97f4a7c15U);
   Placement start = known;
-  if (cut::takes(p)) start = cut::solve(p, known, stop, random);
   if (p.n >= kManyUnits && !stop.stopped()) {
     Placement joined = multilevel(p, stop, random);
     const bool better = !joined.empty() &&
