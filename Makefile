@@ -43,7 +43,7 @@ sanitize: setup
 	  tests/wire/test_pipe.py \
 	  tests/runtime/connectors tests/runtime/test_histogram.py tests/runtime/test_ledger.py \
 	  tests/runtime/test_deadline.py tests/runtime/test_served_call.py \
-	  tests/runtime/test_turn.py tests/estimate/test_shift.py
+	  tests/runtime/test_turn.py tests/estimate/test_change_point.py
 
 clean:
 	rm -rf .venv build .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -15,7 +15,7 @@ from hypothesis import settings
 
 from poise.cli.scratch import scratch_folder
 from poise.emulate import sweep
-from poise.emulate.remains import Remains, registry
+from poise.emulate.cleanup import Cleanup, registry
 from tests.command import Poise, run_poise
 
 # an example that takes long on a busy machine is no fault
@@ -72,5 +72,5 @@ def _emulations(place: Path) -> list[Path]:
         file
         for file in registry().glob("*.json")
         if str(place)
-        in str(msgspec.json.decode(file.read_bytes(), type=Remains).folders)
+        in str(msgspec.json.decode(file.read_bytes(), type=Cleanup).folders)
     ]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from poise.cli.profiles import STORE
-from poise.estimate.store import Store
+from poise.estimate.profile.store import Store
 from tests.command import Poise
 
 HELLO = Path(__file__).parents[2] / "examples" / "hello"

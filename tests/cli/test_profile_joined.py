@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from poise.estimate import profile_file
 from poise.estimate.profile import Profile
-from poise.estimate.store import Store
+from poise.estimate.profile import file as profile_file
+from poise.estimate.profile.store import Store
 
 from .conftest import Poise
 

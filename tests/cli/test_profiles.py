@@ -6,10 +6,10 @@ from msgspec.structs import replace
 from poise.cli.profiles import profiled, stale
 from poise.cli.write_demands import write_demands
 from poise.errors import RobotError
-from poise.estimate import profile_file
 from poise.estimate.profile import ComponentProfile, Profile
-from poise.estimate.spread import Spread
-from poise.estimate.version import version_of
+from poise.estimate.profile import file as profile_file
+from poise.estimate.profile.spread import Spread
+from poise.estimate.profile.version import version_of
 from poise.model import load
 from poise.model.robot import Robot
 

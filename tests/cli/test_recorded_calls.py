@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.estimate import profile_file
+from poise.estimate.profile import file as profile_file
 from poise.manage.recording import load
 from poise.runtime.connectors.interface import methods
 from poise.runtime.implementation import find_type

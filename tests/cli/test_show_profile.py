@@ -9,10 +9,10 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from poise.cli.show_profile import history_table
-from poise.estimate import profile_file
 from poise.estimate.profile import ComponentProfile, Profile
-from poise.estimate.spread import Spread
-from poise.estimate.store import Store
+from poise.estimate.profile import file as profile_file
+from poise.estimate.profile.spread import Spread
+from poise.estimate.profile.store import Store
 from tests.command import Poise
 
 ROBOT = """\

@@ -10,7 +10,7 @@ import pytest
 
 from poise.cli.launch import Watching, running
 from poise.emulate import look
-from poise.estimate.running import Drift, Estimate
+from poise.estimate.online import Drift, Estimate
 from poise.manage.estimates import Estimates
 from poise.manage.journal import Journal
 from poise.model.robot import Architecture, Component, Computer, Robot

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from poise.cli.status import _remarks, component_table, remarks
-from poise.estimate.running import Drift, Estimate
+from poise.estimate.online import Drift, Estimate
 from poise.manage.desk import RobotStatus
 from poise.manage.estimates import Standing
 from poise.wire.messages import AgentStatus, ComponentStatus, ContainerStatus

@@ -13,7 +13,7 @@ from poise.cli.played import PLAYER, played
 from poise.cli.stand import OTHERS, stand_of
 from poise.cli.tapped import RECORDER, tapped
 from poise.errors import UsageError
-from poise.estimate import profile_file
+from poise.estimate.profile import file as profile_file
 from poise.manage.recording import load as load_recording
 from poise.manage.recording import save
 from poise.model import load

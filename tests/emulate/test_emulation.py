@@ -12,11 +12,11 @@ import msgspec
 import pytest
 
 from poise.emulate import Emulation, look, sweep
-from poise.emulate.cgroup_files import mounts
-from poise.emulate.cgroup_v2 import V2
-from poise.emulate.group import MarkedGroups
+from poise.emulate.cgroup.files import mounts
+from poise.emulate.cgroup.group import MarkedGroups
+from poise.emulate.cgroup.v2 import V2
+from poise.emulate.cleanup import Cleanup, registry
 from poise.emulate.probe import Probe
-from poise.emulate.remains import Remains, registry
 from poise.errors import RobotError, RunError, UsageError
 from poise.model.robot import Computer, Robot
 
@@ -28,14 +28,14 @@ STUBBORN = (
 )
 
 
-def remains() -> Remains:
+def cleanup_list() -> Cleanup:
     """Return the list of this process's latest emulation."""
     own = registry().glob(f"poise-{os.getpid()}-*.json")
     latest = max(own, key=lambda file: file.stat().st_mtime_ns)
-    return msgspec.json.decode(latest.read_bytes(), type=Remains)
+    return msgspec.json.decode(latest.read_bytes(), type=Cleanup)
 
 
-def left_of(listed: Remains) -> list[str]:
+def left_of(listed: Cleanup) -> list[str]:
     """Return what is still there of what was listed."""
     paths = [
         *map(Path, listed.groups + listed.aside + listed.folders),
@@ -61,7 +61,7 @@ def test_nothing_is_left_after_close(
     two_computers: Robot, tmp_path: Path, host: Probe | None
 ) -> None:
     emulation = Emulation(two_computers, tmp_path, probe=host)
-    listed = remains()
+    listed = cleanup_list()
     assert set(map(str, listed.groups + listed.folders)) <= set(left_of(listed))
     argv = [sys.executable, "-c", STUBBORN]
     child = emulation.computers["brain"].popen(argv, stdout=subprocess.PIPE)
@@ -93,7 +93,7 @@ def test_nothing_is_left_after_an_exception(
 
     def fail() -> None:
         with Emulation(two_computers, tmp_path) as emulation:
-            listed.append(remains())
+            listed.append(cleanup_list())
             emulation.computers["legs"].popen(["sleep", "60"])
             raise ZeroDivisionError
 
@@ -115,11 +115,11 @@ def test_nothing_is_left_when_it_cannot_be_made(
     two_computers: Robot, tmp_path: Path
 ) -> None:
     class Refusing(MarkedGroups):
-        listed: Remains
+        listed: Cleanup
 
         def make(self, name: str, limits: object) -> MarkedGroups:  # type: ignore[override]
             """Refuse, as a kernel may."""
-            Refusing.listed = remains()
+            Refusing.listed = cleanup_list()
             raise PermissionError(name, limits)
 
     host = msgspec.structs.replace(look(), groups=Refusing())
@@ -137,7 +137,7 @@ from poise.model.robot import Robot
 robot = msgspec.json.decode(sys.stdin.buffer.readline(), type=Robot)
 emulation = Emulation(robot, Path(sys.argv[1]))
 child = emulation.computers["brain"].popen(["sleep", "60"])
-print(emulation._remains.run, child.pid, flush=True)
+print(emulation._cleanup.run, child.pid, flush=True)
 time.sleep(60)
 """
 
@@ -157,7 +157,7 @@ def test_sweep_removes_what_a_killed_owner_left(
         owner.stdin.flush()
         run, pid = owner.stdout.readline().decode().split()
         file = registry() / f"{run}.json"
-        listed = msgspec.json.decode(file.read_bytes(), type=Remains)
+        listed = msgspec.json.decode(file.read_bytes(), type=Cleanup)
         assert listed.owner not in sweep()  # it still lives
         assert file.exists()
         owner.kill()

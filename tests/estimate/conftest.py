@@ -8,7 +8,7 @@ from poise.estimate.profile import (
     Profile,
     TimerProfile,
 )
-from poise.estimate.spread import Spread
+from poise.estimate.profile.spread import Spread
 from poise.model.robot import Architecture, Component, Computer, Connector, End, Robot
 
 JOINED = Connector(between=(End("eye", "image"), End("mind", "image")))

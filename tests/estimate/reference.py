@@ -13,8 +13,8 @@ RARITY = 20.0
 LEARN = 25
 QUICKEST = 2.0
 LEFT = 1.0
-DISTURBANCE = 5
-_OUTLIER = 1.5
+OUTLIER = 5
+_CLIP = 1.5
 _BLOCKS = (5, 10)
 _KEPT = 150
 _SURE = 30
@@ -31,7 +31,7 @@ class _Sum:
         self.windows = 0
 
 
-class Shift:
+class ChangePointDetector:
     """Watches ``value / exposure``, such as CPU time per second or per job.
 
     Parameters
@@ -95,14 +95,14 @@ class Shift:
 
     def _stands(self, total: _Sum) -> bool:
         """Whether enough is left without the worst windows that follow each other."""
-        if total.windows < 2 * DISTURBANCE:
+        if total.windows < 2 * OUTLIER:
             return False
         run = [
             self._excess(total.direction, window)
             for window in list(self._windows)[-total.windows :]
         ]
-        starts = range(len(run) - DISTURBANCE + 1)
-        worst = max(sum(run[at : at + DISTURBANCE]) for at in starts)
+        starts = range(len(run) - OUTLIER + 1)
+        worst = max(sum(run[at : at + OUTLIER]) for at in starts)
         return total.value - worst > LEFT * self._step
 
     def _is_calm(self) -> bool:
@@ -120,7 +120,7 @@ class Shift:
         noise = [v - rate * e for v, e in self._windows]
         exposure = sum(e for _, e in self._windows)
         self._step = self.reference * exposure / len(noise)
-        self._largest = _OUTLIER * max(self._step, _largest_undisturbed(noise))
+        self._largest = _CLIP * max(self._step, _largest_without_outlier(noise))
         noise = [max(-self._largest, min(self._largest, each)) for each in noise]
         fresh = _variance(noise) * (1 + _SURE / len(noise))
         if self._num > _KEPT:
@@ -160,9 +160,9 @@ def _variance_of_blocks(noise: Sequence[float], size: int) -> float:
     return sum(each * each for each in sums) / (len(sums) * size)
 
 
-def _largest_undisturbed(noise: Sequence[float]) -> float:
+def _largest_without_outlier(noise: Sequence[float]) -> float:
     """Return the largest, but for those farthest off that follow each other."""
-    starts = range(len(noise) - DISTURBANCE + 1)
-    worst = max(starts, key=lambda at: abs(sum(noise[at : at + DISTURBANCE])))
-    others = [*noise[:worst], *noise[worst + DISTURBANCE :]]
+    starts = range(len(noise) - OUTLIER + 1)
+    worst = max(starts, key=lambda at: abs(sum(noise[at : at + OUTLIER])))
+    others = [*noise[:worst], *noise[worst + OUTLIER :]]
     return max(map(abs, others))

@@ -3,7 +3,7 @@
 import pytest
 
 from poise.estimate.demand import Sums, demand_in
-from poise.estimate.reading import Window
+from poise.estimate.window import Window
 
 
 def window(cpu: float, asked: int, done: int) -> Window:

@@ -6,8 +6,8 @@ import random
 
 import pytest
 
-from poise.estimate.reading import Reading
-from poise.estimate.running import Estimate, RunningEstimate
+from poise.estimate.online import Estimate, RunningEstimate
+from poise.estimate.window import Reading
 
 STEP = 0.2
 TICK = 0.001

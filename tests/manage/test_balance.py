@@ -6,7 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.errors import RobotError
-from poise.estimate.running import Drift, Estimate
+from poise.estimate.online import Drift, Estimate
 from poise.manage.balance import Proposal, propose
 from poise.manage.estimates import Standing
 from poise.model.robot import (

@@ -2,7 +2,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.estimate.profile import ConnectorProfile
-from poise.estimate.spread import Spread
+from poise.estimate.profile.spread import Spread
 from poise.manage.measure import Measured
 from poise.manage.profiling import Observed, Subject, disagreeing, figures
 from poise.model.robot import Architecture, Component, Computer, Connector, End, Robot

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from poise.errors import Problem
-from poise.model import file
+from poise.model import sections
 
 Find = Callable[[str], tuple[Problem, ...]]
 
@@ -23,20 +23,20 @@ def test_the_example_is_a_right_robot_file(find: Find) -> None:
 @pytest.mark.parametrize(
     ("section", "heading"),
     [
-        (file.Robot, "The top level"),
-        (file.Computer, "computers"),
-        (file.Device, "devices"),
-        (file.Link, "links"),
-        (file.Architecture, "architectures"),
-        (file.Component, "components"),
-        (file.Connector, "connectors"),
-        (file.Chain, "chains"),
-        (file.Task, "tasks"),
-        (file.Action, "tasks"),
-        (file.Objective, "objective"),
-        (file.Simulator, "simulator"),
-        (file.Workload, "workload"),
-        (file.Generated, "workload"),
+        (sections.RobotSection, "The top level"),
+        (sections.ComputerSection, "computers"),
+        (sections.DeviceSection, "devices"),
+        (sections.LinkSection, "links"),
+        (sections.ArchitectureSection, "architectures"),
+        (sections.ComponentSection, "components"),
+        (sections.ConnectorSection, "connectors"),
+        (sections.ChainSection, "chains"),
+        (sections.TaskSection, "tasks"),
+        (sections.ActionSection, "tasks"),
+        (sections.ObjectiveSection, "objective"),
+        (sections.SimulatorSection, "simulator"),
+        (sections.WorkloadSection, "workload"),
+        (sections.GeneratedSection, "workload"),
     ],
 )
 def test_every_key_is_described(section: type[msgspec.Struct], heading: str) -> None:

@@ -12,7 +12,7 @@ from poise.estimate.profile import (
     Profile,
     TimerProfile,
 )
-from poise.estimate.spread import Spread
+from poise.estimate.profile.spread import Spread
 from poise.view.profile_plot import plot_profile
 
 pytest.importorskip("matplotlib")

@@ -19,8 +19,8 @@ from poise.cli.options import parse_option
 from poise.cli.profiles import check_keepable, read_profile, store_of
 from poise.cli.tables import table
 from poise.errors import RunError, UsageError
-from poise.estimate import profile_file
 from poise.estimate.profile import KindCosts
+from poise.estimate.profile import file as profile_file
 from poise.manage.journal import Journal
 from poise.manage.recording import Recording
 from poise.model.robot import Computer, Robot

@@ -9,7 +9,7 @@ from poise.cli.computers import Say
 from poise.cli.launch import Up, Watching, running
 from poise.cli.stand import Stand
 from poise.errors import RunError
-from poise.estimate.spread import WINDOW
+from poise.estimate.profile.spread import WINDOW
 from poise.manage.journal import Journal
 from poise.manage.measure import measure
 from poise.manage.profiling import Observed

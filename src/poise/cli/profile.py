@@ -22,10 +22,10 @@ from poise.cli.show_profile import history_table, show_profile
 from poise.cli.stand import EMPTY, Stand, stand_of
 from poise.cli.write_demands import write_demands
 from poise.errors import RobotError, UsageError
-from poise.estimate import profile_file
 from poise.estimate.predict import overheads
 from poise.estimate.profile import Profile
-from poise.estimate.version import version_of
+from poise.estimate.profile import file as profile_file
+from poise.estimate.profile.version import version_of
 from poise.manage.profiling import Figures, Observed, Subject, disagreeing, figures
 from poise.model.robot import Robot
 from poise.units import SECONDS

@@ -8,11 +8,11 @@ from msgspec import Struct
 
 from poise.cli.options import to_write
 from poise.errors import RobotError
-from poise.estimate import profile_file
 from poise.estimate.profile import Profile
+from poise.estimate.profile import file as profile_file
+from poise.estimate.profile.store import Store
+from poise.estimate.profile.version import version_of
 from poise.estimate.rule import missing, with_profile
-from poise.estimate.store import Store
-from poise.estimate.version import version_of
 from poise.model.robot import Robot
 
 _MOST_NAMED = 4

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from poise.estimate.profile import ComponentProfile, Profile
 from poise.estimate.rule import cpu_demand, memory_demand
-from poise.model.edit import with_values
 from poise.model.load import load_source
+from poise.model.yaml.edit import with_values
 
 _MIB = 2**20
 

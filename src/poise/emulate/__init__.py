@@ -1,11 +1,11 @@
 """Turn one Linux machine into a robot's several computers (docs/emulation.md)."""
 
+from poise.emulate.cleanup import sweep
 from poise.emulate.computer import EmulatedComputer
 from poise.emulate.emulation import Emulation
 from poise.emulate.probe import Probe, look
-from poise.emulate.remains import sweep
+from poise.emulate.starvation import StarvationWatch
 from poise.emulate.usage import Usage, is_starved
-from poise.emulate.watch import StarvationWatch
 
 __all__ = [
     "EmulatedComputer",

@@ -10,9 +10,9 @@ from typing import IO
 
 import msgspec
 
-from poise.emulate.group import Group
-from poise.emulate.layout import Place
-from poise.emulate.network import NAMESPACES
+from poise.emulate.cgroup.group import Group
+from poise.emulate.layout import ComputerLayout
+from poise.emulate.network.namespaces import NAMESPACES
 from poise.emulate.processes import MARK
 from poise.emulate.usage import Usage, is_starved, stolen_time
 
@@ -51,7 +51,7 @@ class EmulatedComputer:
     """
 
     def __init__(
-        self, place: Place, group: Group, *, pin: bool, has_quota: bool
+        self, place: ComputerLayout, group: Group, *, pin: bool, has_quota: bool
     ) -> None:
         self.name = place.name
         self.address = place.address
@@ -129,12 +129,12 @@ class EmulatedComputer:
         }
 
 
-def _too_fast(place: Place) -> float:
+def _too_fast(place: ComputerLayout) -> float:
     """Return how many times faster the computer is than it should be, without quota."""
     return max(1.0, len(place.limits.cpus) / place.limits.quota)
 
 
-def _prefix(place: Place, *, pin: bool) -> list[str]:
+def _prefix(place: ComputerLayout, *, pin: bool) -> list[str]:
     """Return the command that turns into the program after entering what it must."""
     namespace, cpus = place.namespace, ",".join(map(str, place.limits.cpus))
     return [

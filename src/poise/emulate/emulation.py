@@ -8,13 +8,15 @@ from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Self
 
-from poise.emulate import network, processes
+from poise.emulate import processes
+from poise.emulate.cgroup.group import Groups, MarkedGroups
+from poise.emulate.cleanup import sweep
 from poise.emulate.computer import EmulatedComputer
-from poise.emulate.group import Groups, MarkedGroups
-from poise.emulate.layout import Layout, lay_out
+from poise.emulate.layout import EmulationLayout, lay_out
 from poise.emulate.limits import shortages
+from poise.emulate.network import namespaces
+from poise.emulate.network.plan import NetworkPlan
 from poise.emulate.probe import Probe, look
-from poise.emulate.remains import sweep
 from poise.errors import RunError
 from poise.model.robot import Robot
 
@@ -66,8 +68,8 @@ class Emulation:
         host = probe or look()
         layout = lay_out(robot, folder, host, next(_numbers))
         self.computers = {}
-        self._remains = layout.remains
-        self._remains.write_down()
+        self._cleanup = layout.cleanup
+        self._cleanup.write_down()
         try:
             self._make(layout, host)
         except BaseException as error:
@@ -91,10 +93,10 @@ class Emulation:
             When something could not be ended or removed.
         """
         try:
-            self._remains.lift_quotas()
+            self._cleanup.lift_quotas()
             processes.stop(self._running, ask)
         finally:
-            self._remains.remove()
+            self._cleanup.remove()
 
     def __enter__(self) -> Self:
         return self
@@ -107,7 +109,7 @@ class Emulation:
     ) -> None:
         self.close()
 
-    def _make(self, layout: Layout, host: Probe) -> None:
+    def _make(self, layout: EmulationLayout, host: Probe) -> None:
         groups, refused = _prepared(host.groups, layout.run)
         pin = "cpuset" not in groups.controls and "taskset" in host.tools
         computers = {}
@@ -155,13 +157,13 @@ def _prepared(groups: Groups, run: str) -> tuple[Groups, list[str]]:
     return groups, []
 
 
-def _wire(plan: network.Plan, host: Probe) -> list[str]:
+def _wire(plan: NetworkPlan, host: Probe) -> list[str]:
     """Make the network, shaped where that is possible; return what is missing."""
-    network.build(plan)
+    namespaces.build(plan)
     if "tc" not in host.tools:
         return []
     slow = any(cable.latency for cable in plan.cables)
-    delays = slow and network.can_delay(plan.switch)
-    network.shape(plan, delays=delays)
+    delays = slow and namespaces.can_delay(plan.switch)
+    namespaces.shape(plan, delays=delays)
     reason = "link latency: this kernel cannot delay packets (no sch_netem)"
     return [reason] if slow and not delays else []

@@ -6,16 +6,16 @@ from pathlib import Path
 
 from msgspec import Struct
 
+from poise.emulate.cleanup import Cleanup
 from poise.emulate.limits import Limits, share_out
-from poise.emulate.network import Plan, plan
+from poise.emulate.network.plan import NetworkPlan, plan_network
 from poise.emulate.owner import Owner
 from poise.emulate.probe import Probe
-from poise.emulate.remains import Remains
 from poise.errors import UsageError
 from poise.model.robot import Robot
 
 
-class Place(Struct, frozen=True, kw_only=True):
+class ComputerLayout(Struct, frozen=True, kw_only=True):
     """Where one computer will be.
 
     Parameters
@@ -38,16 +38,16 @@ class Place(Struct, frozen=True, kw_only=True):
     namespace: str | None = None
 
 
-class Layout(Struct, frozen=True, kw_only=True):
+class EmulationLayout(Struct, frozen=True, kw_only=True):
     """The whole emulation; `network` is None where there are no namespaces."""
 
     run: str
-    places: tuple[Place, ...]
-    network: Plan | None
-    remains: Remains
+    places: tuple[ComputerLayout, ...]
+    network: NetworkPlan | None
+    cleanup: Cleanup
 
 
-def lay_out(robot: Robot, folder: Path, host: Probe, number: int) -> Layout:
+def lay_out(robot: Robot, folder: Path, host: Probe, number: int) -> EmulationLayout:
     """Return where the computers of `robot` will be on `host`.
 
     Parameters
@@ -68,9 +68,11 @@ def lay_out(robot: Robot, folder: Path, host: Probe, number: int) -> Layout:
     run = f"{owner}-{number}"
     names = [computer.name for computer in robot.computers]
     limits = share_out(robot.computers, host.cpus)
-    network = plan(owner, number, names, robot.links) if host.has_namespaces else None
+    network = (
+        plan_network(owner, number, names, robot.links) if host.has_namespaces else None
+    )
     places = tuple(
-        Place(
+        ComputerLayout(
             name=name,
             mark=f"{run}-{index}",
             address=network.cables[index].address
@@ -82,23 +84,23 @@ def lay_out(robot: Robot, folder: Path, host: Probe, number: int) -> Layout:
         )
         for index, name in enumerate(names)
     )
-    return Layout(
+    return EmulationLayout(
         run=run,
         places=places,
         network=network,
-        remains=_remains(owner, run, places, network, host),
+        cleanup=_cleanup(owner, run, places, network, host),
     )
 
 
-def _remains(
+def _cleanup(
     owner: Owner,
     run: str,
-    places: tuple[Place, ...],
-    network: Plan | None,
+    places: tuple[ComputerLayout, ...],
+    network: NetworkPlan | None,
     host: Probe,
-) -> Remains:
+) -> Cleanup:
     groups = [path for place in places for path in host.groups.folders(place.mark)]
-    return Remains(
+    return Cleanup(
         owner=owner,
         run=run,
         marks=tuple(place.mark for place in places),

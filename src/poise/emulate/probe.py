@@ -8,11 +8,11 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from poise.emulate.cgroup_files import Mount, mounts
-from poise.emulate.cgroup_v1 import V1
-from poise.emulate.cgroup_v2 import V2
-from poise.emulate.group import Groups, MarkedGroups
-from poise.emulate.network import NAMESPACES
+from poise.emulate.cgroup.files import Mount, mounts
+from poise.emulate.cgroup.group import Groups, MarkedGroups
+from poise.emulate.cgroup.v1 import V1
+from poise.emulate.cgroup.v2 import V2
+from poise.emulate.network.namespaces import NAMESPACES
 
 _NAMES = {"cpu": "quota", "cpuset": "CPU set in a cgroup", "memory": "memory limit"}
 

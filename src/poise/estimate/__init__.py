@@ -1,1 +1,1 @@
-"""."""
+"""What components need: profiles, demands, and estimates while they run."""

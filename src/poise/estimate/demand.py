@@ -11,7 +11,7 @@ from typing import Literal
 
 from msgspec import Struct
 
-from poise.estimate.reading import Window
+from poise.estimate.window import Window
 
 _BEHIND = 0.02
 """Jobs under way at the ends of a window are no backlog yet: up to one in so many."""

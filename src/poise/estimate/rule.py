@@ -13,9 +13,9 @@ from collections.abc import Iterable
 
 import msgspec
 
+from poise.estimate.online import Estimate
 from poise.estimate.overhead import declared, kinds_together, overhead_of
 from poise.estimate.profile import ComponentProfile, ConnectorProfile, Profile
-from poise.estimate.running import Estimate
 from poise.model.robot import Component, Connector, Robot
 
 CPU_HEADROOM = 0.05

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 from msgspec import Struct
 
+from poise.estimate.online import Drift, Estimate, RunningEstimate
 from poise.estimate.profile import ConnectorProfile, Profile
-from poise.estimate.reading import Reading
-from poise.estimate.running import Drift, Estimate, RunningEstimate
+from poise.estimate.window import Reading
 from poise.manage.measure import traffic_between
 from poise.model.robot import Robot
 from poise.wire.samples import AgentSample, ComponentSample, ConnectorSample

@@ -9,8 +9,8 @@ from itertools import pairwise
 from msgspec import Struct, structs
 
 from poise.estimate.profile import ConnectorProfile
-from poise.estimate.reading import Reading, window_between
-from poise.estimate.spread import Spread, spread_of
+from poise.estimate.profile.spread import Spread, spread_of
+from poise.estimate.window import Reading, window_between
 from poise.wire.samples import AgentSample, ConnectorSample, ContainerSample
 
 

@@ -12,7 +12,7 @@ from poise.estimate.profile import (
     ConnectorProfile,
     TimerProfile,
 )
-from poise.estimate.spread import Spread
+from poise.estimate.profile.spread import Spread
 from poise.manage.deployment import name_of
 from poise.manage.measure import Measured
 from poise.model.robot import Robot

@@ -5,10 +5,10 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping, Sequence
 
-from poise.model import file, robot
+from poise.model import robot, sections
 
 
-def build(source: file.Robot, folder: str) -> robot.Robot:
+def build(source: sections.RobotSection, folder: str) -> robot.Robot:
     """Return the robot that a valid file describes; `folder` is where it lies."""
     return robot.Robot(
         name=source.robot,
@@ -37,7 +37,7 @@ def build(source: file.Robot, folder: str) -> robot.Robot:
     )
 
 
-def _computer(name: str, source: file.Computer) -> robot.Computer:
+def _computer(name: str, source: sections.ComputerSection) -> robot.Computer:
     capacity = _amounts(source)
     reserve = source.reserve
     if not isinstance(reserve, Mapping):
@@ -51,7 +51,7 @@ def _computer(name: str, source: file.Computer) -> robot.Computer:
     )
 
 
-def _link(source: file.Link) -> robot.Link:
+def _link(source: sections.LinkSection) -> robot.Link:
     return robot.Link(
         between=source.between,
         bandwidth=float("inf") if source.bandwidth is None else source.bandwidth,
@@ -60,7 +60,9 @@ def _link(source: file.Link) -> robot.Link:
     )
 
 
-def _architecture(name: str, source: file.Architecture) -> robot.Architecture:
+def _architecture(
+    name: str, source: sections.ArchitectureSection
+) -> robot.Architecture:
     return robot.Architecture(
         name=name,
         function=source.function,
@@ -73,7 +75,7 @@ def _architecture(name: str, source: file.Architecture) -> robot.Architecture:
     )
 
 
-def _component(name: str, source: file.Component) -> robot.Component:
+def _component(name: str, source: sections.ComponentSection) -> robot.Component:
     return robot.Component(
         name=name,
         implementation=source.implementation or "",
@@ -93,7 +95,9 @@ def _component(name: str, source: file.Component) -> robot.Component:
     )
 
 
-def _connectors(source: Sequence[file.Connector]) -> tuple[robot.Connector, ...]:
+def _connectors(
+    source: Sequence[sections.ConnectorSection],
+) -> tuple[robot.Connector, ...]:
     return tuple(
         robot.Connector(
             between=(_end(c.between[0]), _end(c.between[1])),
@@ -111,7 +115,7 @@ def _end(text: str) -> robot.End:
     return robot.End(component, port)
 
 
-def _task(name: str, source: file.Task) -> robot.Task:
+def _task(name: str, source: sections.TaskSection) -> robot.Task:
     return robot.Task(
         name=name,
         actions=tuple(
@@ -121,7 +125,7 @@ def _task(name: str, source: file.Task) -> robot.Task:
     )
 
 
-def _objective(source: file.Objective) -> robot.Objective:
+def _objective(source: sections.ObjectiveSection) -> robot.Objective:
     return robot.Objective(
         communication=source.communication,
         balance=source.balance,
@@ -132,13 +136,13 @@ def _objective(source: file.Objective) -> robot.Objective:
     )
 
 
-def _simulator(source: file.Simulator | None) -> robot.Simulator | None:
+def _simulator(source: sections.SimulatorSection | None) -> robot.Simulator | None:
     if source is None:
         return None
     return robot.Simulator(command=_command(source.command))
 
 
-def _workload(source: file.Workload | None) -> robot.Workload | None:
+def _workload(source: sections.WorkloadSection | None) -> robot.Workload | None:
     if source is None:
         return None
     return robot.Workload(
@@ -163,7 +167,9 @@ def _command(source: str | Sequence[str] | None) -> tuple[str, ...]:
     return tuple(shlex.split(source) if isinstance(source, str) else source or ())
 
 
-def _amounts(source: file.Computer | file.Component) -> dict[str, float]:
+def _amounts(
+    source: sections.ComputerSection | sections.ComponentSection,
+) -> dict[str, float]:
     own = {"cpu": source.cpu, "memory": source.memory}
     given = {name: amount for name, amount in own.items() if amount is not None}
     return {**given, **source.resources}

@@ -8,13 +8,13 @@ import msgspec
 from msgspec import Struct
 
 from poise.errors import Problem, RobotError
-from poise.model import file
+from poise.model import sections
 from poise.model.build import build
 from poise.model.check import check
-from poise.model.include import read_tree
-from poise.model.positions import Positions
 from poise.model.robot import Robot
-from poise.model.validate import validate
+from poise.model.yaml.include import read_tree
+from poise.model.yaml.positions import Positions
+from poise.model.yaml.validate import validate
 from poise.units import quoted
 
 
@@ -47,10 +47,12 @@ def load_source(path: str | Path) -> Source:
         raise RobotError(problems=problems)
     # A file that could not be included would make its names look unknown.
     is_whole = not problems
-    values = validate(root, msgspec.inspect.type_info(file.Robot), problems)
+    values = validate(root, msgspec.inspect.type_info(sections.RobotSection), problems)
     if values is None or not is_whole:
         raise RobotError(problems=sorted(problems))
-    robot = build(msgspec.convert(values, file.Robot), str(path.resolve().parent))
+    robot = build(
+        msgspec.convert(values, sections.RobotSection), str(path.resolve().parent)
+    )
     positions = Positions(root)
     problems += [positions.problem(finding) for finding in check(robot)]
     if problems:

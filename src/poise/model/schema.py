@@ -1,4 +1,4 @@
-"""The JSON Schema (draft 2020-12) of robot files, from the types of `file`."""
+"""The JSON Schema (draft 2020-12) of robot files, from the types of `sections`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from poise.model import file
+from poise.model import sections
 from poise.units import DIMENSIONS, NUMBER
 
 _NUMBER = r"\s*\+?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?\s*"
@@ -16,11 +16,11 @@ _NUMBER = r"\s*\+?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?\s*"
 def schema() -> dict[str, Any]:
     """Return the schema as plain data.
 
-    It requires no key at the top: each may lie in another of the files that include
-    each other.
+    It requires no key at the top, because each may be in another included file.
     """
-    made = msgspec.json.schema(file.Robot)
-    made["$defs"][file.Robot.__name__]["required"] = []
+    text = json.dumps(msgspec.json.schema(sections.RobotSection))
+    made = json.loads(text.replace('Section"', '"'))  # names for people
+    made["$defs"]["Robot"]["required"] = []
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "Poise robot file",
@@ -34,7 +34,7 @@ def schema_text() -> str:
 
 
 def _quantities(value: Any) -> Any:  # noqa: ANN401, any part of a schema
-    """Let every number that has a unit be written as people write it."""
+    """Allow every number with a unit to be a number or a text with its unit."""
     if isinstance(value, list):
         return [_quantities(item) for item in value]
     if not isinstance(value, dict):

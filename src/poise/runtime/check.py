@@ -15,8 +15,8 @@ from poise.model.check.cycles import check_cycles
 from poise.model.check.paths import components
 from poise.model.check.ports import KnownPort, check_ports, check_required
 from poise.model.check.workload import check_generated
-from poise.model.positions import Finding, Path
 from poise.model.robot import Component, PortKind, Robot
+from poise.model.yaml.positions import Finding, Path
 from poise.runtime.connectors.interface import methods
 from poise.runtime.fingerprint import fingerprint
 from poise.runtime.handover import check_state

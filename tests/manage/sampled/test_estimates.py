@@ -8,7 +8,7 @@ import pytest
 
 from poise.errors import RunError, UsageError
 from poise.estimate.profile import ComponentProfile, Profile
-from poise.estimate.spread import Spread
+from poise.estimate.profile.spread import Spread
 from poise.manage.estimates import Estimates
 from poise.manage.metrics import MetricsServer, to_prometheus
 from poise.manage.recording import Recording, load, replay, save

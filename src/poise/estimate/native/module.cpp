@@ -1,19 +1,19 @@
-// What Python sees; src/poise/estimate/_shift.pyi describes it.
+// What Python sees; src/poise/estimate/_change_point.pyi describes it.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/optional.h>
 
-#include "shift.h"
+#include "change_point.h"
 
 namespace nb = nanobind;
 using namespace poise;
 
-NB_MODULE(_shift, module) {
-  module.attr("LEARN") = Shift::learn;
-  module.attr("DISTURBANCE") = Shift::disturbance;
+NB_MODULE(_change_point, module) {
+  module.attr("LEARN") = ChangePointDetector::learn;
+  module.attr("OUTLIER") = ChangePointDetector::outlier;
 
-  nb::class_<Shift>(module, "Shift")
+  nb::class_<ChangePointDetector>(module, "ChangePointDetector")
       .def(nb::init<std::optional<double>>(), nb::arg("reference").none() = nb::none())
-      .def("update", &Shift::update, nb::arg("value"), nb::arg("exposure"))
-      .def_prop_ro("reference", &Shift::reference)
-      .def_prop_ro("since", &Shift::since);
+      .def("update", &ChangePointDetector::update, nb::arg("value"), nb::arg("exposure"))
+      .def_prop_ro("reference", &ChangePointDetector::reference)
+      .def_prop_ro("since", &ChangePointDetector::since);
 }

@@ -11,8 +11,8 @@ from poise.model.check.names import check_names
 from poise.model.check.ports import check_ports, declared_ports
 from poise.model.check.sets import check_sets
 from poise.model.check.workload import check_workload
-from poise.model.positions import Finding
 from poise.model.robot import Robot
+from poise.model.yaml.positions import Finding
 
 
 def check(robot: Robot) -> Iterator[Finding]:

@@ -7,9 +7,9 @@ from itertools import pairwise
 
 from poise.model.check.names import check_components_known
 from poise.model.check.paths import component_names, connectors
-from poise.model.positions import Finding, Path
 from poise.model.robot import Architecture, Connector, Robot
 from poise.model.suggest import unknown
+from poise.model.yaml.positions import Finding, Path
 
 
 def check_connectors(robot: Robot) -> Iterator[Finding]:

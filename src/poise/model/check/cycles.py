@@ -10,8 +10,8 @@ from collections.abc import Set as AbstractSet
 
 from poise.model.check.paths import connectors
 from poise.model.check.ports import Ports
-from poise.model.positions import Finding, Path
 from poise.model.robot import Connector, Robot
+from poise.model.yaml.positions import Finding, Path
 
 _Graph = dict[str, list[tuple[Path, Connector]]]
 

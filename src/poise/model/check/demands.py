@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 from poise.model.check.hosts import allowed_hosts
 from poise.model.check.paths import components
-from poise.model.positions import Finding, Path
 from poise.model.robot import Component, Computer, Robot
+from poise.model.yaml.positions import Finding, Path
 from poise.units import format_amount
 
 SLACK = 1e-9

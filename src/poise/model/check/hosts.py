@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from poise.model.check.paths import components
-from poise.model.positions import Finding
 from poise.model.robot import Architecture, Component, Robot
 from poise.model.suggest import listed
+from poise.model.yaml.positions import Finding
 
 Hosts = frozenset[str]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from poise.model.check.paths import component_names, components
-from poise.model.positions import Finding, Path
 from poise.model.robot import Component, Robot
 from poise.model.suggest import unknown
+from poise.model.yaml.positions import Finding, Path
 
 
 def check_names(robot: Robot) -> Iterator[Finding]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from poise.model.positions import Path
 from poise.model.robot import Architecture, Component, Connector, Robot
+from poise.model.yaml.positions import Path
 
 
 def components(robot: Robot) -> Iterator[tuple[Path, Architecture, Component]]:

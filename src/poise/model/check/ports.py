@@ -11,9 +11,9 @@ from collections.abc import Hashable, Iterator, Mapping
 from msgspec import Struct
 
 from poise.model.check.paths import components, connectors
-from poise.model.positions import Finding, Path
 from poise.model.robot import Connector, End, PortKind, Robot
 from poise.model.suggest import did_you_mean
+from poise.model.yaml.positions import Finding, Path
 
 
 class KnownPort(Struct, frozen=True):

@@ -7,9 +7,9 @@ from itertools import combinations
 
 from poise.model.check.hosts import Hosts, allowed_hosts
 from poise.model.check.names import check_components_known
-from poise.model.positions import Finding
 from poise.model.robot import Robot
 from poise.model.suggest import listed
+from poise.model.yaml.positions import Finding
 
 
 def check_sets(robot: Robot) -> Iterator[Finding]:

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping
 
 from poise.model.check.paths import component_names
 from poise.model.check.ports import KnownPort
-from poise.model.positions import Finding
 from poise.model.robot import Robot
 from poise.model.suggest import listed, unknown
+from poise.model.yaml.positions import Finding
 
 
 def check_workload(robot: Robot) -> Iterator[Finding]:

@@ -1,0 +1,1 @@
+"""The emulated computers' network: its plan, its namespaces, its shaped links."""

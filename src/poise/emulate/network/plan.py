@@ -1,0 +1,122 @@
+"""The plan of an emulated network: names, addresses, bandwidths. Nothing is made here.
+
+Each computer has one virtual cable, ``eth0``, to a bridge in the switch's namespace.
+The owner's namespace has a cable too, unshaped, because it is no part of the robot.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import math
+import socket
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+
+from msgspec import Struct
+
+from poise.emulate.owner import PREFIX, Owner
+from poise.errors import RobotError, RunError
+from poise.model.robot import Link
+
+_MOST = 253
+
+
+class Cable(Struct, frozen=True, kw_only=True):
+    """How one computer is connected.
+
+    Parameters
+    ----------
+    namespace, address
+        Its network namespace and its IP address there.
+    bandwidth
+        [bytes/s], each way; infinite: not shaped.
+    latency
+        One way [s].
+    """
+
+    namespace: str
+    address: str
+    bandwidth: float = math.inf
+    latency: float = 0.0
+
+
+class NetworkPlan(Struct, frozen=True, kw_only=True):
+    """The whole network that `build` makes."""
+
+    switch: str
+    owner: str
+    owner_address: str
+    cables: tuple[Cable, ...]
+
+    @property
+    def namespaces(self) -> tuple[str, ...]:
+        """All namespaces, the switch's first."""
+        return (self.switch, *(cable.namespace for cable in self.cables))
+
+
+def plan_network(
+    owner: Owner, number: int, computers: Sequence[str], links: Sequence[Link]
+) -> NetworkPlan:
+    """Return the network for `computers` joined by `links`.
+
+    `number` tells the emulations of one owner apart.
+
+    A computer has one cable for all its links, with the highest bandwidth and the
+    highest latency of them. Where links differ, the narrower ones get more than the
+    robot file says.
+
+    Raises
+    ------
+    RobotError
+        When there are more computers than a subnet has addresses.
+    """
+    if len(computers) > _MOST:
+        message = f"{len(computers)} computers cannot be emulated; at most {_MOST} can"
+        raise RobotError(message)
+    hosts = [str(host) for host in _free_subnet(owner.pid + number).hosts()]
+    cables = [
+        Cable(
+            namespace=f"{owner}-{number}-{index}",
+            address=hosts[index],
+            bandwidth=max((link.bandwidth for link in mine), default=math.inf),
+            latency=max((link.latency for link in mine), default=0.0),
+        )
+        for index, name in enumerate(computers)
+        for mine in [[link for link in links if name in link.between]]
+    ]
+    return NetworkPlan(
+        switch=f"{owner}-{number}-switch",
+        owner=f"{PREFIX}{owner.pid}.{number % 100}",
+        owner_address=hosts[-1],
+        cables=tuple(cables),
+    )
+
+
+def _free_subnet(start: int) -> ipaddress.IPv4Network:
+    """Return a subnet of 10.0.0.0/8 that this host has no route to.
+
+    Each owner starts its search elsewhere, so two that start at once do not collide.
+    """
+    taken = _routes()
+    for step in range(256):
+        number = (start + step) % 65536
+        subnet = ipaddress.IPv4Network((0x0A000000 + (number << 8), 24))
+        if not any(subnet.overlaps(route) for route in taken):
+            return subnet
+    message = "no free subnet in 10.0.0.0/8 for the emulated network"
+    raise RunError(message)
+
+
+def _routes() -> list[ipaddress.IPv4Network]:
+    """Return the networks that this host has routes to, save the default route's."""
+    found = []
+    for line in Path("/proc/net/route").read_text().splitlines()[1:]:
+        fields = line.split()
+        # Addresses stand there as numbers in the machine's own byte order.
+        target, mask = (
+            socket.inet_ntoa(struct.pack("=L", int(fields[i], 16))) for i in (1, 7)
+        )
+        if mask != "0.0.0.0":  # noqa: S104 - nothing is bound here
+            found.append(ipaddress.IPv4Network((target, mask)))
+    return found

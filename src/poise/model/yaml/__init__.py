@@ -1,0 +1,1 @@
+"""Robot files as text: reading, including, validating and editing YAML."""

@@ -1,0 +1,129 @@
+"""A robot file and the files that it includes, merged into one tree."""
+
+from __future__ import annotations
+
+from os.path import realpath
+from pathlib import Path
+
+from poise.errors import Problem
+from poise.model.yaml.tree import Location, Node, Scalar, parse
+from poise.units import quoted
+
+LARGEST = 1_000_000
+"""[bytes] A larger file is no robot file."""
+MOST_FILES = 100
+"""More included files than this are an error."""
+
+
+def read_tree(path: Path, problems: list[Problem]) -> Node | None:
+    """Return the merged tree of a robot file; every problem is added to `problems`.
+
+    Mappings are merged key by key and lists are joined; a single value may be given
+    only once. A file that is included from two places is read once.
+    """
+    reader = _Reader(problems)
+    reader.read(path, None, ())
+    return reader.root
+
+
+class _Reader:
+    def __init__(self, problems: list[Problem]) -> None:
+        self.root: Node | None = None
+        self._problems = problems
+        self._done: set[str] = set()
+
+    def read(self, path: Path, asked: Location | None, above: tuple[Path, ...]) -> None:
+        """Merge `path` into the root; `above` are the files that led to it."""
+        if not self._is_new(path, asked, above):
+            return
+        text = _read_text(path, asked, self._problems)
+        root = None if text is None else parse(text, str(path), self._problems)
+        if root is None:
+            return
+        if not isinstance(root.value, dict):
+            problem = "a robot file is a mapping that starts like `robot: name`"
+            self._problems.append(root.place.problem(problem))
+            return
+        include = root.value.get("include")
+        if self.root is None:
+            self.root = root
+        else:
+            root.value.pop("include", None)
+            _merge(self.root, root, "", self._problems)
+        if include is not None and isinstance(include.value, list):
+            for item in include.value:
+                self._include(path, item, above)
+
+    def _include(self, path: Path, item: Node, above: tuple[Path, ...]) -> None:
+        if isinstance(item.value, Scalar) and "\0" not in item.value.text:
+            self.read(path.parent / item.value.text, item.place, (*above, path))
+        else:
+            self._problems.append(item.place.problem("include: wants file names"))
+
+    def _is_new(
+        self, path: Path, asked: Location | None, above: tuple[Path, ...]
+    ) -> bool:
+        # Unlike Path.resolve, it does not raise for links that go in a circle.
+        real = realpath(path)
+        if asked and real in [realpath(p) for p in above]:
+            circle = " -> ".join(p.name for p in (*above, path))
+            self._problems.append(asked.problem(f"include: goes in a circle: {circle}"))
+        elif asked and len(self._done) == MOST_FILES and real not in self._done:
+            text = f"include: more than {MOST_FILES} files"
+            self._problems.append(asked.problem(text))
+        elif real not in self._done:
+            self._done.add(real)
+            return True
+        return False
+
+
+def _read_text(
+    path: Path, asked: Location | None, problems: list[Problem]
+) -> str | None:
+    def wrong(text: str) -> None:
+        where = asked or Location(str(path), 0, 0)
+        named = f"include: {quoted(path.name)} {text}" if asked else text
+        problems.append(where.problem(named))
+
+    try:
+        if path.is_dir():
+            wrong("is a folder, not a robot file")
+        elif not path.exists():
+            wrong("does not exist")
+        elif not path.is_file():
+            wrong("is not an ordinary file")
+        elif path.stat().st_size > LARGEST:
+            wrong(f"is larger than {LARGEST} bytes: no robot file")
+        else:
+            return path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        before = error.object[: error.start]
+        column = error.start - before.rfind(b"\n")
+        place = Location(str(path), before.count(b"\n") + 1, column)
+        problems.append(place.problem(f"is not UTF-8 text: {error.reason}"))
+    except OSError as error:
+        wrong(f"cannot be read: {error.strerror}")
+    return None
+
+
+def _merge(into: Node, other: Node, name: str, problems: list[Problem]) -> None:
+    if isinstance(into.value, list) and isinstance(other.value, list):
+        into.value.extend(other.value)
+    elif (
+        isinstance(into.value, dict)
+        and isinstance(other.value, dict)
+        and _is_section(name)
+    ):
+        for key, node in other.value.items():
+            present = into.value.setdefault(key, node)
+            if present is not node:
+                _merge(present, node, f"{name}.{key}".removeprefix("."), problems)
+    else:
+        problems.append(
+            other.place.problem(f"{name} is given twice, first at {into.place}")
+        )
+
+
+def _is_section(name: str) -> bool:
+    """Whether the mapping is the file itself or one of its sections."""
+    return "." not in name

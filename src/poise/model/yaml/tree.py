@@ -1,0 +1,179 @@
+"""YAML text -> a tree of nodes, each of which knows where it stands in the file.
+
+Nothing is constructed: a scalar stays text until the type of its field says what it
+means, so that `address: 10.0` or a computer called `on` is what it looks like.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import yaml
+from msgspec import Struct
+from yaml.reader import ReaderError
+
+from poise.errors import Problem
+from poise.units import quoted
+
+DEEPEST = 40
+"""[levels] Deeper nesting is an error."""
+MOST = 100_000
+"""[values] More of them in one file, after aliases are expanded, are an error."""
+_TAGS = {"str", "int", "float", "bool", "null", "timestamp", "merge", "value"}
+_NO_TEXT = re.compile("[\0\ud800-\udfff]")
+_YAML = "tag:yaml.org,2002:"
+
+
+class Location(Struct, frozen=True):
+    """Where something stands in a file; `line` and `column` count from 1."""
+
+    file: str
+    line: int
+    column: int
+
+    def problem(self, message: str) -> Problem:
+        """Return a problem at this place."""
+        return Problem(self.file, self.line, self.column, message)
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line}:{self.column}"
+
+
+class Scalar(Struct, frozen=True):
+    """A single value: its text, and whether it was written without quotes."""
+
+    text: str
+    plain: bool
+
+
+class Node(Struct):
+    """A value in the file: a mapping, a list or a scalar.
+
+    `place` is that of its key, or of itself when it has none.
+    """
+
+    place: Location
+    value: dict[str, Node] | list[Node] | Scalar
+
+
+class _Bad(Exception):
+    """The text cannot be made into a tree."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem)
+        self.problem = problem
+
+
+def parse(text: str, file: str, problems: list[Problem]) -> Node | None:
+    """Return the tree of a YAML text, or None when it is no YAML at all.
+
+    Everything wrong is added to `problems`: syntax, duplicate keys, tags, nesting
+    deeper than `DEEPEST`, and more than `MOST` values.
+    """
+    try:
+        return _Converter(file, problems).node(_compose(text, file), None, 0)
+    except _Bad as error:
+        problems.append(error.problem)
+        return None
+
+
+def _compose(text: str, file: str) -> yaml.Node:
+    try:
+        loader = _Loader(text, file)
+    except ReaderError as error:
+        before = text[: error.position]
+        column = error.position - before.rfind("\n")
+        place = Location(file, before.count("\n") + 1, column)
+        raise _Bad(place.problem(f"not YAML: {error.reason}")) from error
+    try:
+        root = loader.get_single_node()
+    except yaml.MarkedYAMLError as error:
+        raise _Bad(_syntax_problem(error, file)) from error
+    except (ValueError, OverflowError) as error:
+        # PyYAML lets these out for some escapes, such as "\UFFFFFFFF".
+        place = _place(file, loader.get_mark())
+        raise _Bad(place.problem(f"not YAML: {error}")) from error
+    if root is None:
+        raise _Bad(Location(file, 1, 1).problem("the file is empty"))
+    return root
+
+
+class _Loader(yaml.SafeLoader):
+    """A safe loader that is only ever asked for nodes, and refuses deep ones."""
+
+    def __init__(self, text: str, file: str) -> None:
+        super().__init__(text)
+        self._file = file
+        self._depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        self._depth += 1
+        if self._depth > DEEPEST:
+            place = _place(self._file, self.peek_event().start_mark)  # type: ignore[no-untyped-call]
+            raise _Bad(place.problem(f"nested more than {DEEPEST} levels deep"))
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
+
+
+class _Converter:
+    """Turns PyYAML's nodes into ours."""
+
+    def __init__(self, file: str, problems: list[Problem]) -> None:
+        self._file = file
+        self._problems = problems
+        self._count = 0
+
+    def node(self, source: yaml.Node, key: yaml.Node | None, depth: int) -> Node:
+        place = _place(self._file, (key or source).start_mark)
+        self._count += 1
+        if self._count > MOST or depth > DEEPEST:
+            raise _Bad(place.problem(f"more than {MOST} values or {DEEPEST} levels"))
+        if isinstance(source, yaml.MappingNode):
+            return Node(place, dict(self._entries(source, depth)))
+        if isinstance(source, yaml.SequenceNode):
+            return Node(place, [self.node(s, None, depth + 1) for s in source.value])
+        self._check_scalar(source, place)
+        plain = isinstance(source, yaml.ScalarNode) and source.style is None
+        return Node(place, Scalar(source.value, plain))
+
+    def _entries(
+        self, source: yaml.MappingNode, depth: int
+    ) -> Iterator[tuple[str, Node]]:
+        first: dict[str, Location] = {}
+        for key, value in source.value:
+            place = _place(self._file, key.start_mark)
+            if not isinstance(key, yaml.ScalarNode):
+                self._problems.append(place.problem("a key is a word, not a list"))
+                continue
+            self._check_scalar(key, place)
+            if key.value in first:
+                self._problems.append(
+                    place.problem(
+                        f"the key {quoted(key.value)} is there twice, "
+                        f"first at {first[key.value]}"
+                    )
+                )
+            else:
+                first[key.value] = place
+                yield key.value, self.node(value, key, depth + 1)
+
+    def _check_scalar(self, source: yaml.Node, place: Location) -> None:
+        if _NO_TEXT.search(source.value):
+            text = quoted(source.value)
+            self._problems.append(place.problem(f"{text} holds what no text may hold"))
+        if source.tag.removeprefix(_YAML) not in _TAGS:
+            tag = quoted(source.tag)
+            self._problems.append(place.problem(f"tags are not used here: {tag}"))
+
+
+def _place(file: str, mark: yaml.Mark) -> Location:
+    return Location(file, mark.line + 1, mark.column + 1)
+
+
+def _syntax_problem(error: yaml.MarkedYAMLError, file: str) -> Problem:
+    mark = error.problem_mark or error.context_mark
+    place = _place(file, mark) if mark else Location(file, 1, 1)
+    parts = [error.context, error.problem]
+    return place.problem("not YAML: " + ", ".join(p for p in parts if p))
