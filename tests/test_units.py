@@ -130,3 +130,39 @@ def test_a_written_size_is_read_back_to_three_digits(size: float) -> None:
 def test_quotes_on_one_line_and_cut() -> None:
     assert quoted("a\nb") == r"'a\nb'"
     assert len(quoted("x" * 1000)) == 62
+
+
+@pytest.mark.parametrize(
+    ("text", "dimension", "suggestion"),
+    [
+        ("8 Mb/s", BANDWIDTH, "did you mean 'Mbit/s' or 'MB/s'? 1 byte B is 8 bit"),
+        ("8 Gb/s", BANDWIDTH, "did you mean 'Gbit/s' or 'GB/s'?"),
+        ("8 kb/s", BANDWIDTH, "did you mean 'kbit/s' or 'kB/s'?"),
+        ("8 Kb/s", BANDWIDTH, "did you mean 'kbit/s' or 'kB/s'?"),
+        ("8 Mib/s", BANDWIDTH, "did you mean 'Mbit/s' or 'MiB/s'?"),
+        ("8 Tb/s", BANDWIDTH, "did you mean 'Tbit/s' or 'TB/s'?"),
+        ("8 b/s", BANDWIDTH, "did you mean 'bit/s' or 'B/s'?"),
+        ("8 mbps", BANDWIDTH, "did you mean 'Mbit/s' or 'MB/s'?"),
+        ("8 MBps", BANDWIDTH, "did you mean 'MB/s' or 'Mbit/s'?"),
+        ("8 Mbit", BANDWIDTH, "did you mean 'Mbit/s' or 'MB/s'?"),
+        ("8 Mb", BYTES, "did you mean 'MB'? 1 byte B is 8 bit"),
+        ("8 kib", BYTES, "did you mean 'KiB'?"),
+        ("8 Mbit", BYTES, "did you mean 'MB'? 1 byte B is 8 bit"),
+        ("8 KB", BYTES, "did you mean 'kB'?"),
+        ("2 mins", SECONDS, "did you mean 'min'?"),
+        ("2 Sec", SECONDS, ""),
+        ("2 m", SECONDS, ""),
+        ("2 MHz", RATE, ""),
+        ("2 hz", RATE, "did you mean 'Hz'?"),
+        ("2 coers", CORES, "did you mean 'cores'?"),
+    ],
+)
+def test_a_suggested_unit_means_what_was_written(
+    text: str, dimension: Dimension, suggestion: str
+) -> None:
+    with pytest.raises(ValueError, match="unknown unit") as error:
+        parse(text, dimension)
+    if suggestion:
+        assert suggestion in str(error.value)
+    else:
+        assert "did you mean" not in str(error.value)

@@ -14,6 +14,12 @@ from collections.abc import Mapping
 from msgspec import Struct
 
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S.*?)?\s*")
+_DATA = re.compile(
+    r"(?P<prefix>[kmgt]?)(?P<binary>i?)(?P<letter>b)(?:its?|ytes?)?(?:/s|ps|/sec)?",
+    re.IGNORECASE,
+)
+_CLOSE = 0.8
+"""How similar a suggested unit must be; a wrong suggestion is worse than none."""
 _LONGEST = 60
 """[characters] A longer text is no quantity; it is cut before it is shown."""
 
@@ -45,7 +51,13 @@ _SIZES = {
     "GiB": 2.0**30,
     "TiB": 2.0**40,
 }
-_BITS = {"bit": 1 / 8, "kbit": 1e3 / 8, "Mbit": 1e6 / 8, "Gbit": 1e9 / 8}
+_BITS = {
+    "bit": 1 / 8,
+    "kbit": 1e3 / 8,
+    "Mbit": 1e6 / 8,
+    "Gbit": 1e9 / 8,
+    "Tbit": 1e12 / 8,
+}
 
 CORES = Dimension(
     "number of cores",
@@ -75,7 +87,7 @@ BANDWIDTH = Dimension(
     {
         "": 1.0,
         **{f"{unit}/s": factor for unit, factor in (_SIZES | _BITS).items()},
-        **{f"{unit[:-2]}ps": _BITS[unit] for unit in ("kbit", "Mbit", "Gbit")},
+        **{f"{unit[:-2]}ps": factor for unit, factor in _BITS.items()},
     },
     "100 Mbit/s",
 )
@@ -157,9 +169,26 @@ def format_amount(resource: str, amount: float) -> str:
 
 
 def _similar(unit: str, dimension: Dimension) -> str:
-    lower = {known.lower(): known for known in dimension.units if known}
-    close = difflib.get_close_matches(unit.lower(), lower, n=1, cutoff=0.5)
-    return f" (did you mean '{lower[close[0]]}'?)" if close else ""
+    """Return a suggestion that means what was written, and all if it may mean two."""
+    if found := _DATA.fullmatch(unit):
+        return _data_units(found, dimension)
+    word = unit.casefold()
+    folded = {known.casefold(): known for known in dimension.units if known}
+    alike = [known for known in folded if known[0] == word[0]]  # `MHz` is not `Hz`
+    close = difflib.get_close_matches(word, alike, n=1, cutoff=_CLOSE)
+    return f" (did you mean '{folded[close[0]]}'?)" if close else ""
+
+
+def _data_units(found: re.Match[str], dimension: Dimension) -> str:
+    """Suggest bits and bytes: people write both with either case of the letter."""
+    prefix, binary, letter = found["prefix"].upper(), found["binary"], found["letter"]
+    small = prefix if binary else prefix.replace("K", "k")
+    per = "/s" if dimension is BANDWIDTH else ""
+    bits = f"{prefix.replace('K', 'k')}bit{per}"
+    bytes_ = f"{small}{binary.lower()}B{per}"
+    choices = [bits, bytes_] if letter == "b" else [bytes_, bits]
+    named = " or ".join(f"'{unit}'" for unit in choices if unit in dimension.units)
+    return f" (did you mean {named}? 1 byte B is 8 bit)" if named else ""
 
 
 def _scaled(value: float, units: Mapping[str, float]) -> str:

@@ -26,7 +26,7 @@ ROBOT = """
 robot: t-rot
 computers:
   main: {cpu: 1, memory: 1 GiB, resources: {gpu: 1}, speed: 0.5, reserve: 5%}
-  vision: {cpu: 150%, memory: 512 MiB, reserve: {cpu: 10%}, address: 10.0.0.2}
+  vision: {cpu: 150%, memory: 512 MiB, reserve: {cpu: 10%}}
 devices:
   laser: {computer: main, path: laser.sock}
 links:
@@ -87,7 +87,6 @@ def test_reads_computers_devices_and_links(robot_file: Path) -> None:
             name="vision",
             capacity={"cpu": 1.5, "memory": 512 * 1024.0**2},
             reserve={"cpu": 0.1},
-            address="10.0.0.2",
         ),
     )
     # 1 core x 0.5 - 5%

@@ -85,6 +85,7 @@ Rate = Annotated[float, _quantity(units.RATE)]
 Bandwidth = Annotated[float, _quantity(units.BANDWIDTH)]
 Share = Annotated[float, _quantity(units.RATIO)]
 Amount = Annotated[float, _quantity(units.NUMBER)]
+Address = Annotated[str, Meta(examples=["10.0.0.1", "[fd00::2]:7447"])]
 CommandLine = Annotated[str, Meta(min_length=1, extra={"parse": _command_line})]
 Command = CommandLine | Annotated[list[str], Meta(min_length=1)]
 
@@ -112,8 +113,8 @@ class ComputerSection(Section, frozen=True, kw_only=True):
         _says("The share that placements leave free: 5%, or {cpu: 5%, memory: 10%}."),
     ] = 0.0
     address: Annotated[
-        str | None,
-        _says("Host name or IP address of its agent; without it, it is emulated."),
+        Address | None,
+        _says("Host or host:port of its agent; without it, it is emulated."),
     ] = None
 
 

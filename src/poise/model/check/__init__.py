@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from poise.model.check.addresses import check_addresses
 from poise.model.check.connectors import check_chains, check_connectors
 from poise.model.check.demands import check_demands
 from poise.model.check.hosts import check_hosts
@@ -18,6 +19,7 @@ from poise.model.yaml.positions import Finding
 def check(robot: Robot) -> Iterator[Finding]:
     """Yield everything that is wrong with `robot`, without a look at its code."""
     yield from check_names(robot)
+    yield from check_addresses(robot)
     yield from check_hosts(robot)
     yield from check_demands(robot)
     yield from check_sets(robot)
