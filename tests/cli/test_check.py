@@ -71,6 +71,23 @@ def test_code_is_checked_when_the_file_is_right(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_code_that_ends_its_process_is_a_problem_and_json_stays_json(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "bad.py").write_text("import os\nprint('hello')\nos._exit(0)\n")
+    path = tmp_path / "robot.yaml"
+    path.write_text(
+        "robot: r\ncomputers: {main: {cpu: 1, memory: 1}}\n"
+        "architectures: {x: {function: f, components: {\n"
+        '  a: {implementation: "bad:Bad"}}}}\n'
+    )
+    done = poise("check", str(path), "--json")
+    (problem,) = json.loads(done.stdout)["problems"]
+    assert (problem["line"], problem["column"], done.returncode) == (4, 7, 1)
+    assert "module 'bad' ended the process with exit code 0" in problem["message"]
+
+
+@pytest.mark.slow
 def test_prints_the_schema() -> None:
     done = poise("check", "--schema")
     assert done.returncode == 0

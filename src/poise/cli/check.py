@@ -43,13 +43,13 @@ def check_command(
 def find_problems(path: Path) -> tuple[Problem, ...]:
     """Return what is wrong with the file; when nothing is, what is with its code."""
     from poise.model.load import load_source
-    from poise.runtime.check import check_code
+    from poise.runtime.isolated_check import check_code_isolated
 
     try:
         source = load_source(path)
     except RobotError as error:
         return error.problems
-    findings = check_code(source.robot)
+    findings = check_code_isolated(source.robot)
     return tuple(sorted(source.positions.problem(f) for f in findings))
 
 

@@ -5,7 +5,8 @@ The code is imported, so this is a second step after `poise.model.load`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from collections.abc import Set as AbstractSet
 from typing import Any
 
 import msgspec
@@ -27,16 +28,31 @@ from poise.wire.codec import codec
 _Known = dict[str, dict[str, KnownPort]]
 
 
-def check_code(robot: Robot) -> list[Finding]:
+def check_code(
+    robot: Robot,
+    skipped: AbstractSet[str] = frozenset(),
+    begin: Callable[[str], None] = lambda _: None,
+) -> list[Finding]:
     """Return everything that does not fit between `robot` and its code.
 
-    Imports every implementation. A component whose code is wrong is told once; its
-    connectors are then not looked at.
+    Imports every implementation, in this process (see `check_code_isolated`). Faulty
+    code of a component gives one finding, and its connectors are not checked.
+
+    Parameters
+    ----------
+    skipped
+        Components whose code is not imported.
+    begin
+        Called with the name of each component before its code is imported, and with an
+        empty name after the last.
     """
     findings: list[Finding] = []
     known: _Known = {}
     reentrant: set[str] = set()
     for path, _, component in components(robot):
+        if component.name in skipped:
+            continue
+        begin(component.name)
         try:
             ports = dict(_ports(path, component, robot.folder))
         except _WrongCode as error:
@@ -47,6 +63,7 @@ def check_code(robot: Robot) -> list[Finding]:
             if component.implementation:
                 code = find(component.implementation, robot.folder)
                 reentrant |= {component.name} if code.reentrant else set()
+    begin("")
     findings += check_ports(robot, known)
     findings += check_required(robot, known)
     findings += check_cycles(robot, known, reentrant)

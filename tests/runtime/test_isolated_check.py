@@ -1,0 +1,94 @@
+"""Code that ends, crashes or hangs as it is imported is a problem like others."""
+
+from __future__ import annotations
+
+import os
+import select
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from poise.model.robot import Architecture, Component, Robot
+from poise.runtime.isolated_check import check_code_isolated
+
+LIMIT = 3.0
+GOOD = "from poise import Component\nclass Good(Component): pass\n"
+
+Check = Callable[..., list[str]]
+
+
+@pytest.fixture
+def check(tmp_path: Path) -> Check:
+    """Return a function that checks a robot whose module `bad` has this code."""
+
+    def checked(code: str, *names: str) -> list[str]:
+        (tmp_path / "bad.py").write_text(GOOD + code)
+        (tmp_path / "good.py").write_text(GOOD)
+        parts = (
+            *(Component(name=n, implementation="bad:Good") for n in names or ("a",)),
+            Component(name="good", implementation="good:Good"),
+            Component(name="absent", implementation="good:Absent"),
+        )
+        robot = Robot(
+            name="r",
+            folder=str(tmp_path),
+            architectures=(Architecture(name="x", function="f", components=parts),),
+        )
+        return [f.message for f in check_code_isolated(robot, LIMIT)]
+
+    return checked
+
+
+def has_ended(pid: int) -> bool:
+    """Wait until a process has ended, for a while."""
+    try:
+        process = os.pidfd_open(pid)
+    except ProcessLookupError:
+        return True
+    with os.fdopen(process):
+        return select.select([process], [], [], 10.0) != ([], [], [])
+
+
+@pytest.mark.parametrize(
+    ("code", "how"),
+    [
+        ("import os; os._exit(0)", "ended the process with exit code 0"),
+        ("import os; os._exit(7)", "ended the process with exit code 7"),
+        ("import os; os.abort()", "crashed by signal 6 (SIGABRT)"),
+        ("import ctypes; ctypes.string_at(0)", "crashed by signal 11 (SIGSEGV)"),
+        ("import time; time.sleep(600)", "did not end within 3 s"),
+    ],
+)
+def test_names_the_module_and_checks_the_others(
+    check: Check, code: str, how: str
+) -> None:
+    fatal, other = check(code)
+    assert fatal.startswith(f"component 'a': the import of module 'bad' {how}. ")
+    assert "has no class 'Absent'" in other
+
+
+def test_a_module_of_two_components_is_one_problem(check: Check) -> None:
+    fatal, other = check("import os; os._exit(1)", "a", "b")
+    assert "component 'a'" in fatal
+    assert "Absent" in other
+
+
+def test_what_the_code_prints_goes_to_stderr(
+    check: Check, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (other,) = check("print('hello'); import sys; sys.stdin.read()")
+    assert "Absent" in other
+    assert capfd.readouterr() == ("", "hello\n")
+
+
+def test_processes_that_the_code_starts_end_with_the_check(
+    check: Check, tmp_path: Path
+) -> None:
+    started = tmp_path / "started"
+    check(
+        "import os, time\n"
+        "if not (pid := os.fork()): time.sleep(600)\n"
+        f"open({str(started)!r}, 'w').write(str(pid))\n"
+    )
+    assert has_ended(int(started.read_text()))
