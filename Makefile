@@ -39,11 +39,11 @@ sanitize: setup
 	@LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" ASAN_OPTIONS=detect_leaks=0 \
 	  PYTHONPATH=build/sanitize/site:$(SITE) $(BIN)/python -S -m pytest -q -s --timeout 600 \
 	  tests/plan/test_engine.py tests/plan/test_core_boundary.py \
-	  tests/wire/test_filling.py tests/wire/test_frame.py tests/wire/test_link.py \
-	  tests/wire/test_pipe.py \
-	  tests/runtime/connectors tests/runtime/test_histogram.py tests/runtime/test_ledger.py \
-	  tests/runtime/test_deadline.py tests/runtime/test_served_call.py \
-	  tests/runtime/test_turn.py tests/estimate/test_change_point.py
+	  tests/wire/test_filling.py tests/wire/test_frame.py tests/wire/connections/test_connection.py \
+	  tests/wire/connections/test_channel.py \
+	  tests/runtime/connectors tests/runtime/execution/test_histogram.py tests/runtime/hosting/test_stats_page.py \
+	  tests/runtime/component/test_deadline.py tests/runtime/test_served_call.py \
+	  tests/runtime/execution/test_exclusion.py tests/estimate/test_change_point.py
 
 clean:
 	rm -rf .venv build .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

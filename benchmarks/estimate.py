@@ -30,20 +30,20 @@ import msgspec
 
 from benchmarks.synthetic import robots
 from benchmarks.synthetic.workers import RATE
-from poise.cli.launch import Watching, decide, prepared, running
-from poise.cli.measure_alone import measure_alone
-from poise.cli.profiles import read_profile
-from poise.cli.stand import EMPTY, stand_of
 from poise.estimate.predict import predicted_cpu
-from poise.manage.estimates import Estimates
 from poise.manage.journal import Journal
-from poise.manage.measure import measure
-from poise.manage.profiling import Subject, figures
-from poise.manage.recording import Recording
+from poise.manage.observe.estimates import Estimates
+from poise.manage.observe.measure import measure
+from poise.manage.observe.profiling import Subject, figures
+from poise.manage.observe.recording import Recording
 from poise.model.robot import Robot
 from poise.runtime._calls import Account
-from poise.wire.messages import AgentStatus
-from poise.wire.samples import SAMPLE_EVERY, AgentSample
+from poise.session.launch import Watching, decide, prepared, running
+from poise.session.measure_alone import measure_alone
+from poise.session.profiles import read_profile
+from poise.session.profiling_rig import EMPTY, stand_of
+from poise.wire.records.deployment import AgentStatus
+from poise.wire.records.samples import SAMPLE_EVERY, AgentSample
 
 TROT = Path(__file__).parents[1] / "examples" / "trot" / "robot.yaml"
 GOALS = {
@@ -86,7 +86,7 @@ class Ran(msgspec.Struct, frozen=True):
 
     samples: list[AgentSample]
     cores: Mapping[str, float]
-    agents: float
+    agents_share: float
     manager: float
     told: Mapping[str, float]
     void: str
@@ -114,12 +114,12 @@ def run(
             up.run.watch(WARM_UP)
             recording.take()
             up.computers.begin()
-            begin, manager = up.run.fleet.statuses(), time.process_time()
+            begin, manager = up.run.agents.statuses(), time.process_time()
             end_at = time.monotonic() + seconds
             while (left := end_at - time.monotonic()) > 0:
                 up.run.watch(min(left, 0.2))
                 up.computers.look()
-            end, manager = up.run.fleet.statuses(), time.process_time() - manager
+            end, manager = up.run.agents.statuses(), time.process_time() - manager
             void = up.computers.end()
     finally:
         journal.close()
@@ -130,12 +130,12 @@ def run(
         for component in container.components
         if "dearer" in component.measures
     }
-    cores, agents = {}, 0.0
+    cores, agents_share = {}, 0.0
     for name, last in end.items():
         lasted = last.uptime - begin[name].uptime
         cores[name] = (last.cpu - begin[name].cpu) / lasted
-        agents += (own_cpu(last) - own_cpu(begin[name])) / lasted
-    return Ran(recording.take(), cores, agents, manager / seconds, told, void)
+        agents_share += (own_cpu(last) - own_cpu(begin[name])) / lasted
+    return Ran(recording.take(), cores, agents_share, manager / seconds, told, void)
 
 
 def own_cpu(status: AgentStatus) -> float:
@@ -273,12 +273,12 @@ def overhead(lengths: Lengths) -> dict[str, object]:
     estimates = Estimates(robot, None, emulated=True)
     without = run(robot, placement, lengths.overhead, every=0)
     ran = run(robot, placement, lengths.overhead, take=estimates.take)
-    agents = ran.agents - without.agents
+    agents_share = ran.agents_share - without.agents_share
     manager = ran.manager - without.manager
     counting = LIGHT * robots.LIGHT_RATE * counting_seconds()
     return {
-        "overhead_share": agents + manager + counting,
-        "overhead_agent": agents,
+        "overhead_share": agents_share + manager + counting,
+        "overhead_agent": agents_share,
         "overhead_manager": manager,
         "overhead_counting": counting,
         "all_of_the_agent_and_containers": ran.cores["bench"],

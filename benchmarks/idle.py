@@ -18,14 +18,14 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from benchmarks.synthetic import robots
-from poise.cli.computers import computers_of
 from poise.clock import SystemClock
-from poise.manage.fleet import Fleet
+from poise.manage.agents import Agents
 from poise.manage.journal import Journal
 from poise.manage.run import Run
 from poise.model.robot import Robot
-from poise.runtime.collector import proportional_memory
-from poise.wire.messages import AgentStatus
+from poise.runtime.agent.sampler import proportional_memory
+from poise.session.computers import computers_of
+from poise.wire.records.deployment import AgentStatus
 
 CONTAINERS = 4
 SETTLE = 1.0
@@ -55,19 +55,19 @@ def measure(robot: Robot, seconds: float) -> Mapping[str, float]:
         computers = stack.enter_context(
             computers_of(robot, folder / "computers", lambda _: None)
         )
-        fleet = stack.enter_context(
-            Fleet(robot.name, computers.endpoints, SystemClock(), lambda _: None)
+        agents = stack.enter_context(
+            Agents(robot.name, computers.endpoints, SystemClock(), lambda _: None)
         )
-        fleet.wait_alive(computers.endpoints, LIMIT, computers.raise_if_ended)
+        agents.wait_alive(computers.endpoints, LIMIT, computers.raise_if_ended)
         agent_there = time.monotonic()
-        run = Run(robot, placement, fleet, journal, str(folder))
+        run = Run(robot, placement, agents, journal, str(folder))
         stack.callback(run.stop)
         run.start()
         active = time.monotonic()
         run.watch(SETTLE)
-        (before,) = fleet.statuses().values()
+        (before,) = agents.statuses().values()
         time.sleep(seconds)
-        (after,) = fleet.statuses().values()
+        (after,) = agents.statuses().values()
         lasted = after.uptime - before.uptime
         pids = [container.pid for container in after.containers]
         zygote = parent(pids[0])

@@ -20,13 +20,13 @@ from pathlib import Path
 from statistics import median
 from threading import Timer
 
-from poise.cli.computers import computers_of
 from poise.clock import SystemClock
-from poise.manage.fleet import Fleet
+from poise.manage.agents import Agents
 from poise.manage.journal import Journal
-from poise.manage.move import MoveReport, move
+from poise.manage.migration.move import MoveReport, move
 from poise.manage.run import Run, components_of
 from poise.model import load
+from poise.session.computers import computers_of
 
 ROBOTS = Path(__file__).parent / "robots"
 COMPONENTS = ("producer", "relay", "consumer")
@@ -44,11 +44,11 @@ def running(name: str, placement: dict[str, str]) -> Iterator[tuple[Run, Path]]:
         computers = stack.enter_context(
             computers_of(robot, folder / "computers", lambda _: None)
         )
-        fleet = stack.enter_context(
-            Fleet(robot.name, computers.endpoints, SystemClock())
+        agents = stack.enter_context(
+            Agents(robot.name, computers.endpoints, SystemClock())
         )
-        fleet.wait_alive(computers.endpoints, 20)
-        run = Run(robot, placement, fleet, journal, str(folder))
+        agents.wait_alive(computers.endpoints, 20)
+        run = Run(robot, placement, agents, journal, str(folder))
         run.start()
         yield run, folder
         run.stop()
@@ -57,7 +57,7 @@ def running(name: str, placement: dict[str, str]) -> Iterator[tuple[Run, Path]]:
 def totals(run: Run, component: str) -> dict[str, float]:
     """Return the largest value of each of a component's measures."""
     found: dict[str, float] = {}
-    for status in components_of(run.fleet.statuses()):
+    for status in components_of(run.agents.statuses()):
         if status.name == component:
             for name, summary in status.measures.items():
                 found[name] = max(found.get(name, 0.0), summary.maximum)
@@ -91,7 +91,7 @@ def kill_soon(run: Run, chance: random.Random) -> None:
     """Kill one of the moving components' containers within a move's usual time."""
     pids = [
         container.pid
-        for status in run.fleet.statuses().values()
+        for status in run.agents.statuses().values()
         for container in status.containers
         if container.name == "storm"
     ]
@@ -109,7 +109,7 @@ def is_at_work(run: Run) -> bool:
     """Return whether numbers go through and calls are answered, within 10 s."""
     for _ in range(20):
         before = totals(run, "producer"), totals(run, "consumer")
-        run.fleet.wait_news(lambda: False, 0.5)
+        run.agents.wait_news(lambda: False, 0.5)
         after = totals(run, "producer"), totals(run, "consumer")
         if all(
             new.get(name, 0) > old.get(name, 0)

@@ -13,9 +13,9 @@ import msgspec
 import pytest
 from hypothesis import settings
 
-from poise.cli.scratch import scratch_folder
 from poise.emulate import sweep
 from poise.emulate.cleanup import Cleanup, registry
+from poise.session.temporary_folders import scratch_folder
 from tests.command import Poise, run_poise
 
 # an example that takes long on a busy machine is no fault

@@ -17,19 +17,19 @@ from numpy.typing import NDArray
 from benchmarks.calls.ping import Ping
 from benchmarks.calls.timing import BIG, Trips, payload, read, timed
 from poise.clock import SystemClock
-from poise.runtime.component import Component
-from poise.runtime.ports import (
+from poise.runtime.component.component import Component
+from poise.runtime.component.ports import (
     Message,
     Provided,
     Published,
     Required,
     subscribed,
 )
-from poise.runtime.runner import Runner
-from poise.runtime.wiring import Place, Transports, Wiring
-from poise.wire.door import Door
-from poise.wire.loans import loan
-from poise.wire.messages import ComponentSpec, ConnectorKind, ConnectorSpec
+from poise.runtime.hosting.runner import Runner
+from poise.runtime.hosting.wiring import Place, Transports, Wiring
+from poise.wire.connections.gateway import Gateway
+from poise.wire.connections.loans import loan
+from poise.wire.records.deployment import ComponentSpec, ConnectorKind, ConnectorSpec
 
 HOST, PORT = "127.0.0.1", 17448
 LIMIT = 30.0
@@ -163,7 +163,7 @@ def start(name: str, implementation: type[Component]) -> Runner:
 
 def place(folder: Path, name: str) -> Place:
     """Return where a container of this benchmark is."""
-    return Place(container=name, folder=str(folder), door=f"{HOST}:{PORT}")
+    return Place(container=name, folder=str(folder), gateway=f"{HOST}:{PORT}")
 
 
 def activate(runner: Runner) -> None:
@@ -178,14 +178,14 @@ def activate(runner: Runner) -> None:
 
 def serve(kind: ConnectorKind, folder: Path, ready: Callable[[], None]) -> None:
     """Run the callee in a container of its own."""
-    door = Door(folder, HOST, PORT) if kind == "remote" else None
+    gateway = Gateway(folder, HOST, PORT) if kind == "remote" else None
     runner = start("callee", Callee)
     wiring = Wiring(Transports(place(folder, "callee")))
     wiring.apply(connectors(kind), {("callee", 0): runner})
     activate(runner)
     ready()
     threading.Event().wait()
-    del door
+    del gateway
 
 
 @contextmanager

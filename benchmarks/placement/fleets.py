@@ -8,7 +8,7 @@ from random import Random
 from poise.plan._core import Core
 
 
-def fleet(components: int, computers: int, seed: int = 1, load: float = 0.7) -> Core:
+def agents(components: int, computers: int, seed: int = 1, load: float = 0.7) -> Core:
     """Return a fleet of robots like those of `random_robots`, as flat tables."""
     random = Random(seed)
     demand = array("d", (random.lognormvariate(0, 0.7) for _ in range(2 * components)))

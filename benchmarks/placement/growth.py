@@ -8,7 +8,7 @@ from pathlib import Path
 from time import thread_time
 from typing import Any
 
-from benchmarks.placement.fleets import fleet
+from benchmarks.placement.fleets import agents
 from benchmarks.placement.table import best_of, microseconds, show
 
 METHODS = ("greedy", "multilevel")
@@ -67,7 +67,7 @@ def _table(title: str, points: list[Point]) -> None:
 
 
 def _point(n: int, m: int) -> Point:
-    core = fleet(n, m)
+    core = agents(n, m)
     times = 20 if n <= 10_000 else 5 if n <= 100_000 else 1
     more = _peak(lambda: core.multilevel(1))
     placed, better = core.greedy(), core.multilevel(1)

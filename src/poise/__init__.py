@@ -5,31 +5,31 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from poise.clock import Stamp as Stamp
-    from poise.runtime.component import Component as Component
-    from poise.runtime.deadline import time_left as time_left
-    from poise.runtime.deadline import within as within
-    from poise.runtime.ports import Message as Message
-    from poise.runtime.ports import Provided as Provided
-    from poise.runtime.ports import Published as Published
-    from poise.runtime.ports import Required as Required
-    from poise.runtime.ports import every as every
-    from poise.runtime.ports import oneway as oneway
-    from poise.runtime.ports import subscribed as subscribed
-    from poise.wire.loans import loan as loan
+    from poise.runtime.component.component import Component as Component
+    from poise.runtime.component.deadline import time_left as time_left
+    from poise.runtime.component.deadline import within as within
+    from poise.runtime.component.ports import Message as Message
+    from poise.runtime.component.ports import Provided as Provided
+    from poise.runtime.component.ports import Published as Published
+    from poise.runtime.component.ports import Required as Required
+    from poise.runtime.component.ports import every as every
+    from poise.runtime.component.ports import oneway as oneway
+    from poise.runtime.component.ports import subscribed as subscribed
+    from poise.wire.connections.loans import loan as loan
 else:
     _HOMES = {
-        "Component": "poise.runtime.component",
-        "Message": "poise.runtime.ports",
-        "Provided": "poise.runtime.ports",
-        "Published": "poise.runtime.ports",
-        "Required": "poise.runtime.ports",
+        "Component": "poise.runtime.component.component",
+        "Message": "poise.runtime.component.ports",
+        "Provided": "poise.runtime.component.ports",
+        "Published": "poise.runtime.component.ports",
+        "Required": "poise.runtime.component.ports",
         "Stamp": "poise.clock",
-        "every": "poise.runtime.ports",
-        "loan": "poise.wire.loans",
-        "oneway": "poise.runtime.ports",
-        "subscribed": "poise.runtime.ports",
-        "time_left": "poise.runtime.deadline",
-        "within": "poise.runtime.deadline",
+        "every": "poise.runtime.component.ports",
+        "loan": "poise.wire.connections.loans",
+        "oneway": "poise.runtime.component.ports",
+        "subscribed": "poise.runtime.component.ports",
+        "time_left": "poise.runtime.component.deadline",
+        "within": "poise.runtime.component.deadline",
     }
     __all__ = list(_HOMES)
 

@@ -6,10 +6,10 @@ import pytest
 import typer
 
 from poise.cli.balance import balance_command
-from poise.manage.balance import Proposal
-from poise.manage.desk import Balanced
-from poise.manage.transit import TransitionReport
-from poise.manage.transition import Step
+from poise.manage.adaptation.replan import Proposal
+from poise.manage.control import Balanced
+from poise.manage.migration.transition import Step
+from poise.manage.migration.transition_run import TransitionReport
 from poise.plan import Terms
 
 WHY = "ValueError at\n    maps[name] = found[/tmp] + [i for i in rest]"

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from poise.cli.profiles import STORE
 from poise.estimate.profile.store import Store
+from poise.session.profiles import STORE
 from tests.command import Poise
 
 HELLO = Path(__file__).parents[2] / "examples" / "hello"

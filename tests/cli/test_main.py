@@ -14,7 +14,7 @@ from tests.runtime.conftest import free_port
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("imported", ["msgspec", "typer", "poise.runtime.agent"])
+@pytest.mark.parametrize("imported", ["msgspec", "typer", "poise.runtime.agent.agent"])
 def test_ctrl_c_ends_a_command_that_has_hardly_begun(imported: str) -> None:
     """It comes right after a module was imported, or later on a busy machine."""
     argv = [sys.executable, "-X", "importtime", "-m", "poise", "agent", "main"]

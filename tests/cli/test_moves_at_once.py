@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from poise.errors import PoiseError
-from poise.manage.desk import AskStatus, RobotStatus, ask
+from poise.manage.control import AskStatus, RobotStatus, ask
 from tests.command import LIMIT, POISE, robot_up
 from tests.manage.agents import TELLING
 from tests.runtime.conftest import wait_until

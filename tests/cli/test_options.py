@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from poise.cli.commands import build
-from poise.cli.options import to_write
 from poise.errors import UsageError
+from poise.session.writable import to_write
 
 HELLO = Path(__file__).parents[2] / "examples" / "hello"
 

@@ -11,11 +11,11 @@ import pytest
 from rich.console import Console
 
 from poise.cli.up import Seen
-from poise.manage.estimates import Estimates
-from poise.manage.recording import save
+from poise.manage.observe.estimates import Estimates
+from poise.manage.observe.recording import save
 from poise.model import load
-from poise.wire.recorded import Recorded
-from poise.wire.samples import AgentSample, ComponentSample, ContainerSample
+from poise.wire.records.recorded import Recorded
+from poise.wire.records.samples import AgentSample, ComponentSample, ContainerSample
 from tests.command import Poise
 
 ROBOT = """\

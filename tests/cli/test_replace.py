@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from poise.manage.desk import AskStatus, RobotStatus, ask
+from poise.manage.control import AskStatus, RobotStatus, ask
 from tests.command import LIMIT, robot_up, run_poise
 from tests.manage.agents import Told
-from tests.manage.test_alternative import CODE
+from tests.manage.migration.test_replacement import CODE
 from tests.runtime.conftest import wait_until
 
 pytestmark = pytest.mark.slow

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from poise.cli.launch import Watching, running
 from poise.emulate import look
 from poise.estimate.online import Drift, Estimate
-from poise.manage.estimates import Estimates
 from poise.manage.journal import Journal
+from poise.manage.observe.estimates import Estimates
 from poise.model.robot import Architecture, Component, Computer, Robot
-from poise.wire.samples import AgentSample
+from poise.session.launch import Watching, running
+from poise.wire.records.samples import AgentSample
 
 QUOTA = 0.3
 NEEDED = 0.6
@@ -86,7 +86,7 @@ class Seen:
     def take(self, sample: AgentSample) -> None:
         """Estimate."""
         self.drifts.extend(drift for _, drift in self._estimates.take(sample))
-        self.found.extend(each.estimate for each in self._estimates.standings())
+        self.found.extend(each.estimate for each in self._estimates.demand_estimates())
         self._used.extend(
             (container.at, each.cpu)
             for container in sample.containers

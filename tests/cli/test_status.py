@@ -9,9 +9,9 @@ from rich.console import Console
 
 from poise.cli.status import _remarks, component_table, remarks
 from poise.estimate.online import Drift, Estimate
-from poise.manage.desk import RobotStatus
-from poise.manage.estimates import Standing
-from poise.wire.messages import AgentStatus, ComponentStatus, ContainerStatus
+from poise.manage.control import RobotStatus
+from poise.manage.observe.estimates import DemandEstimate
+from poise.wire.records.deployment import AgentStatus, ComponentStatus, ContainerStatus
 
 NAME = "recommendation_presenter"
 
@@ -22,7 +22,7 @@ def status(estimate: Estimate) -> RobotStatus:
     agent = AgentStatus(
         computer="vision", generation=1, uptime=9.0, cpu=1.0, containers=(container,)
     )
-    standing = Standing(
+    standing = DemandEstimate(
         component=NAME, computer="vision", expected=0.05, estimate=estimate
     )
     return RobotStatus(
@@ -30,7 +30,7 @@ def status(estimate: Estimate) -> RobotStatus:
         task="work",
         placement={NAME: "vision"},
         computers={"vision": agent},
-        standings=(standing,),
+        demand_estimates=(standing,),
     )
 
 

@@ -14,13 +14,13 @@ from pathlib import Path
 
 import pytest
 
-from poise.cli.launch import running
 from poise.errors import PoiseError, UsageError
-from poise.manage.desk import AskBalance, AskStatus, Balanced, RobotStatus, ask
+from poise.manage.control import AskBalance, AskStatus, Balanced, RobotStatus, ask
 from poise.manage.journal import Journal
-from poise.manage.transit import transit
-from poise.manage.transition import plan_transition
+from poise.manage.migration.transition import plan_transition
+from poise.manage.migration.transition_run import transit
 from poise.model import load
+from poise.session.launch import running
 from tests.command import robot_up, run_poise
 from tests.runtime.conftest import free_port, wait_until
 
@@ -227,7 +227,7 @@ def test_what_needs_more_than_it_did_gets_room(up: Path) -> None:
 def is_steady() -> bool:
     return any(
         each.component == "first" and each.estimate.error is not None
-        for each in status().standings
+        for each in status().demand_estimates
     )
 
 

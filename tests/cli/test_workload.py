@@ -8,17 +8,17 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from poise.cli.check import find_problems
-from poise.cli.played import PLAYER, played
-from poise.cli.stand import OTHERS, stand_of
-from poise.cli.tapped import RECORDER, tapped
 from poise.errors import UsageError
 from poise.estimate.profile import file as profile_file
-from poise.manage.recording import load as load_recording
-from poise.manage.recording import save
+from poise.manage.observe.recording import load as load_recording
+from poise.manage.observe.recording import save
 from poise.model import load
 from poise.model.robot import Generated, Robot, Workload
-from poise.wire.recorded import Input, Recorded
+from poise.session.check import find_problems
+from poise.session.profiling_rig import OTHERS, stand_of
+from poise.session.recorders import RECORDER, tapped
+from poise.session.workload_replay import PLAYER, played
+from poise.wire.records.recorded import Input, Recorded
 from tests.command import Poise
 
 ROBOT = """\

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from poise.clock import SystemClock
-from poise.manage.fleet import Fleet
+from poise.manage.agents import Agents
 from tests.runtime.conftest import LIMIT, free_port, wait_until
 
 TELLING = '''
@@ -85,7 +85,7 @@ class Told:
 
 
 @contextlib.contextmanager
-def two_agents(robot: str, module: str, code: str) -> Iterator[tuple[Path, Fleet]]:
+def two_agents(robot: str, module: str, code: str) -> Iterator[tuple[Path, Agents]]:
     """Start the agents of `left` and `right`, beside a module of the robot's."""
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -97,9 +97,9 @@ def two_agents(robot: str, module: str, code: str) -> Iterator[tuple[Path, Fleet
         stack.callback(os.close, held)
         stack.callback(os.close, lifeline)
         ends = {name: f"tcp/127.0.0.1:{port}" for name, port in ports.items()}
-        fleet = stack.enter_context(Fleet(robot, ends, SystemClock()))
-        fleet.wait_alive(ports, LIMIT)
-        yield folder, fleet
+        agents = stack.enter_context(Agents(robot, ends, SystemClock()))
+        agents.wait_alive(ports, LIMIT)
+        yield folder, agents
 
 
 def agent(

@@ -16,7 +16,7 @@ from poise.model.robot import (
     End,
     Robot,
 )
-from poise.wire.messages import (
+from poise.wire.records.deployment import (
     AgentStatus,
     ComponentStatus,
     ContainerStatus,
@@ -75,7 +75,7 @@ def _joined(source: str, target: str, limit: float = 1.0) -> Connector:
     return Connector(between=(ends[0], ends[1]), limit=limit)
 
 
-class FakeFleet:
+class FakeAgents:
     """Agents that are at once what they are told to be, but for what a test spoils."""
 
     def __init__(self, *computers: str, generation: int = 0) -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from poise.manage.deployment import Incarnation, Layout
+from poise.manage.deployment import DeploymentPlan, Incarnation
 from poise.model.robot import Architecture, Component, Computer, Robot
-from poise.wire.messages import ComponentSpec, Deployment
+from poise.wire.records.deployment import ComponentSpec, Deployment
 
 from .conftest import connector_names
 
@@ -16,7 +16,7 @@ ALL = ("grabber", "filter", "heavy", "alone", "driver", "thinker")
 
 def deployments(robot: Robot, **where: str) -> dict[str, Deployment]:
     placed = [Incarnation(component=n, computer=c) for n, c in where.items()]
-    return Layout(robot, "/run").specs(placed, 3, DOORS)
+    return DeploymentPlan(robot, "/run").specs(placed, 3, DOORS)
 
 
 def everything_on(computer: str) -> dict[str, str]:
@@ -124,7 +124,7 @@ def test_while_a_component_moves_both_incarnations_are_joined(robot: Robot) -> N
         Incarnation(component="filter", computer="left"),
         Incarnation(component="filter", computer="right", epoch=1, goal="inactive"),
     ]
-    told = Layout(robot, "/run").specs(placed, 1, DOORS)
+    told = DeploymentPlan(robot, "/run").specs(placed, 1, DOORS)
     keys = {
         connector.key: connector.kind
         for connector in told["left"].containers[0].connectors
@@ -147,4 +147,4 @@ def test_no_two_containers_have_one_name(names: tuple[str, str]) -> None:
         computers=(Computer(name="c", capacity={"cpu": 1}),),
         architectures=(architecture,),
     )
-    assert Layout(robot, "/").container_of(names[1]) == ".".join(names)
+    assert DeploymentPlan(robot, "/").container_of(names[1]) == ".".join(names)

@@ -7,72 +7,75 @@ from typing import Any, cast
 import pytest
 
 from poise.errors import RunError
-from poise.manage.fleet import Fleet
+from poise.manage.agents import Agents
 from poise.manage.journal import Journal
 from poise.manage.run import Run
 from poise.model.robot import Robot
-from poise.wire.messages import ComponentStatus, Fault
+from poise.wire.records.deployment import ComponentStatus, Fault
 
-from .conftest import FakeFleet
+from .conftest import FakeAgents
 
 PLACEMENT = {"grabber": "left", "thinker": "right"}
 
 
-def run_of(robot: Robot, fleet: FakeFleet) -> tuple[Run, Journal]:
+def run_of(robot: Robot, agents: FakeAgents) -> tuple[Run, Journal]:
     journal = Journal(":memory:")
-    return Run(robot, PLACEMENT, cast("Fleet", fleet), journal, "/run"), journal
+    return Run(robot, PLACEMENT, cast("Agents", agents), journal, "/run"), journal
 
 
 @pytest.fixture
-def fleet() -> FakeFleet:
-    return FakeFleet("left", "right")
+def agents() -> FakeAgents:
+    return FakeAgents("left", "right")
 
 
-def goals(fleet: FakeFleet) -> list[tuple[str, list[Any]]]:
+def goals(agents: FakeAgents) -> list[tuple[str, list[Any]]]:
     return [
         (computer, [c.goal for spec in told.containers for c in spec.components])
-        for computer, told in fleet.deployed
+        for computer, told in agents.deployed
     ]
 
 
-def test_starts_everything_inactive_first(robot: Robot, fleet: FakeFleet) -> None:
-    run, journal = run_of(robot, fleet)
+def test_starts_everything_inactive_first(robot: Robot, agents: FakeAgents) -> None:
+    run, journal = run_of(robot, agents)
     run.start()
-    assert sorted(goals(fleet)[:2]) == [("left", ["inactive"]), ("right", ["inactive"])]
-    assert sorted(goals(fleet)[2:]) == [("left", ["active"]), ("right", ["active"])]
+    assert sorted(goals(agents)[:2]) == [
+        ("left", ["inactive"]),
+        ("right", ["inactive"]),
+    ]
+    assert sorted(goals(agents)[2:]) == [("left", ["active"]), ("right", ["active"])]
     assert journal.entries()[-1].facts == {"placement": PLACEMENT}
 
 
-def test_stops_everything(robot: Robot, fleet: FakeFleet) -> None:
-    run, _ = run_of(robot, fleet)
+def test_stops_everything(robot: Robot, agents: FakeAgents) -> None:
+    run, _ = run_of(robot, agents)
     run.start()
     run.stop()
-    assert all(not status.containers for status in fleet.statuses().values())
+    assert all(not status.containers for status in agents.statuses().values())
 
 
 def test_begins_after_what_the_agents_saw_from_another_manager(robot: Robot) -> None:
-    fleet = FakeFleet("left", "right", generation=41)
-    run, _ = run_of(robot, fleet)
+    agents = FakeAgents("left", "right", generation=41)
+    run, _ = run_of(robot, agents)
     run.start()
-    assert min(told.generation for _, told in fleet.deployed) == 42
+    assert min(told.generation for _, told in agents.deployed) == 42
 
 
 def test_a_component_that_fails_ends_the_start_with_its_traceback(
-    robot: Robot, fleet: FakeFleet
+    robot: Robot, agents: FakeAgents
 ) -> None:
-    fleet.states["grabber"] = ComponentStatus(
+    agents.states["grabber"] = ComponentStatus(
         name="grabber", state="failed", error="Traceback: no camera"
     )
-    run, journal = run_of(robot, fleet)
+    run, journal = run_of(robot, agents)
     with pytest.raises(RunError, match="component 'grabber' failed:\nTraceback: no"):
         run.start()
     assert journal.entries()[-1].what == "component 'grabber' failed"
 
 
-def test_what_is_not_there_in_time_is_named(robot: Robot, fleet: FakeFleet) -> None:
-    fleet.states["thinker"] = ComponentStatus(name="thinker", state="unconfigured")
-    fleet.faults = (Fault(container="mind", message="was killed by SIGSEGV"),)
-    run, _ = run_of(robot, fleet)
+def test_what_is_not_there_in_time_is_named(robot: Robot, agents: FakeAgents) -> None:
+    agents.states["thinker"] = ComponentStatus(name="thinker", state="unconfigured")
+    agents.faults = (Fault(container="mind", message="was killed by SIGSEGV"),)
+    run, _ = run_of(robot, agents)
     with pytest.raises(RunError) as caught:
         run.start()
     says = "component 'thinker' on 'right' is unconfigured, not yet inactive (does its"
@@ -80,51 +83,51 @@ def test_what_is_not_there_in_time_is_named(robot: Robot, fleet: FakeFleet) -> N
     assert "container 'mind' was killed by SIGSEGV" in str(caught.value)
 
 
-def test_a_silent_agent_is_named(robot: Robot, fleet: FakeFleet) -> None:
-    fleet.deaf.add("right")
-    run, _ = run_of(robot, fleet)
+def test_a_silent_agent_is_named(robot: Robot, agents: FakeAgents) -> None:
+    agents.deaf.add("right")
+    run, _ = run_of(robot, agents)
     with pytest.raises(RunError, match="computer 'right' is silent"):
         run.start()
 
 
-def test_an_agent_that_refuses_ends_the_start(robot: Robot, fleet: FakeFleet) -> None:
-    fleet.refusing.add("right")
-    run, _ = run_of(robot, fleet)
+def test_an_agent_that_refuses_ends_the_start(robot: Robot, agents: FakeAgents) -> None:
+    agents.refusing.add("right")
+    run, _ = run_of(robot, agents)
     with pytest.raises(RunError, match="'right' refused: not today"):
         run.start()
 
 
-def test_a_lost_computer_is_said_at_once(robot: Robot, fleet: FakeFleet) -> None:
-    run, _ = run_of(robot, fleet)
+def test_a_lost_computer_is_said_at_once(robot: Robot, agents: FakeAgents) -> None:
+    run, _ = run_of(robot, agents)
     run.start()
-    fleet.gone.add("right")
+    agents.gone.add("right")
     with pytest.raises(RunError, match="the agent of 'right' is gone"):
         run.watch(100.0)
 
 
-def test_stops_the_others_when_one_refuses(robot: Robot, fleet: FakeFleet) -> None:
-    run, _ = run_of(robot, fleet)
+def test_stops_the_others_when_one_refuses(robot: Robot, agents: FakeAgents) -> None:
+    run, _ = run_of(robot, agents)
     run.start()
-    fleet.refusing.add("left")
+    agents.refusing.add("left")
     with pytest.raises(RunError, match="'left' refused"):
         run.stop()
-    assert not fleet.statuses()["right"].containers
+    assert not agents.statuses()["right"].containers
 
 
-def test_what_does_not_stop_is_named(robot: Robot, fleet: FakeFleet) -> None:
-    run, _ = run_of(robot, fleet)
+def test_what_does_not_stop_is_named(robot: Robot, agents: FakeAgents) -> None:
+    run, _ = run_of(robot, agents)
     run.start()
-    fleet.deaf.add("left")
+    agents.deaf.add("left")
     with pytest.raises(RunError, match="everything on 'left' still ran 5 s"):
         run.stop()
 
 
 def test_does_not_wait_for_a_lost_computer_to_stop(
-    robot: Robot, fleet: FakeFleet
+    robot: Robot, agents: FakeAgents
 ) -> None:
-    run, _ = run_of(robot, fleet)
+    run, _ = run_of(robot, agents)
     run.start()
-    fleet.gone.add("right")
-    fleet.refusing.add("right")
+    agents.gone.add("right")
+    agents.refusing.add("right")
     run.stop()
-    assert not fleet.statuses()["left"].containers
+    assert not agents.statuses()["left"].containers

@@ -18,7 +18,7 @@ SIDES: tuple[Side, Side] = ("old", "new")
 
 
 class Calls:
-    """Follows each call: `Path.function`, `Turn`, `stepping_out`, `Outlet.again`."""
+    """Follows each call: `Route.function`, `Exclusion`, `Sender.again`."""
 
     def __init__(self, bounds: Bounds, bug: str) -> None:
         self._bounds = bounds
@@ -87,7 +87,7 @@ class Calls:
     ) -> Iterator[tuple[str, State]]:
         """Enter what the callee calls; it gets an error when that has ended or moved.
 
-        Its own outlet leads to one incarnation alone: `Outlet.again` waits in vain.
+        Its own outlet leads to one incarnation alone: `Sender.again` waits in vain.
         """
         one = s.one(side, which)
         if one.phase in {"dead", "gone"} or one.is_retired or s.kills:

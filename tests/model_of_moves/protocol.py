@@ -4,7 +4,7 @@ One component is moved, or two neighbours at once, each from a container ``old``
 container ``new``. A source publishes to the first and has callers there; what a
 component gets, it publishes to the next, and the last to a sink. Calls go from one to
 the other, too. The names of the steps
-are those of `poise.manage.exchange.Exchange`, `poise.runtime.steps.Steps` and what
+are those of `MigrationCoordinator` and `MigrationExecutor`, and what
 they use.
 
 The manager may give a round of orders up at any time, and does so when one fails: what
@@ -104,7 +104,7 @@ class Protocol:
         yield from self._deployments(s)
         yield from self._faults.successors(s)
 
-    # poise.manage.exchange.Exchange
+    # poise.manage.migration.coordinator.Exchange
 
     def _manager(self, s: State) -> Iterator[tuple[str, State]]:
         if s.round in {"remove", "end"}:
@@ -137,7 +137,7 @@ class Protocol:
             return s._replace(round=f"hand over {following}", orders=orders)
         return s._replace(round="keep", orders=opening("new", self._bounds))
 
-    # poise.runtime.steps.Steps
+    # poise.runtime.migration.executor.Steps
 
     def _take(self, s: State, order: Order, *, is_late: bool) -> Iterator[Taken]:
         """Yield the states after the next step of an order; nothing: it waits."""
@@ -161,7 +161,7 @@ class Protocol:
             yield s, False
 
     def _at_source(self, s: State, step: str) -> State:
-        """`Outlet.hold`, `Outlet.mark`, `Outlet.release`."""
+        """`Sender.hold`, `Sender.mark`, `Sender.release`."""
         if step == "Hold":
             if s.applied != "both" and self._bug != "hold too late":
                 return s
@@ -211,7 +211,7 @@ class Protocol:
         if new.phase in {"dead", "gone"}:
             yield s, False
         elif step == "Take":
-            # `Giver._all` waits for `Give`, and refuses unless at rest
+            # `StateSender._all` waits for `Give`, and refuses unless at rest
             is_at_rest = old.phase == "rest" or (old.phase == "inactive" and old.stays)
             if old.gives and is_at_rest:
                 taken = new._replace(inbox=old.inbox, log=old.log)
@@ -266,7 +266,7 @@ class Protocol:
                     done = s.with_one(side, which, after)
                     yield f"{side} {which} works", done.flowing(side, which + 1, item)
 
-    # poise.runtime.container.Container._apply, told by `Exchange._remove`
+    # poise.runtime.container.container.Container._apply, told by `Exchange._remove`
 
     def _deployments(self, s: State) -> Iterator[tuple[str, State]]:
         if s.spec == "both":
@@ -274,7 +274,7 @@ class Protocol:
         kept: Side = "new" if s.spec == "new" else "old"
         gone: Side = "old" if kept == "new" else "new"
         if s.applied != s.spec and not s.is_source_dead:
-            # `Outlet.remove`: one path is left, and what was held goes there
+            # `Sender.remove`: one path is left, and what was held goes there
             path = kept if self._bug != "keep the path" else s.path
             told = s._replace(applied=s.spec, path=path)
             if self._bug != "hold for ever" and s.held is not None:

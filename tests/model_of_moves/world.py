@@ -36,14 +36,14 @@ class Bounds(NamedTuple):
         return {"d", "u"} <= set(self.callers)
 
     def levels(self) -> list[list[int]]:
-        """Return in which order the movers come to rest (`poise.manage.levels`)."""
+        """Return in which order the movers come to rest (`topological_order`)."""
         if self.is_circle or not {"d", "u"} & set(self.callers):
             return [list(range(self.movers))]
         return [[0], [1]] if "d" in self.callers else [[1], [0]]
 
 
 class Incarnation(NamedTuple):
-    """A moved component in one container (`poise.runtime.runner.Runner`).
+    """A moved component in one container (`poise.runtime.hosting.runner.Runner`).
 
     `phase`: inactive, ready (activated, at rest), work, rest, gone, dead.
     """

@@ -17,10 +17,10 @@ import pytest
 
 from poise import Component
 from poise.clock import Elapsed, SystemClock
-from poise.runtime.runner import Runner
-from poise.runtime.wiring import Place, Transports, Wiring
-from poise.wire.door import Door
-from poise.wire.messages import ComponentSpec, ConnectorKind, ConnectorSpec
+from poise.runtime.hosting.runner import Runner
+from poise.runtime.hosting.wiring import Place, Transports, Wiring
+from poise.wire.connections.gateway import Gateway
+from poise.wire.records.deployment import ComponentSpec, ConnectorKind, ConnectorSpec
 
 C = TypeVar("C", bound=Component)
 
@@ -78,7 +78,7 @@ class Pair:
         self._specs: tuple[ConnectorSpec, ...] = ()
         self._closing = ExitStack()
         self.folder = folder
-        self._door = self._closing.enter_context(Door(folder, "127.0.0.1"))
+        self._gateway = self._closing.enter_context(Gateway(folder, "127.0.0.1"))
         self.sides = {"target": self._side("target")}
         self.sides["source"] = (
             self.sides["target"] if kind == "direct" else self._side("source")
@@ -155,12 +155,14 @@ class Pair:
             target=target,
             target_port=other,
             target_computer=target,
-            address=f"{self._door}/{target}" if self.kind == "remote" else target,
+            address=f"{self._gateway}/{target}" if self.kind == "remote" else target,
             limit=limit,
         )
 
     def _side(self, name: str) -> Wiring:
-        place = Place(container=name, folder=str(self.folder), door=str(self._door))
+        place = Place(
+            container=name, folder=str(self.folder), gateway=str(self._gateway)
+        )
         transports = self.transports[name] = Transports(place)
         wiring = Wiring(transports, self.clocks.get)
         self._closing.callback(transports.close)

@@ -11,9 +11,9 @@ from typing import Any, NoReturn
 
 from poise.errors import Timeout
 from poise.runtime._calls import time_left
-from poise.runtime.deadline import within
-from poise.runtime.turn import Retired, current_chain
-from poise.wire.messages import Summary
+from poise.runtime.component.deadline import within
+from poise.runtime.execution.exclusion import Retired, current_chain
+from poise.wire.records.deployment import Summary
 
 
 class Turn:

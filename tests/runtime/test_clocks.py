@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from poise.cli.launch import Watching, running
 from poise.clock import DRIFT, Elapsed, Stamp, SystemClock
 from poise.manage.journal import Journal
 from poise.model import load
+from poise.runtime.agent.clock_synchronisation import ClockSynchronisation
 from poise.runtime.clock_table import ClockTable, ComputerClock, clocks_path
-from poise.runtime.round_trips import RoundTrips
-from poise.wire.clocks import ClockStatus
-from poise.wire.session import open_session
+from poise.session.launch import Watching, running
+from poise.wire.control_session import open_session
+from poise.wire.records.clocks import ClockStatus
 
 from .conftest import LIMIT, free_port, wait_until
 
@@ -122,7 +122,7 @@ def test_two_agents_learn_of_each_others_clocks(tmp_path: Path) -> None:
             )
             folder = tmp_path / name
             folder.mkdir()
-            trips = RoundTrips(session, "poise/test", name, folder, clock)
+            trips = ClockSynchronisation(session, "poise/test", name, folder, clock)
             trips.start()
             stack.callback(trips.stop)
             known[name] = trips.known
@@ -216,7 +216,7 @@ def test_the_age_of_a_message_from_a_computer_whose_clock_is_ahead(
         )
 
         def measures() -> dict[str, float]:
-            status = up.run.fleet.statuses()["main"]
+            status = up.run.agents.statuses()["main"]
             (container,) = status.containers
             found = container.components[0].measures
             return {name: each.median for name, each in found.items() if each.count > 9}
@@ -226,7 +226,7 @@ def test_the_age_of_a_message_from_a_computer_whose_clock_is_ahead(
             assert time.monotonic() < deadline
             up.run.watch(0.05)
         found = measures()
-        clocks = up.run.fleet.statuses()["main"].clocks
+        clocks = up.run.agents.statuses()["main"].clocks
     assert found["bare"] > AHEAD / 2  # what a bare difference would have said
     assert -found["error"] <= found["age"] < LIMIT
     assert 0 < found["error"] < LIMIT

@@ -8,12 +8,12 @@ from typing import Any, Protocol
 import pytest
 
 from poise import Component, Message, Provided, Published, Required, subscribed
+from poise.runtime.connectors.channel_route import ChannelRoute
 from poise.runtime.connectors.interface import message_tag, methods
-from poise.runtime.connectors.wired import WiredPath
 from poise.wire.codec import WireError, codec
+from poise.wire.connections.channel import Channel, Pieces
+from poise.wire.connections.stream import LARGEST
 from poise.wire.frame import FAILURE, Kind, segments
-from poise.wire.pipe import Pieces, Pipe
-from poise.wire.stream import LARGEST
 
 from .conftest import LIMIT, Pair, wait_until
 
@@ -65,10 +65,10 @@ def ends(pair: Pair) -> tuple[Source, Target]:
     return source, target
 
 
-def pipe_of(pair: Pair, connector: str) -> Pipe:
-    (path,) = pair.sides["source"].outlet(connector).paths().values()
-    assert isinstance(path, WiredPath)
-    return path._pipe
+def pipe_of(pair: Pair, connector: str) -> Channel:
+    (path,) = pair.sides["source"].sender(connector).paths().values()
+    assert isinstance(path, ChannelRoute)
+    return path._channel
 
 
 def refusals(pair: Pair, connector: str) -> int:
@@ -152,13 +152,13 @@ def test_a_frame_that_is_too_large_is_refused(
     pair: Pair, ends: tuple[Source, Target], caplog: pytest.LogCaptureFixture
 ) -> None:
     assert ends[0].doubling.double(1) == 2
-    link = next(iter(pipe_of(pair, CALL)._calls))  # type: ignore[attr-defined]
-    link._connection.sendall(struct.pack("<II", LARGEST + 1, 0))
+    connection = next(iter(pipe_of(pair, CALL)._calls))  # type: ignore[attr-defined]
+    connection._connection.sendall(struct.pack("<II", LARGEST + 1, 0))
     wait_until(lambda: refusals(pair, CALL) == 1)
     wait_until(lambda: f"connector {CALL}" in caplog.text)
     assert "1073741825 B; 1073741824 B is the largest" in caplog.text
-    wait_until(lambda: not link.is_idle())  # why it was refused has come
-    link.end()
+    wait_until(lambda: not connection.is_idle())  # why it was refused has come
+    connection.end()
     assert ends[0].doubling.double(21) == 42
 
 
@@ -166,7 +166,7 @@ def test_a_frame_that_is_too_large_is_refused(
 def test_an_answer_that_is_too_large_is_the_callers_error(
     ends: tuple[Source, Target], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("poise.wire.link.LARGEST", 1000)
+    monkeypatch.setattr("poise.wire.connections.connection.LARGEST", 1000)
     with pytest.raises(WireError, match="1000 B is the largest"):
         ends[0].doubling.zeros(1000)
     assert ends[0].doubling.double(21) == 42

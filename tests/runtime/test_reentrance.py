@@ -12,8 +12,8 @@ import pytest
 
 from poise import Component, Provided, Required
 from poise.errors import Timeout
-from poise.runtime.runner import Runner
-from poise.runtime.turn import new_chain
+from poise.runtime.execution.exclusion import new_chain
+from poise.runtime.hosting.runner import Runner
 
 from .conftest import LIMIT, Pair, every_kind
 

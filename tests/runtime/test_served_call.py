@@ -14,9 +14,9 @@ import pytest
 from poise.errors import CalleeError, Timeout
 from poise.runtime._calls import Counts, ServedCall, away
 from poise.runtime.connectors.direct import raise_callee_error
-from poise.runtime.turn import Retired, Turn, current_chain, new_chain
+from poise.runtime.execution.exclusion import Retired, Turn, current_chain, new_chain
+from poise.wire.connections.channel import Pieces
 from poise.wire.frame import Frame, Kind
-from poise.wire.pipe import Pieces
 
 LONG = 20.0
 SHORT = 0.02

@@ -9,8 +9,8 @@ from typing import Any, TypeVar
 
 from poise import testing
 from poise.clock import ComponentClock
-from poise.runtime.component import Component, Context, create
-from poise.runtime.ports import Published, ports_of
+from poise.runtime.component.component import Component, Context, create
+from poise.runtime.component.ports import Published, ports_of
 
 C = TypeVar("C", bound=Component)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from poise.clock import Stamp
-from poise.runtime.ports import Published
+from poise.runtime.component.ports import Published
 from tests.trot.alone import VirtualClock, alone
 from trot import home
 from trot.messages import Pose, Scan

@@ -17,8 +17,8 @@ from poise.estimate.profile import file as profile_file
 from poise.estimate.rule import with_profile
 from poise.model import load
 from poise.model import robot as model
-from poise.runtime.component import Component
-from poise.runtime.ports import methods_of, ports_of, timers_of
+from poise.runtime.component.component import Component
+from poise.runtime.component.ports import methods_of, ports_of, timers_of
 from poise.units import BYTES, parse
 from poise.wire.codec import codec
 from tests.trot.alone import Alone, alone

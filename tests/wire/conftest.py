@@ -14,12 +14,12 @@ import pytest
 from poise.wire import frame
 from poise.wire.address import Address
 from poise.wire.codec import codec
-from poise.wire.door import Door
+from poise.wire.connections.channel import Pieces
+from poise.wire.connections.connection_channel import ConnectionChannel
+from poise.wire.connections.connection_server import ConnectionServer
+from poise.wire.connections.gateway import Gateway
+from poise.wire.connections.opening import CALLS
 from poise.wire.frame import Frame, Kind
-from poise.wire.link_pipe import LinkPipe
-from poise.wire.link_server import LinkServer
-from poise.wire.opening import CALLS
-from poise.wire.pipe import Pieces
 
 TEXT = codec(str)
 LIMIT = 20.0
@@ -74,21 +74,21 @@ class Wire:
         self.folder = folder
         self.closing = closing
         if kind == "remote":
-            self.door = closing.enter_context(Door(folder, "127.0.0.1"))
+            self.gateway = closing.enter_context(Gateway(folder, "127.0.0.1"))
 
     def address(self, container: str = "there") -> Address:
-        door = f"{self.door}/" if self.kind == "remote" else ""
-        return Address.parse(f"{door}{container}")
+        gateway = f"{self.gateway}/" if self.kind == "remote" else ""
+        return Address.parse(f"{gateway}{container}")
 
-    def server(self) -> LinkServer:
-        server = LinkServer(self.folder, "there")
+    def server(self) -> ConnectionServer:
+        server = ConnectionServer(self.folder, "there")
         self.closing.callback(server.close)
         return server
 
-    def pipe(self, connector: str = "echo", use: int = CALLS) -> LinkPipe:
-        pipe = LinkPipe(connector, self.address(), self.folder, use)
-        self.closing.callback(pipe.close)
-        return pipe
+    def channel(self, connector: str = "echo", use: int = CALLS) -> ConnectionChannel:
+        channel = ConnectionChannel(connector, self.address(), self.folder, use)
+        self.closing.callback(channel.close)
+        return channel
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from poise.emulate import EmulatedComputer, Emulation, look
 from poise.errors import CallError, Unavailable
 from poise.model.robot import Computer, Robot
 from poise.wire.address import LOST_AFTER, Address
-from poise.wire.link_pipe import LinkPipe
+from poise.wire.connections.connection_channel import ConnectionChannel
 
 from .conftest import LIMIT, TEXT, call, message, wait_until
 
@@ -22,9 +22,9 @@ SERVE = """
 import pathlib, sys, threading
 from poise.wire import frame
 from poise.wire.codec import codec
-from poise.wire.door import Door
+from poise.wire.connections.gateway import Gateway
 from poise.wire.frame import Kind
-from poise.wire.link_server import LinkServer
+from poise.wire.connections.connection_server import ConnectionServer
 
 TEXT = codec(str)
 
@@ -35,13 +35,13 @@ def handle(received):
     print(text, flush=True)
 
 folder = pathlib.Path(sys.argv[1])
-server = LinkServer(folder, "there")
+server = ConnectionServer(folder, "there")
 server.open("echo", handle)
-with Door(folder, sys.argv[2]) as door:
+with Gateway(folder, sys.argv[2]) as door:
     print(door, flush=True)
-    while not server._links:
+    while not server._connections:
         threading.Event().wait(0.01)
-    while server._links:
+    while server._connections:
         threading.Event().wait(0.01)
     print("alone", flush=True)
     threading.Event().wait()
@@ -57,7 +57,7 @@ class There:
         self._computer = computer
         argv = [sys.executable, "-c", SERVE, str(computer.folder), computer.address]
         self._server = computer.popen(argv, stdout=subprocess.PIPE)
-        self.door = self.line()
+        self.gateway = self.line()
 
     def line(self) -> str:
         assert self._server.stdout is not None
@@ -85,43 +85,45 @@ def there(tmp_path: Path) -> Iterator[There]:
 
 
 @pytest.fixture
-def pipe(there: There, tmp_path: Path) -> Iterator[LinkPipe]:
-    pipe = LinkPipe("echo", Address.parse(f"{there.door}/there"), tmp_path)
-    yield pipe
-    pipe.close()
+def channel(there: There, tmp_path: Path) -> Iterator[ConnectionChannel]:
+    channel = ConnectionChannel(
+        "echo", Address.parse(f"{there.gateway}/there"), tmp_path
+    )
+    yield channel
+    channel.close()
 
 
 def test_a_cut_cable_is_noticed_at_both_ends_and_its_mending_too(
-    there: There, pipe: LinkPipe
+    there: There, channel: ConnectionChannel
 ) -> None:
-    assert pipe.request(call("ab"), LIMIT).value(TEXT) == "ba"
-    pipe.push(message("first"), LIMIT)
+    assert channel.request(call("ab"), LIMIT).value(TEXT) == "ba"
+    channel.push(message("first"), LIMIT)
     assert there.line() == "first"
     there.set_cable("down")
     began = time.monotonic()
     with pytest.raises(Unavailable):
-        pipe.request(call("lost"), 100.0)
+        channel.request(call("lost"), 100.0)
     assert time.monotonic() - began > LOST_AFTER / 2  # a short cut would do no harm
-    wait_until(lambda: not pipe.is_ready())
+    wait_until(lambda: not channel.is_ready())
     assert there.line() == "alone"
     began = time.monotonic()
     for _ in range(100):  # whoever publishes is not held up each time
         with pytest.raises(CallError):
-            pipe.push(message("lost"), LIMIT)
+            channel.push(message("lost"), LIMIT)
     assert time.monotonic() - began < 2 * LIMIT
     there.set_cable("up")
-    wait_until(pipe.is_ready)
-    assert pipe.request(call("ab"), LIMIT).value(TEXT) == "ba"
-    pipe.push(message("last"), LIMIT)
+    wait_until(channel.is_ready)
+    assert channel.request(call("ab"), LIMIT).value(TEXT) == "ba"
+    channel.push(message("last"), LIMIT)
     assert there.line() == "last"
 
 
 def test_what_is_sent_while_a_cable_is_cut_for_a_moment_arrives(
-    there: There, pipe: LinkPipe
+    there: There, channel: ConnectionChannel
 ) -> None:
-    pipe.push(message("first"), LIMIT)
+    channel.push(message("first"), LIMIT)
     assert there.line() == "first"
     there.set_cable("down")
-    pipe.push(message("second"), LIMIT)
+    channel.push(message("second"), LIMIT)
     there.set_cable("up")
     assert there.line() == "second"

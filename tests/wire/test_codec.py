@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from poise.runtime.ports import Message
+from poise.runtime.component.ports import Message
 from poise.wire.codec import WireError, codec
 
 

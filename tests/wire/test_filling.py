@@ -18,11 +18,12 @@ import numpy as np
 import pytest
 
 from poise.errors import Timeout, Unavailable
-from poise.wire import frame, shared
+from poise.wire import frame
 from poise.wire.codec import codec
+from poise.wire.connections import shared_memory
+from poise.wire.connections.connection import Connection
+from poise.wire.connections.stream import LARGEST
 from poise.wire.frame import Frame, Kind
-from poise.wire.link import Link
-from poise.wire.stream import LARGEST
 
 ANY = codec(Any)
 LONG = 20.0
@@ -30,11 +31,11 @@ SIZE = 1 << 20
 LENT, BEING_FILLED, AWAITED = 1, 2, 3
 
 
-class Ends:
+class Endpoints:
     """A sender that has told of a block which it does not fill, and its receiver."""
 
     def __init__(self) -> None:
-        self.sender, self.receiver = map(Link, socket.socketpair())
+        self.sender, self.receiver = map(Connection, socket.socketpair())
         pieces = frame.segments(ANY, np.zeros(SIZE, np.uint8), Kind.CALL)
         sending = threading.Thread(target=self.sender.send, args=(pieces,))
         sending.start()
@@ -49,16 +50,16 @@ class Ends:
 
 
 @pytest.fixture
-def ends() -> Iterator[Ends]:
+def ends() -> Iterator[Endpoints]:
     """Give both ends."""
-    made = Ends()
+    made = Endpoints()
     yield made
     made.sender.close()
     made.receiver.close()
 
 
 @pytest.fixture
-def receiving(ends: Ends) -> Iterator[Future[Frame]]:
+def receiving(ends: Endpoints) -> Iterator[Future[Frame]]:
     """Give what the receiver gets; it sleeps already."""
     with ThreadPoolExecutor() as pool:
         deadline = time.monotonic() + LONG
@@ -69,23 +70,25 @@ def receiving(ends: Ends) -> Iterator[Future[Frame]]:
         yield future
 
 
-def test_who_waits_for_the_rest_gets_it(ends: Ends, receiving: Future[Frame]) -> None:
+def test_who_waits_for_the_rest_gets_it(
+    ends: Endpoints, receiving: Future[Frame]
+) -> None:
     time.sleep(0.1)  # it looks around, and sleeps again
     assert not receiving.done()
-    ends.block.memory[shared.DATA : shared.DATA + SIZE] = b"\x07" * SIZE
+    ends.block.memory[shared_memory.DATA : shared_memory.DATA + SIZE] = b"\x07" * SIZE
     ends.block.memory[0] = LENT
     assert (receiving.result(LONG).value(ANY) == 7).all()
 
 
 def test_a_sender_that_goes_amid_copying_leaves_no_frame(
-    ends: Ends, receiving: Future[Frame]
+    ends: Endpoints, receiving: Future[Frame]
 ) -> None:
     ends.sender.end()
     with pytest.raises(Unavailable, match="closed the connection"):
         receiving.result(LONG)
 
 
-def test_the_rest_has_a_limit(ends: Ends) -> None:
+def test_the_rest_has_a_limit(ends: Endpoints) -> None:
     with pytest.raises(Timeout, match="in time"):
         ends.receiver.receive(time.monotonic() + 0.02)
 
@@ -97,9 +100,9 @@ import numpy as np
 from poise.wire import frame
 from poise.wire.codec import codec
 from poise.wire.frame import Kind
-from poise.wire.link import Link
+from poise.wire.connections.connection import Connection
 
-link = Link(socket.socket(fileno=int(sys.argv[1])))
+link = Connection(socket.socket(fileno=int(sys.argv[1])))
 array = np.empty(1 << 18, np.uint32)
 for number in range(10_000_000):
     array[:] = number
@@ -108,35 +111,35 @@ for number in range(10_000_000):
 
 
 @pytest.fixture
-def sender() -> Iterator[tuple[subprocess.Popen[bytes], Link]]:
+def sender() -> Iterator[tuple[subprocess.Popen[bytes], Connection]]:
     """Give a process that sends arrays of 1 MiB without end, and the other end."""
     ours, theirs = socket.socketpair()
     argv = [sys.executable, "-c", SENDER, str(theirs.fileno())]
     process = subprocess.Popen(argv, pass_fds=[theirs.fileno()])
     theirs.close()
-    link = Link(ours)
-    yield process, link
+    connection = Connection(ours)
+    yield process, connection
     process.kill()
     process.wait(LONG)
-    link.close()
+    connection.close()
 
 
-def take(link: Link, number: int) -> None:
-    received = link.receive(time.monotonic() + LONG)
+def take(connection: Connection, number: int) -> None:
+    received = connection.receive(time.monotonic() + LONG)
     assert received.number == number
     assert (received.value(ANY) == number).all()
 
 
-def take_all(link: Link) -> None:
+def take_all(connection: Connection) -> None:
     for number in itertools.count(1):
-        take(link, number)
+        take(connection, number)
 
 
 def test_a_sender_that_stops_at_any_point_is_waited_for(
-    sender: tuple[subprocess.Popen[bytes], Link],
+    sender: tuple[subprocess.Popen[bytes], Connection],
 ) -> None:
-    process, link = sender
-    take(link, 0)
+    process, connection = sender
+    take(connection, 0)
     rng = random.Random(1)
     over = threading.Event()
 
@@ -153,17 +156,17 @@ def test_a_sender_that_stops_at_any_point_is_waited_for(
     number = 0
     while not over.is_set():
         number += 1
-        take(link, number)
+        take(connection, number)
     stopping.join(LONG)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_sender_that_is_killed_at_any_point_leaves_whole_frames(
-    sender: tuple[subprocess.Popen[bytes], Link], seed: int
+    sender: tuple[subprocess.Popen[bytes], Connection], seed: int
 ) -> None:
-    process, link = sender
-    take(link, 0)
+    process, connection = sender
+    take(connection, 0)
     after = random.Random(seed).uniform(0, 0.02)
     threading.Timer(after, process.kill).start()
     with pytest.raises(Unavailable):
-        take_all(link)
+        take_all(connection)

@@ -14,20 +14,20 @@ import pytest
 
 from poise.errors import CallError
 from poise.wire.address import LOST_AFTER, Address
-from poise.wire.link_pipe import LinkPipe
+from poise.wire.connections.connection_channel import ConnectionChannel
 
 from .conftest import LIMIT, message
 
 SERVE = """
 import pathlib, sys, threading
 from poise.wire.codec import codec
-from poise.wire.door import Door
-from poise.wire.link_server import LinkServer
+from poise.wire.connections.gateway import Gateway
+from poise.wire.connections.connection_server import ConnectionServer
 
 folder = pathlib.Path(sys.argv[1])
-server = LinkServer(folder, "there")
+server = ConnectionServer(folder, "there")
 server.open("many", lambda received: print(len(received.body), flush=True))
-with Door(folder, "127.0.0.1") as door:
+with Gateway(folder, "127.0.0.1") as door:
     print(door, flush=True)
     threading.Event().wait()
 """
@@ -58,8 +58,8 @@ def test_what_was_sent_to_a_process_that_stood_still_arrives(
     there: subprocess.Popen[bytes], tmp_path: Path
 ) -> None:
     address = Address.parse(f"{line(there)}/there")
-    pipe = LinkPipe("many", address, tmp_path)
-    pipe.push(message("x" * SMALLEST), LIMIT)
+    channel = ConnectionChannel("many", address, tmp_path)
+    channel.push(message("x" * SMALLEST), LIMIT)
     head = int(line(there)) - SMALLEST
     there.send_signal(signal.SIGSTOP)
     sent: list[int] = []
@@ -67,7 +67,7 @@ def test_what_was_sent_to_a_process_that_stood_still_arrives(
     while time.monotonic() < end:
         length = SMALLEST + 1 + len(sent)
         try:
-            pipe.push(message("x" * length), end - time.monotonic())
+            channel.push(message("x" * length), end - time.monotonic())
         except CallError:
             continue
         sent.append(length)
@@ -75,4 +75,4 @@ def test_what_was_sent_to_a_process_that_stood_still_arrives(
     there.send_signal(signal.SIGCONT)
     arrived = [int(line(there)) - head for _ in sent]
     assert arrived == sent
-    pipe.close()
+    channel.close()

@@ -11,7 +11,7 @@ import zenoh
 
 from benchmarks.calls.timing import Trips, payload, read, timed
 from benchmarks.calls.zenoh_pair import ADDRESS, wait_matching
-from poise.wire.session import open_session
+from poise.wire.control_session import open_session
 
 KEY = "bench/call"
 

@@ -12,7 +12,7 @@ import zenoh
 from benchmarks.calls.ping import Ping
 from benchmarks.calls.timing import Trips, payload, read
 from benchmarks.calls.zenoh_pair import ADDRESS, wait_matching
-from poise.wire.session import open_session
+from poise.wire.control_session import open_session
 
 
 def publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from poise.clock import Stamp
-from poise.runtime.ports import Message
+from poise.runtime.component.ports import Message
 
 
 class Pose(Message, frozen=True):

@@ -10,12 +10,12 @@ from typing import Annotated
 import typer
 
 from poise.cli.options import parse_option
-from poise.cli.scratch import scratch_folder
 from poise.errors import UsageError
-from poise.runtime.agent import Agent, AgentSetup
+from poise.runtime.agent.agent import Agent, AgentSetup
+from poise.session.temporary_folders import scratch_folder
 from poise.units import SECONDS
+from poise.wire.control_session import PORT, endpoint
 
-PORT = 7447
 _PORTS = 1 << 16
 
 
@@ -30,7 +30,7 @@ def agent_command(
         list[str] | None,
         typer.Option(help="ADDRESS or ADDRESS:PORT of another computer's agent."),
     ] = None,
-    door: Annotated[
+    gateway: Annotated[
         int,
         typer.Option(help="TCP port for connectors from other computers; 0: any."),
     ] = 0,
@@ -50,8 +50,8 @@ def agent_command(
     """
     if not 0 < port < _PORTS:
         raise UsageError(f"--port {port}: a port lies between 1 and {_PORTS - 1}")
-    if not 0 <= door < _PORTS:
-        raise UsageError(f"--door {door}: a port lies between 0 and {_PORTS - 1}")
+    if not 0 <= gateway < _PORTS:
+        raise UsageError(f"--door {gateway}: a port lies between 0 and {_PORTS - 1}")
     logging.basicConfig(
         format=f"%(asctime)s {computer} %(levelname)s %(name)s: %(message)s",
         level="WARNING",
@@ -65,18 +65,10 @@ def agent_command(
                 computer=computer,
                 address=address,
                 port=port,
-                door=door,
+                gateway=gateway,
                 peers=tuple(endpoint(each) for each in peer or ()),
                 folder=str(place),
                 lifeline=lifeline,
                 sample_every=parse_option("--sample-every", sample_every, SECONDS),
             )
         ).run()
-
-
-def endpoint(address: str) -> str:
-    """Return the zenoh endpoint of ``ADDRESS`` or ``ADDRESS:PORT``."""
-    host, colon, port = address.rpartition(":")
-    if not colon or not port.isdigit():
-        return f"tcp/{address}:{PORT}"
-    return f"tcp/{host}:{port}"

@@ -13,9 +13,9 @@ from rich.markup import escape
 
 from poise.cli.move import AsJson, Robot
 from poise.errors import UsageError
-from poise.manage.balance import Proposal
-from poise.manage.desk import AskBalance, Balanced, ask
-from poise.manage.transit import TransitionReport
+from poise.manage.adaptation.replan import Proposal
+from poise.manage.control import AskBalance, Balanced, ask
+from poise.manage.migration.transition_run import TransitionReport
 from poise.units import format_seconds
 
 

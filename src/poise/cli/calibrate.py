@@ -12,18 +12,18 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from poise.cli.calibration_costs import costs_of
-from poise.cli.calibration_robots import pairs, yardsticks
-from poise.cli.launch import Up, Watching, checked, running
 from poise.cli.options import parse_option
-from poise.cli.profiles import check_keepable, read_profile, store_of
-from poise.cli.tables import table
+from poise.cli.render.tables import table
 from poise.errors import RunError, UsageError
 from poise.estimate.profile import KindCosts
 from poise.estimate.profile import file as profile_file
 from poise.manage.journal import Journal
-from poise.manage.recording import Recording
+from poise.manage.observe.recording import Recording
 from poise.model.robot import Computer, Robot
+from poise.session.calibration_costs import costs_of
+from poise.session.calibration_robots import pairs, yardsticks
+from poise.session.launch import Up, Watching, checked, running
+from poise.session.profiles import check_keepable, read_profile, store_of
 from poise.units import SECONDS
 
 _WARM_UP = 1.0
@@ -76,7 +76,7 @@ def _speeds(robot: Robot, reference: str, seconds: float) -> Table:
         _watch(up, _WARM_UP + seconds)
         scores = {
             computer: component.measures["score"].median
-            for computer, status in up.run.fleet.statuses().items()
+            for computer, status in up.run.agents.statuses().items()
             for container in status.containers
             for component in container.components
             if "score" in component.measures

@@ -10,7 +10,8 @@ from typing import Annotated
 import msgspec
 import typer
 
-from poise.errors import Problem, RobotError, UsageError
+from poise.errors import Problem, UsageError
+from poise.session.check import find_problems
 
 
 def check_command(
@@ -38,19 +39,6 @@ def check_command(
     _print_json(problems) if as_json else _print_text(file, problems)
     if problems:
         raise typer.Exit(1)
-
-
-def find_problems(path: Path) -> tuple[Problem, ...]:
-    """Return what is wrong with the file; when nothing is, what is with its code."""
-    from poise.model.load import load_source
-    from poise.runtime.isolated_check import check_code_isolated
-
-    try:
-        source = load_source(path)
-    except RobotError as error:
-        return error.problems
-    findings = check_code_isolated(source.robot)
-    return tuple(sorted(source.positions.problem(f) for f in findings))
 
 
 def _print_schema() -> None:

@@ -13,12 +13,12 @@ from msgspec import Struct
 from rich.console import Console
 
 from poise.cli.demo_scene import NAVIGATOR, Scene, move_while_driving, serve, told
-from poise.cli.launch import Kind, decide, prepared, run_task
-from poise.cli.tables import table
+from poise.cli.render.tables import table
 from poise.errors import RobotError
-from poise.manage.report import RunReport
+from poise.manage.observe.report import RunReport
+from poise.session.launch import Kind, decide, prepared, run_task
 from poise.units import format_seconds
-from poise.wire.messages import Summary
+from poise.wire.records.deployment import Summary
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 

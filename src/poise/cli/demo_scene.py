@@ -9,13 +9,13 @@ from msgspec import Struct
 from rich.console import Console
 from rich.markup import escape
 
-from poise.cli.launch import Decision, decide, prepared, run_task
-from poise.cli.progress import Meanwhile, progress
+from poise.cli.render.progress import Meanwhile, progress
 from poise.errors import RunError
-from poise.manage.move import MoveReport, move
-from poise.manage.report import RunReport
+from poise.manage.migration.move import MoveReport, move
+from poise.manage.observe.report import RunReport
 from poise.manage.run import Run, components_of
 from poise.model.robot import Robot
+from poise.session.launch import Decision, decide, prepared, run_task
 from poise.units import format_seconds
 
 NAVIGATOR = "motion_controller"
@@ -97,7 +97,7 @@ class _Mover:
 
 def _deadlines(run: Run) -> tuple[int, int]:
     """Return how many deadlines the navigator missed so far, and how many it had."""
-    for component in components_of(run.fleet.statuses()):
+    for component in components_of(run.agents.statuses()):
         if component.name == NAVIGATOR:
             (cycle,) = component.timers
             return cycle.missed, cycle.releases

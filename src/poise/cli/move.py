@@ -8,8 +8,7 @@ from typing import Annotated
 import msgspec
 import typer
 
-from poise.manage.alternative import ReplaceReport
-from poise.manage.desk import (
+from poise.manage.control import (
     AskAlternative,
     AskMove,
     AskReplace,
@@ -17,7 +16,8 @@ from poise.manage.desk import (
     Replaced,
     ask,
 )
-from poise.manage.move import MoveReport
+from poise.manage.migration.move import MoveReport
+from poise.manage.migration.replacement import ReplaceReport
 from poise.units import format_seconds
 
 Robot = Annotated[

@@ -18,8 +18,7 @@ from rich.console import Console
 
 from poise import plan
 from poise.cli.plan_questions import changed
-from poise.cli.profiles import profiled
-from poise.cli.show_plan import (
+from poise.cli.render.plan import (
     show,
     show_comparison,
     show_explanation,
@@ -28,6 +27,7 @@ from poise.cli.show_plan import (
 from poise.errors import UsageError
 from poise.model import load
 from poise.model.robot import Robot
+from poise.session.profiles import profiled
 
 
 def plan_command(

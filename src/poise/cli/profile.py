@@ -14,20 +14,27 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from poise.cli.launch import checked
-from poise.cli.measure_alone import Tick, measure_alone
-from poise.cli.options import parse_option, to_write
-from poise.cli.profiles import check_keepable, read_profile, stale, store_of
-from poise.cli.show_profile import history_table, show_profile
-from poise.cli.stand import EMPTY, Stand, stand_of
-from poise.cli.write_demands import write_demands
+from poise.cli.options import parse_option
+from poise.cli.render.profile import history_table, show_profile
 from poise.errors import RobotError, UsageError
 from poise.estimate.predict import overheads
 from poise.estimate.profile import Profile
 from poise.estimate.profile import file as profile_file
 from poise.estimate.profile.version import version_of
-from poise.manage.profiling import Figures, Observed, Subject, disagreeing, figures
+from poise.manage.observe.profiling import (
+    Figures,
+    Observed,
+    Subject,
+    disagreeing,
+    figures,
+)
 from poise.model.robot import Robot
+from poise.session.launch import checked
+from poise.session.measure_alone import Tick, measure_alone
+from poise.session.profiles import check_keepable, read_profile, stale, store_of
+from poise.session.profiling_rig import EMPTY, ProfilingRig, stand_of
+from poise.session.writable import to_write
+from poise.session.write_demands import write_demands
 from poise.units import SECONDS
 
 _MOST_EXTRA = 2
@@ -232,7 +239,7 @@ class _Session:
             connectors={n: c for each in found for n, c in each.connectors.items()},
         )
 
-    def _runs(self, stand: Stand, tick: Tick) -> list[Observed]:
+    def _runs(self, stand: ProfilingRig, tick: Tick) -> list[Observed]:
         runs: list[Observed] = []
         for attempt in range(self._repeat + _MOST_EXTRA):
             run = self._run(stand, tick)
@@ -242,7 +249,7 @@ class _Session:
                 break
         return runs
 
-    def _run(self, stand: Stand, tick: Tick) -> Observed:
+    def _run(self, stand: ProfilingRig, tick: Tick) -> Observed:
         run = measure_alone(stand, self._seconds, self._warm_up, _silent, tick)
         if run.void:
             self._console.print(f"[yellow]{run.void}[/]")

@@ -10,15 +10,15 @@ import msgspec
 import typer
 from rich.console import Console
 
-from poise.cli.launch import checked
-from poise.cli.options import to_write
-from poise.cli.profiles import read_profile
-from poise.cli.tables import table
+from poise.cli.render.tables import table
 from poise.errors import UsageError
-from poise.manage.estimates import Estimates, Standing
-from poise.manage.recording import load, replay
-from poise.manage.table import export
-from poise.wire.samples import AgentSample
+from poise.manage.observe.estimates import DemandEstimate, Estimates
+from poise.manage.observe.export import export
+from poise.manage.observe.recording import load, replay
+from poise.session.launch import checked
+from poise.session.profiles import read_profile
+from poise.session.writable import to_write
+from poise.wire.records.samples import AgentSample
 
 
 def recording_command(
@@ -71,11 +71,11 @@ def recording_command(
     estimates = Estimates(found, read_profile(found), emulated=emulated)
     console = Console(stderr=as_json, highlight=False)
     _replay(recorded.samples, estimates, console)
-    standings = estimates.standings()
+    demand_estimates = estimates.demand_estimates()
     if as_json:
-        sys.stdout.write(msgspec.json.encode(standings).decode() + "\n")
+        sys.stdout.write(msgspec.json.encode(demand_estimates).decode() + "\n")
     else:
-        _show(standings, console)
+        _show(demand_estimates, console)
 
 
 def _replay(samples: list[AgentSample], estimates: Estimates, console: Console) -> None:
@@ -91,9 +91,9 @@ def _replay(samples: list[AgentSample], estimates: Estimates, console: Console) 
     replay(samples, take)
 
 
-def _show(standings: list[Standing], console: Console) -> None:
+def _show(demand_estimates: list[DemandEstimate], console: Console) -> None:
     rows = table("component", "computer", "CPU", "p95", "profile")
-    for each in standings:
+    for each in demand_estimates:
         now = each.estimate
         error = f" ± {now.error:.1%}" if now.error is not None else ""
         expected = "" if each.expected is None else f"{each.expected:.1%}"

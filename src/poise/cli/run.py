@@ -10,11 +10,11 @@ import msgspec
 import typer
 from rich.console import Console
 
-from poise.cli.launch import Kind, decide, first_task, prepared, run_task
-from poise.cli.options import to_write
-from poise.cli.progress import progress
-from poise.cli.show_run import show_run
+from poise.cli.render.progress import progress
+from poise.cli.render.run import show_run
 from poise.errors import UsageError
+from poise.session.launch import Kind, decide, first_task, prepared, run_task
+from poise.session.writable import to_write
 from poise.units import SECONDS, parse
 
 

@@ -10,15 +10,15 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from poise.cli.clocks import clock_table
-from poise.cli.connectors import connector_tables
 from poise.cli.move import AsJson, Robot
-from poise.cli.tables import table
-from poise.manage.desk import AskStatus, RobotStatus, ask
-from poise.manage.estimates import Standing
-from poise.manage.report import clocks_of
+from poise.cli.render.clocks import clock_table
+from poise.cli.render.connectors import connector_tables
+from poise.cli.render.tables import table
+from poise.manage.control import AskStatus, RobotStatus, ask
+from poise.manage.observe.estimates import DemandEstimate
+from poise.manage.observe.report import clocks_of
 from poise.manage.run import connectors_of
-from poise.wire.messages import ComponentStatus
+from poise.wire.records.deployment import ComponentStatus
 
 
 def status_command(robot: Robot = None, as_json: AsJson = False) -> None:
@@ -67,15 +67,17 @@ def remarks(answer: RobotStatus) -> Iterator[str]:
 
 def _each(
     answer: RobotStatus,
-) -> Iterator[tuple[str, ComponentStatus, Standing | None]]:
-    standings = {each.component: each for each in answer.standings}
+) -> Iterator[tuple[str, ComponentStatus, DemandEstimate | None]]:
+    demand_estimates = {each.component: each for each in answer.demand_estimates}
     for computer, status in sorted(answer.computers.items()):
         for container in status.containers:
             for component in container.components:
-                yield computer, component, standings.get(component.name)
+                yield computer, component, demand_estimates.get(component.name)
 
 
-def _remarks(component: ComponentStatus, standing: Standing | None) -> Iterator[str]:
+def _remarks(
+    component: ComponentStatus, standing: DemandEstimate | None
+) -> Iterator[str]:
     if component.errors:
         last = component.error.rstrip().rpartition("\n")[2]
         yield f"{component.errors} errors" + (f" ({escape(last)})" if last else "")
@@ -87,7 +89,7 @@ def _remarks(component: ComponentStatus, standing: Standing | None) -> Iterator[
             yield f"{timer.name} missed {share:.1%} of deadlines"
 
 
-def _needs(standing: Standing | None) -> tuple[str, str]:
+def _needs(standing: DemandEstimate | None) -> tuple[str, str]:
     """Return what a component needs now, and what its profile says."""
     if standing is None:
         return "", ""

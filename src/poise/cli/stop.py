@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from poise.cli.move import Robot
-from poise.manage.desk import AskStop, ask
+from poise.manage.control import AskStop, ask
 
 
 def stop_command(robot: Robot = None) -> None:

@@ -9,20 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from poise.cli.launch import (
-    Kind,
-    Watching,
-    decide,
-    first_task,
-    prepared,
-    running,
-)
-from poise.cli.options import to_write
-from poise.cli.profiles import read_profile
 from poise.errors import UsageError
-from poise.manage.alternative import replace_architecture
-from poise.manage.balance import propose
-from poise.manage.desk import (
+from poise.manage.adaptation.replan import propose
+from poise.manage.control import (
     Answered,
     AskAlternative,
     AskBalance,
@@ -32,24 +21,35 @@ from poise.manage.desk import (
     AskStatus,
     AskStop,
     Balanced,
-    Desk,
+    ControlServer,
     Moved,
     Replaced,
     RobotStatus,
     Stopping,
 )
-from poise.manage.estimates import Estimates
 from poise.manage.journal import Journal
-from poise.manage.metrics import MetricsServer
-from poise.manage.move import move, replace
-from poise.manage.recording import Recording, save
+from poise.manage.migration.move import move, replace
+from poise.manage.migration.replacement import replace_architecture
+from poise.manage.migration.transition_run import transit
+from poise.manage.observe.estimates import Estimates
+from poise.manage.observe.prometheus import MetricsServer
+from poise.manage.observe.recording import Recording, save
 from poise.manage.run import Run
-from poise.manage.transit import transit
-from poise.wire.recorded import Recorded
-from poise.wire.samples import AgentSample
+from poise.session.launch import (
+    Kind,
+    Watching,
+    decide,
+    first_task,
+    prepared,
+    running,
+)
+from poise.session.profiles import read_profile
+from poise.session.writable import to_write
+from poise.wire.records.recorded import Recorded
+from poise.wire.records.samples import AgentSample
 
 if TYPE_CHECKING:
-    from poise.manage.telemetry import Telemetry
+    from poise.manage.observe.opentelemetry import Telemetry
 
 _LOOK_EVERY = 0.2
 
@@ -93,8 +93,8 @@ def up_command(
     decision = decide(robot, chosen, placement)
     send = telemetry() if otel is not None else None
     with contextlib.ExitStack() as stack:
-        desk = Desk(robot.name)
-        stack.callback(desk.close)
+        control_server = ControlServer(robot.name)
+        stack.callback(control_server.close)
         book = Journal(journal or ":memory:")
         stack.callback(book.close)
         emulated = all(computer.address is None for computer in robot.computers)
@@ -114,17 +114,17 @@ def up_command(
         run = up.run
         if metrics is not None:
             address = ("127.0.0.1", metrics)
-            server = MetricsServer(estimates, run.fleet.statuses, address)
+            server = MetricsServer(estimates, run.agents.statuses, address)
             stack.callback(server.close)
         if send is not None and otel is not None:
-            to = send(robot.name, estimates, run.fleet.statuses, otel)
+            to = send(robot.name, estimates, run.agents.statuses, otel)
             stack.callback(to.close)
         console.print(
             f"robot '{robot.name}' is up with task '{chosen}'; Ctrl-C ends it"
         )
         manager = _Manager(run, chosen, estimates)
         while not manager.is_stopping:
-            desk.serve(manager.answer, _LOOK_EVERY)
+            control_server.serve(manager.answer, _LOOK_EVERY)
             run.raise_on_lost()
             if up.world is not None and up.world.has_ended():
                 seen.end()
@@ -134,7 +134,7 @@ def up_command(
 def telemetry() -> type[Telemetry]:
     """Return the class that sends metrics; UsageError when its extra is missing."""
     try:
-        from poise.manage.telemetry import Telemetry
+        from poise.manage.observe.opentelemetry import Telemetry
     except ImportError as error:
         raise UsageError(
             f"--otel needs OpenTelemetry: pip install 'poise[otel]' ({error})"
@@ -206,15 +206,17 @@ class _Manager:
                         robot=run.robot.name,
                         task=self._task,
                         placement=run.placement(),
-                        computers=run.fleet.statuses(),
-                        lost=tuple(sorted(run.fleet.lost())),
-                        standings=tuple(self._estimates.standings()),
+                        computers=run.agents.statuses(),
+                        lost=tuple(sorted(run.agents.lost())),
+                        demand_estimates=tuple(self._estimates.demand_estimates()),
                     )
                 )
 
     def _balance(self, move: float, *, dry: bool) -> Balanced:
-        run, standings = self._run, self._estimates.standings()
-        proposal = propose(run.robot, self._task, run.placement(), standings, move)
+        run, demand_estimates = self._run, self._estimates.demand_estimates()
+        proposal = propose(
+            run.robot, self._task, run.placement(), demand_estimates, move
+        )
         if dry or not proposal.steps:
             return Balanced(proposal)
         return Balanced(proposal, transit(run, proposal.steps))

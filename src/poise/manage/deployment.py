@@ -9,7 +9,7 @@ from pathlib import PurePath
 from msgspec import Struct, structs
 
 from poise.model.robot import Architecture, Component, Connector, End, Robot
-from poise.wire.messages import (
+from poise.wire.records.deployment import (
     ComponentSpec,
     ConnectorKind,
     ConnectorSpec,
@@ -57,7 +57,7 @@ class Incarnation(Struct, frozen=True, kw_only=True):
         return structs.replace(self, goal=goal)
 
 
-class Layout:
+class DeploymentPlan:
     """Which containers and connectors a robot's components have.
 
     Parameters

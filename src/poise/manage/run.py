@@ -10,12 +10,12 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import partial
 
 from poise.errors import RunError
-from poise.manage.deployment import Incarnation, Layout, Placement
-from poise.manage.fleet import Fleet
+from poise.manage.agents import Agents
+from poise.manage.deployment import DeploymentPlan, Incarnation, Placement
 from poise.manage.journal import Journal
-from poise.manage.levels import levels
+from poise.manage.topological_order import levels
 from poise.model.robot import Robot
-from poise.wire.messages import (
+from poise.wire.records.deployment import (
     AgentStatus,
     ComponentStatus,
     ConnectorStatus,
@@ -55,16 +55,16 @@ class Run:
         self,
         robot: Robot,
         placement: Placement,
-        fleet: Fleet,
+        agents: Agents,
         journal: Journal,
         folder: str,
         *,
         weigh: bool = False,
     ) -> None:
         self.robot = robot
-        self.fleet = fleet
+        self.agents = agents
         self.journal = journal
-        self.layout = Layout(robot, folder, weigh=weigh)
+        self.layout = DeploymentPlan(robot, folder, weigh=weigh)
         self._epochs: dict[str, int] = {}
         self.placed = {
             name: Incarnation(
@@ -101,7 +101,7 @@ class Run:
         RunError
             A component failed or a computer was lost.
         """
-        self.fleet.wait_news(self._raise_on_trouble, seconds)
+        self.agents.wait_news(self._raise_on_trouble, seconds)
 
     def stop(self) -> None:
         """Stop everything, callers first; agents that are gone are left out.
@@ -121,7 +121,7 @@ class Run:
         """End what a manager has left that is gone: it may be of older code."""
         remains = [
             f"'{container.name}' on '{computer}'"
-            for computer, status in sorted(self.fleet.statuses().items())
+            for computer, status in sorted(self.agents.statuses().items())
             for container in status.containers
         ]
         if remains:
@@ -131,7 +131,7 @@ class Run:
 
     def _end_all(self, computers: set[str]) -> None:
         self.tell((), computers)
-        if not self.fleet.wait_news(lambda: not self._running(computers), STOP_LIMIT):
+        if not self.agents.wait_news(lambda: not self._running(computers), STOP_LIMIT):
             running = ", ".join(self._running(computers))
             raise RunError(f"{running} still ran {STOP_LIMIT:g} s after the stop")
 
@@ -154,7 +154,7 @@ class Run:
                 for each in self.placed.values()
             ]
             self.tell(wanted, self.computers())
-            self.fleet.wait_news(partial(self._do_rest, resting), REST_LIMIT)
+            self.agents.wait_news(partial(self._do_rest, resting), REST_LIMIT)
 
     def _do_rest(self, names: Collection[str]) -> bool:
         self.raise_on_lost()
@@ -167,7 +167,7 @@ class Run:
         """Return the ends over which components call: component and port."""
         return {
             (component.name, port)
-            for component in components_of(self.fleet.statuses())
+            for component in components_of(self.agents.statuses())
             for port in component.requires
         }
 
@@ -187,7 +187,7 @@ class Run:
             An agent refused or did not answer.
         """
         # later than any that the agents ever saw, from whatever manager
-        seen = [status.generation for status in self.fleet.statuses().values()]
+        seen = [status.generation for status in self.agents.statuses().values()]
         self._generation = max(self._generation, *seen, 0) + 1
         specs = self.layout.specs(wanted, self._generation, self.doors())
         news = {
@@ -196,7 +196,7 @@ class Run:
             if computer not in self._told
             or self._told[computer].containers != specs[computer].containers
         }
-        refusals = self.fleet.deploy(news)
+        refusals = self.agents.deploy(news)
         self._told |= {c: spec for c, spec in news.items() if c not in refusals}
         if refusals:
             self.raise_on_lost()  # which explains a silence
@@ -204,7 +204,7 @@ class Run:
 
     def doors(self) -> dict[str, str]:
         """Return where other computers reach each computer's containers."""
-        return {name: each.door for name, each in self.fleet.statuses().items()}
+        return {name: each.gateway for name, each in self.agents.statuses().items()}
 
     def next_epoch(self, component: str) -> int:
         """Return an epoch that no incarnation of the component has had."""
@@ -236,7 +236,7 @@ class Run:
             look()
             return not self._missing(wanted)
 
-        if not self.fleet.wait_news(is_reached, limit):
+        if not self.agents.wait_news(is_reached, limit):
             missing = "; ".join(self._missing(wanted))
             raise RunError(f"not there within {limit:g} s: {missing}")
 
@@ -244,18 +244,18 @@ class Run:
         """Return the statuses that speak of what the agents were told last."""
         return {
             computer: status
-            for computer, status in self.fleet.statuses().items()
+            for computer, status in self.agents.statuses().items()
             if computer in self._told
             and status.generation >= self._told[computer].generation
         }
 
     def computers(self) -> set[str]:
         """Return the names of the robot's computers that are there."""
-        return {computer.name for computer in self.robot.computers} - self.fleet.lost()
+        return {computer.name for computer in self.robot.computers} - self.agents.lost()
 
     def has_ended(self, gone: Incarnation) -> bool:
         """Return whether an incarnation is not there any more, so far as is known."""
-        if gone.computer in self.fleet.lost():
+        if gone.computer in self.agents.lost():
             return True
         status = self.current().get(gone.computer)
         return status is not None and all(
@@ -271,7 +271,7 @@ class Run:
         RunError
             It still ran after `STOP_LIMIT`.
         """
-        if not self.fleet.wait_news(lambda: self.has_ended(gone), STOP_LIMIT):
+        if not self.agents.wait_news(lambda: self.has_ended(gone), STOP_LIMIT):
             raise RunError(
                 f"component '{gone.component}' still runs on '{gone.computer}' "
                 f"{STOP_LIMIT:g} s after it was to end"
@@ -303,7 +303,7 @@ class Run:
     def _running(self, computers: set[str]) -> list[str]:
         """Return the containers that still run there, for all that is known."""
         statuses = self.current()
-        left = sorted(computers - self.fleet.lost())
+        left = sorted(computers - self.agents.lost())
         return [f"everything on '{each}'" for each in left if each not in statuses] + [
             f"container '{container.name}' on '{each}'"
             for each in left
@@ -313,7 +313,7 @@ class Run:
 
     def _raise_on_trouble(self) -> bool:
         self.raise_on_lost()
-        for component in components_of(self.fleet.statuses()):
+        for component in components_of(self.agents.statuses()):
             if component.state == "failed":
                 self.journal.note("failed", f"component '{component.name}' failed")
                 raise RunError(
@@ -323,7 +323,7 @@ class Run:
 
     def raise_on_lost(self) -> bool:
         """Raise RunError when a computer was lost; return False otherwise."""
-        lost = self.fleet.lost()
+        lost = self.agents.lost()
         if lost:
             names = ", ".join(sorted(lost))
             self.journal.note("seen", f"the agent of '{names}' is gone")

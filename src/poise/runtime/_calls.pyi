@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 
 from poise.wire.codec import Bytes
 from poise.wire.frame import Frame
-from poise.wire.messages import Summary
+from poise.wire.records.deployment import Summary
 
 def begin_chains(first: int) -> None:
     """Let this process's chain numbers go on from `first`; end this thread's chain."""
@@ -321,7 +321,7 @@ class DirectCall:
         Takes the exception that the method raised, and raises what the caller gets.
     resend
         Is called instead when the turn is retired, with the same arguments; then
-        nothing is counted here. None: `poise.runtime.turn.Retired` is raised.
+        nothing is counted here. None: `Retired` is raised.
 
     Raises
     ------

@@ -18,7 +18,7 @@ from pathlib import Path
 import msgspec
 
 from poise.clock import DRIFT, Elapsed, Stamp, SystemClock
-from poise.wire.clocks import ClockStatus
+from poise.wire.records.clocks import ClockStatus
 
 log = logging.getLogger(__name__)
 

@@ -30,7 +30,7 @@ _REAP = 1.0
 _CHUNK = 1 << 16
 _STDERR = 2
 _CHILD = """
-from poise.runtime.check import check_code
+from poise.runtime.code_check import check_code
 from poise.runtime.isolated_check import serve
 serve(check_code)
 """

@@ -54,8 +54,8 @@ class Address(Struct, frozen=True):
         )
 
     def __str__(self) -> str:
-        door = f"{self.host}:{self.port}/" if self.host else ""
-        return f"{door}{self.container}"
+        gateway = f"{self.host}:{self.port}/" if self.host else ""
+        return f"{gateway}{self.container}"
 
 
 def _is_ip(host: str) -> bool:
@@ -75,7 +75,7 @@ def tune(connection: socket.socket) -> None:
     """Let a TCP connection send at once, and end when its other end goes silent.
 
     That takes `LOST_AFTER`, and a second at most, while nothing was sent; else who uses
-    the connection looks (`poise.wire.link`). TCP's own limit for that would also end a
+    the connection looks (`connection`). TCP's own limit for that would also end a
     connection to a process that only takes nothing for a while, and what was sent to it
     would be lost. What a listening socket is told holds for the connections that it
     accepts.

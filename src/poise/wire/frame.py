@@ -9,7 +9,7 @@ Little endian. `tag` says which method or message type this is, by a checksum of
 name and types. `number` tells one mark from another, counts messages and one-way calls,
 and says of a call how long its caller waits [ns]; 0: for as long as the callee likes.
 `chain` is the call chain that a call belongs to, or the life of the path that a message
-came over (`poise.runtime.connectors.credits`). `sent` is the time on the sender's
+came over (`poise.runtime.connectors.flow_control`). `sent` is the time on the sender's
 monotonic clock [ns]. The buffers may lie in shared memory instead.
 """
 

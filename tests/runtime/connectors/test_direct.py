@@ -13,9 +13,9 @@ import pytest
 
 from poise.errors import CalleeError, Timeout
 from poise.runtime import _calls
-from poise.runtime.connectors.counts import Counts
 from poise.runtime.connectors.direct import direct_call
-from poise.runtime.turn import Retired, Turn, join_chain, new_chain
+from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.execution.exclusion import Retired, Turn, join_chain, new_chain
 from tests.runtime import reference
 
 LONG = 20.0

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from poise.clock import Stamp
 from poise.errors import CallError
-from poise.runtime.component import Component
-from poise.runtime.ports import Required, every, subscribed
+from poise.runtime.component.component import Component
+from poise.runtime.component.ports import Required, every, subscribed
 from trot.device import Device
 from trot.effort import Block, Effort
 from trot.interfaces import Maps, Poses

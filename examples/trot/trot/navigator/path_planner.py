@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from poise.errors import CallError
-from poise.runtime.component import Component
-from poise.runtime.ports import Published, Required, every
+from poise.runtime.component.component import Component
+from poise.runtime.component.ports import Published, Required, every
 from trot import home
 from trot.effort import Block, Effort
 from trot.interfaces import Maps, Poses

@@ -12,13 +12,13 @@ from typing import Any, NoReturn, Protocol
 
 from poise.errors import CalleeError
 from poise.runtime._calls import DirectCall
-from poise.runtime.connectors.counts import Counts
+from poise.runtime.component.error_report import told
+from poise.runtime.component.ports import Port
 from poise.runtime.connectors.interface import Method, message_tag
-from poise.runtime.connectors.outlet import Outlet
-from poise.runtime.mailbox import Feed
-from poise.runtime.ports import Port
-from poise.runtime.telling import told
-from poise.runtime.turn import Turn
+from poise.runtime.connectors.sender import Sender
+from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.execution.exclusion import Turn
+from poise.runtime.execution.mailbox import Feed
 
 
 class Target(Protocol):
@@ -40,33 +40,33 @@ class Target(Protocol):
         ...
 
 
-class DirectPath:
+class DirectRoute:
     """A way to a component in this process."""
 
     def __init__(
-        self, connector: str, target: Target, port: Port, limit: float, outlet: Outlet
+        self, connector: str, target: Target, port: Port, limit: float, sender: Sender
     ) -> None:
         self._connector = connector
         self._target = target
         self._limit = limit
-        self._feed = target.feed(port.name, outlet.counts)
-        self._feed.on_room = outlet.room
+        self._feed = target.feed(port.name, sender.counts)
+        self._feed.on_room = sender.room
         self._tag = message_tag(port.type)
 
     def is_ready(self) -> bool:
         """Return True: it is here."""
         return True
 
-    def function(self, method: Method, outlet: Outlet) -> Callable[..., Any]:
+    def function(self, method: Method, sender: Sender) -> Callable[..., Any]:
         """Return a function that calls a method in this process."""
 
         def resend(*args: object, **kwargs: object) -> Any:  # noqa: ANN401, the call's
             deadline = time.monotonic() + self._limit
-            return outlet.again(self, method.name, args, kwargs, deadline)
+            return sender.again(self, method.name, args, kwargs, deadline)
 
         run = getattr(self._target.component, method.name)
         turn, limit = self._target.turn, self._limit
-        return direct_call(run, turn, limit, outlet.counts, resend)
+        return direct_call(run, turn, limit, sender.counts, resend)
 
     def push(self, method: Method | None, value: object) -> int:
         """Put a message or one-way call into the target's mailbox."""

@@ -11,7 +11,7 @@ from typing import Any, get_type_hints
 from msgspec import Struct
 
 from poise.errors import UsageError
-from poise.runtime.ports import is_oneway, methods_of
+from poise.runtime.component.ports import is_oneway, methods_of
 from poise.wire.codec import Codec, codec
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from poise.errors import Timeout
-from poise.runtime.turn import Turn, current_chain
+from poise.runtime.execution.exclusion import Turn, current_chain
 
 log = logging.getLogger(__name__)
 

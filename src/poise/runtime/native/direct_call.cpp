@@ -200,7 +200,7 @@ nb::object make_direct_call_type() { return nb::steal(PyType_FromSpec(&spec)); }
 void set_entry_error(const std::string& what, int entry, double limit, const char* action) {
   if (entry == static_cast<int>(Entry::interrupted)) return;  // already set
   if (entry == static_cast<int>(Entry::retired)) {
-    nb::object error = nb::module_::import_("poise.runtime.turn").attr("Retired");
+    nb::object error = nb::module_::import_("poise.runtime.execution.exclusion").attr("Retired");
     PyErr_Format(error.ptr(), "component '%s' has moved away", what.c_str());
     return;
   }

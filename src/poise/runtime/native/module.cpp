@@ -80,7 +80,7 @@ NB_MODULE(_calls, module) {
       .def(nb::init<>())
       .def("add", &Histogram::add, nb::arg("value"))
       .def("summary", [](const Histogram& histogram) {
-        return nb::module_::import_("poise.wire.messages")
+        return nb::module_::import_("poise.wire.records.deployment")
             .attr("Summary")(histogram.count(), histogram.mean(), histogram.quantile(0.5),
                              histogram.quantile(0.99), histogram.maximum());
       });

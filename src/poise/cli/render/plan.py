@@ -1,0 +1,186 @@
+"""What `poise plan` prints for people."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+from rich.console import Console
+from rich.table import Table
+
+from poise import plan, units
+from poise.cli.render.tables import table
+
+BAR = 10
+"""Length of a full bar [characters]."""
+MOST_NAMES = 25
+"""How many components of one computer are named; `--json` names all."""
+_MOST_BARS = 3
+"""Bars of so many placements fit side by side."""
+
+
+def show(problem: plan.Problem, result: plan.Result, console: Console) -> None:
+    """Print a result: placement and load by computer, then the terms of F."""
+    if result.objective is None:
+        console.print(f"[bold red]no placement[/]: {result.reason}", highlight=False)
+        return
+    resources = problem.resources
+    rows = Table("computer", "components")
+    for resource in resources:
+        rows.add_column(resource, no_wrap=True)
+    held: dict[str, list[str]] = {computer.name: [] for computer in problem.computers}
+    for component, there in result.placement.items():
+        held[there].append(component)
+    used = _used(problem, result)
+    for computer in problem.computers:
+        bars = [_bar(computer, r, used[computer.name, r]) for r in resources]
+        rows.add_row(computer.name, _some(held[computer.name]), *bars)
+    console.print(rows)
+    if not result.feasible:
+        console.print(f"[bold red]not feasible[/]: {result.reason}", highlight=False)
+    if result.aside:
+        why = f", as not all fits: {result.reason}" if result.feasible else ""
+        console.print(
+            f"[bold red]put aside[/]: {', '.join(result.aside)}{why}", highlight=False
+        )
+    for function, architecture in result.architectures.items():
+        console.print(f"{function}: by {architecture}", highlight=False)
+    console.print(_terms(result), highlight=False)
+
+
+def show_smallest(few: plan.Smallest, console: Console) -> None:
+    """Print on which computers everything fits."""
+    if not few.result.feasible:
+        return
+    known = "no cheaper set will do" if few.proven else "a cheaper set may do"
+    names = ", ".join(few.computers)
+    console.print(f"fits on {len(few.computers)}: {names}; {known}", highlight=False)
+
+
+def _some(names: list[str]) -> str:
+    more = len(names) - MOST_NAMES
+    said = ", ".join(names[:MOST_NAMES])
+    return f"{said} and {more} more" if more > 0 else said
+
+
+def _used(
+    problem: plan.Problem, result: plan.Result
+) -> defaultdict[tuple[str, str], float]:
+    """Return what a placement uses of each computer's resources."""
+    used: defaultdict[tuple[str, str], float] = defaultdict(float)
+    for component in problem.components:
+        there = result.placement.get(component.name)
+        if there is not None:
+            for resource, amount in component.demand.items():
+                used[there, resource] += amount
+    return used
+
+
+def _bar(computer: plan.Computer, resource: str, used: float) -> str:
+    """Return how much of a resource is used, as a bar and a share of the capacity."""
+    text, capacity = _share(computer, resource, used), _capacity(computer, resource)
+    if capacity <= 0:
+        return text
+    full = min(BAR, round(used / capacity * BAR))
+    return f"{'█' * full}{'░' * (BAR - full)} {text:>4}"
+
+
+def _share(computer: plan.Computer, resource: str, used: float) -> str:
+    """Return which share of a capacity is used; where there is none, how much is."""
+    capacity = _capacity(computer, resource)
+    if capacity <= 0:
+        return units.format_amount(resource, used) if used else "none"
+    return f"{used / capacity:.0%}"
+
+
+def _capacity(computer: plan.Computer, resource: str) -> float:
+    speed = computer.speed if resource == "cpu" else 1.0
+    return computer.capacity.get(resource, 0.0) * speed
+
+
+def show_comparison(
+    problem: plan.Problem, results: dict[str, plan.Result], console: Console
+) -> None:
+    """Print results side by side: the terms of F, then load by computer."""
+    names = list(results)
+    rows = table("", *names)
+    for label in ("total", "communication", "balance", "move"):
+        rows.add_row(label, *(_term(results[name], label) for name in names))
+    rows.add_row("lower bound", *(_number(results[n].bound) for n in names))
+    rows.add_row("proven", *("yes" if results[n].proven else "no" for n in names))
+    rows.add_row("feasible", *("yes" if results[n].feasible else "NO" for n in names))
+    rows.add_row("decided in", *(_seconds(results[n]) for n in names))
+    load = _bar if len(names) <= _MOST_BARS else _share
+    used = [_used(problem, result) for result in results.values()]
+    for computer in problem.computers:
+        for resource in problem.resources:
+            rows.add_row(
+                f"{computer.name} {resource}",
+                *(load(computer, resource, u[computer.name, resource]) for u in used),
+            )
+    console.print(rows)
+    for name, result in results.items():
+        if result.reason:
+            console.print(f"{name}: {result.reason}", highlight=False)
+
+
+def show_explanation(explanation: plan.Explanation, console: Console) -> None:
+    """Print why a component is where it is, and what each other computer costs."""
+    console.print(
+        f"{explanation.component} is on {explanation.computer}: {explanation.reason}",
+        highlight=False,
+    )
+    if explanation.together:
+        names = ", ".join(explanation.together)
+        console.print(f"It moves together with {names}.", highlight=False)
+    table = Table("computer", "F", "change", "communication", "balance", "move", "")
+    for option in explanation.options:
+        change = option.change
+        here = option.computer == explanation.computer
+        table.add_row(
+            option.computer,
+            f"{option.objective.total:.6g}",
+            *(
+                "" if here else f"{value:+.4g}"
+                for value in (
+                    change.total,
+                    change.communication,
+                    change.balance,
+                    change.move,
+                )
+            ),
+            option.obstacle or ("here" if here else ""),
+        )
+    console.print(table)
+
+
+def _terms(result: plan.Result) -> str:
+    terms = result.objective
+    if terms is None:
+        return ""
+    parts = [
+        f"communication {terms.communication:.6g}",
+        f"balance {terms.balance:.6g}",
+        f"move {terms.move:.6g}",
+    ]
+    if terms.quality:
+        parts.append(f"quality {terms.quality:.6g}")
+    known = ", proven to be the least" if result.proven else ""
+    if result.bound is not None and not result.proven:
+        known = f", at least {result.bound:.6g} in any placement"
+    return (
+        f"F = {terms.total:.6g} = {' + '.join(parts)} ({result.scale} scale, "
+        f"{result.spread}){known}; by {result.method} in {_seconds(result)}"
+        f"{', stopped by Ctrl-C' if result.stopped_by == 'interrupted' else ''}"
+    )
+
+
+def _term(result: plan.Result, label: str) -> str:
+    return _number(getattr(result.objective, label, None))
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.6g}"
+
+
+def _seconds(result: plan.Result) -> str:
+    return units.format_seconds(result.seconds)

@@ -1,0 +1,64 @@
+"""Shows that a run goes on, and how."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+
+from poise.manage.run import Run, components_of
+
+Meanwhile = Callable[[Run, float], None]
+"""Takes the run and its time so far [s]; `poise.session.launch.run_task` says when."""
+
+_LINE_EVERY = 5.0
+
+
+@contextlib.contextmanager
+def progress(
+    console: Console, seconds: float, *, live: bool = False
+) -> Iterator[Meanwhile]:
+    """Tell how a run of up to `seconds` [s] goes, each time that it is called.
+
+    Parameters
+    ----------
+    live
+        Draw a bar where the console is a terminal. Only where components print
+        nothing, or their lines and the bar end up in each other.
+    """
+    if not live or not console.is_terminal:
+        yield _Lines(console).tell
+        return
+    columns = BarColumn(), TextColumn("{task.description}")
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("", total=seconds)
+        yield lambda run, now: bar.update(
+            task, completed=now, description=_sentence(run, now)
+        )
+
+
+class _Lines:
+    """Prints a line now and then."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._next = _LINE_EVERY
+
+    def tell(self, run: Run, now: float) -> None:
+        """Print how the run is, when it is time."""
+        if now >= self._next:
+            self._next = now + _LINE_EVERY
+            self._console.print(f"  {_sentence(run, now)}")
+
+
+def _sentence(run: Run, now: float) -> str:
+    timers = [
+        timer
+        for component in components_of(run.agents.statuses())
+        for timer in component.timers
+        if timer.deadline is not None
+    ]
+    missed, releases = sum(t.missed for t in timers), sum(t.releases for t in timers)
+    return f"{now:.0f} s: {missed} of {releases} deadlines missed"

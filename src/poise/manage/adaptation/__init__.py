@@ -1,0 +1,1 @@
+"""When and where components move while the robot runs."""

@@ -1,0 +1,176 @@
+"""Places a running robot anew, from what its components turned out to need."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from poise import plan
+from poise.errors import RobotError
+from poise.estimate.rule import shifted_cpu_demand
+from poise.manage.migration.transition import Placement, Step, plan_transition
+from poise.manage.observe.estimates import DemandEstimate
+from poise.model.robot import Component, Computer, Robot
+
+SOLVE_FOR = 0.1
+"""The planner searches for so long [s]; small robots are proven optimal before."""
+
+
+class Need(Struct, frozen=True, kw_only=True):
+    """What a component needs now [cores].
+
+    Parameters
+    ----------
+    mean, error
+        By its estimate.
+    counted
+        The demand that is counted with; no more than some computer can give it.
+    is_bounded
+        Whether no computer could give it all.
+    """
+
+    mean: float
+    error: float
+    counted: float
+    is_bounded: bool = False
+
+    def __str__(self) -> str:
+        """Return it with how sure it is, for people."""
+        counted = f"counted as {self.counted:.1%}"
+        if self.is_bounded:
+            counted += ", all that any computer can give it"
+        return f"{self.mean:.1%} ± {self.error:.1%} of a core now: {counted}"
+
+
+class Proposal(Struct, frozen=True, kw_only=True):
+    """Where components should run now.
+
+    Parameters
+    ----------
+    shifted
+        Component -> what it needs now, where that has shifted or is more than was
+        counted with.
+    now, then
+        F of the placement that is, and of the one proposed, for the same demands.
+    trouble
+        Which limits the placement that is breaks; empty when it keeps all.
+    steps
+        From the one to the other; none when it is best to stay.
+    proven
+        Whether no placement is better.
+    """
+
+    shifted: Mapping[str, Need]
+    now: plan.Terms
+    then: plan.Terms
+    placement: Placement
+    trouble: str = ""
+    steps: tuple[Step, ...] = ()
+    proven: bool = False
+
+
+def propose(
+    robot: Robot,
+    task: str,
+    now: Placement,
+    demand_estimates: Iterable[DemandEstimate],
+    move: float,
+) -> Proposal:
+    """Return a better placement for a running robot, and the way to it.
+
+    Parameters
+    ----------
+    robot
+        With the demands it was placed by.
+    now
+        Component -> computer.
+    standings
+        What the components need now.
+    move
+        What F grows by for every component that moves, plus as much for each MB of
+        its state; >= 0.
+
+    Raises
+    ------
+    RobotError
+        The task fits nowhere with these demands, or there is no way to the placement.
+    """
+    shifted = dict(_shifted(robot, demand_estimates))
+    needy = _with_cpu(robot, {name: need.counted for name, need in shifted.items()})
+    problem = plan.problem_of(needy, task, present=now, move=move)
+    is_placed = {component.name for component in problem.components} <= now.keys()
+    if not is_placed:  # of alternative architectures only one runs: keep to it
+        problem = plan.keep_components(problem, now.keys())
+    result = plan.solve(problem, SOLVE_FOR)
+    if not result.feasible or result.objective is None:
+        needs = "".join(f"; {name} needs {need}" for name, need in shifted.items())
+        raise RobotError(
+            f"task '{task}' has no placement any more: {result.reason}{needs}"
+        )
+    present = plan.evaluate(problem, now)
+    assert present.objective is not None  # noqa: S101, a given placement has terms
+    return Proposal(
+        shifted=shifted,
+        now=present.objective,
+        then=result.objective,
+        placement=result.placement,
+        trouble=present.reason,
+        steps=plan_transition(needy, now, result.placement),
+        proven=result.proven,
+    )
+
+
+def _shifted(
+    robot: Robot, demand_estimates: Iterable[DemandEstimate]
+) -> Iterator[tuple[str, Need]]:
+    """Give the demands that are not what was counted with: shifted, or too small."""
+    components = {c.name: c for c in robot.components()}
+    for each in demand_estimates:
+        now, component = each.estimate, components.get(each.component)
+        if component is None or now.error is None:
+            continue
+        demand = component.demand.get("cpu", 0.0)
+        if now.drift is None and now.mean - now.error <= demand:
+            continue
+        needed = shifted_cpu_demand(demand, each.expected, now)
+        most = max(_most(component, computer) for computer in robot.computers)
+        yield (
+            each.component,
+            Need(
+                mean=now.mean,
+                error=now.error,
+                counted=min(needed, most),
+                is_bounded=needed > most,
+            ),
+        )
+
+
+def _most(component: Component, computer: Computer) -> float:
+    """Return what a computer can give a component that is alone there [cores].
+
+    One chain at a time runs a component's code, so that is one core at most; a command
+    may use all.
+    """
+    usable = computer.usable("cpu")
+    return usable if component.command else min(usable, computer.speed)
+
+
+def _with_cpu(robot: Robot, demands: Mapping[str, float]) -> Robot:
+    """Return the robot with other CPU demands [cores]."""
+    return replace(
+        robot,
+        architectures=tuple(
+            replace(
+                architecture,
+                components=tuple(
+                    replace(c, demand={**c.demand, "cpu": demands[c.name]})
+                    if c.name in demands
+                    else c
+                    for c in architecture.components
+                ),
+            )
+            for architecture in robot.architectures
+        ),
+    )

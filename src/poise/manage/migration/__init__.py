@@ -1,0 +1,1 @@
+"""The manager's part in moves, transitions and replacements."""

@@ -1,0 +1,172 @@
+"""Puts an alternative in the place of a whole architecture, while the robot works.
+
+All its components take over at once, or none does: it is one exchange.
+"""
+
+from __future__ import annotations
+
+from msgspec import structs
+
+from poise import plan
+from poise.errors import UsageError
+from poise.manage.deployment import Incarnation, Placement
+from poise.manage.migration.coordinator import MigrationCoordinator, MigrationReport
+from poise.manage.migration.plan import MigrationPlan
+from poise.manage.run import Run
+from poise.model.robot import Architecture, Robot
+
+
+class ReplaceReport(MigrationReport, frozen=True, kw_only=True):
+    """How the replacement of an architecture `by` another went.
+
+    Parameters
+    ----------
+    placement
+        Where the components of `by` run, or would have.
+    """
+
+    architecture: str
+    by: str
+    placement: Placement
+
+
+def replace_architecture(
+    run: Run, architecture: str, by: str, adapt: str = ""
+) -> ReplaceReport:
+    """Replace a running architecture by another that provides the same function.
+
+    What waits at its ports goes to the alternative where the same source is joined to
+    both; messages that are under way within it end with it.
+
+    Parameters
+    ----------
+    adapt
+        ``package.module:function`` that makes states for the components of `by` from
+        those of `architecture` (`state_receiver`); empty: they begin anew.
+
+    Raises
+    ------
+    UsageError
+        It does not run, the other is no alternative, or somebody calls what the other
+        does not offer; nothing was touched.
+    """
+    old, new = _checked(run, architecture, by)
+    where = _placement(run, old, new)
+    change = MigrationPlan(
+        what=f"architecture '{architecture}'",
+        olds=tuple(run.placed[component.name] for component in old.components),
+        news=tuple(
+            Incarnation(
+                component=component.name,
+                computer=where[component.name],
+                epoch=run.next_epoch(component.name),
+                goal="inactive",
+                adapt=adapt,
+                gently=True,
+            )
+            for component in new.components
+        ),
+    )
+    done = MigrationCoordinator(run, change).run()
+    report = ReplaceReport(
+        architecture=architecture,
+        by=by,
+        placement=where,
+        **structs.asdict(done),
+    )
+    kind = "done" if report.committed else "failed"
+    run.journal.note(kind, _sentence(report), replacement=report)
+    return report
+
+
+def _checked(run: Run, name: str, by: str) -> tuple[Architecture, Architecture]:
+    old, new = _architecture(run.robot, name), _architecture(run.robot, by)
+    missing = [c.name for c in old.components if c.name not in run.placed]
+    if missing or not old.components:
+        raise UsageError(
+            f"architecture '{name}' does not run (its {', '.join(missing)} is missing)"
+        )
+    if new.function != old.function:
+        raise UsageError(
+            f"architecture '{by}' provides '{new.function}', not '{old.function}': "
+            f"it is no alternative to '{name}'"
+        )
+    if any(c.name in run.placed for c in new.components):
+        raise UsageError(f"architecture '{by}' runs already")
+    commands = [c.name for c in (*old.components, *new.components) if c.command]
+    if commands:
+        raise UsageError(
+            f"'{', '.join(commands)}' are command lines, which take nothing over: stop "
+            "the robot, and start it with the other architecture"
+        )
+    _check_callers(run, old, new)
+    return old, new
+
+
+def _check_callers(run: Run, old: Architecture, new: Architecture) -> None:
+    """Raise UsageError when somebody calls `old` and could not call `new` then."""
+    layout = run.layout
+    olds, news = ({c.name for c in each.components} for each in (old, new))
+    others = run.placed.keys() - olds
+    offered = {
+        layout.slot_of(connector)
+        for connector in layout.connectors({*others, *news})
+        if connector.between[1].component in news
+    }
+    calls = run.calls()
+    for connector in layout.connectors(run.placed):
+        source, target = connector.between
+        is_call = (source.component, source.port) in calls
+        if source.component in olds or target.component not in olds or not is_call:
+            continue
+        if layout.slot_of(connector) not in offered:
+            raise UsageError(
+                f"'{source}' calls '{target}', and is joined to nothing in "
+                f"architecture '{new.name}': add a connector to the robot file"
+            )
+
+
+def _placement(run: Run, old: Architecture, new: Architecture) -> dict[str, str]:
+    """Return where the new components go, beside all that runs.
+
+    The old ones are still there meanwhile, but compute nothing any more when the new
+    ones begin: they need all they have but the CPU.
+    """
+    goes = {c.name for c in old.components}
+    comes = [c.name for c in new.components]
+    problem = plan.keep_components(plan.problem_of(run.robot), {*run.placed, *comes})
+    components = []
+    for component in problem.components:
+        pinned = component
+        if component.name in run.placed:
+            here = run.placed[component.name].computer
+            pinned = structs.replace(component, only=(here,))
+        if component.name in goes:
+            demand = {r: n for r, n in component.demand.items() if r != "cpu"}
+            pinned = structs.replace(pinned, demand=demand)
+        components.append(pinned)
+    problem = structs.replace(problem, components=tuple(components), architectures=())
+    result = plan.solve(problem)
+    if not result.feasible:
+        raise UsageError(
+            f"architecture '{new.name}' does not fit beside what runs: {result.reason}"
+        )
+    return {name: result.placement[name] for name in comes}
+
+
+def _architecture(robot: Robot, name: str) -> Architecture:
+    for architecture in robot.architectures:
+        if architecture.name == name:
+            return architecture
+    known = ", ".join(each.name for each in robot.architectures)
+    text = f"robot '{robot.name}' has no architecture '{name}' ({known})"
+    if name in {component.name for component in robot.components()}:
+        text += "; to swap this component, name its new class, as package.module:Class"
+    raise UsageError(text)
+
+
+def _sentence(report: ReplaceReport) -> str:
+    what = f"architecture '{report.architecture}' by '{report.by}'"
+    if report.committed:
+        return f"replaced {what}; gate shut for {report.gate_shut * 1e3:.1f} ms"
+    return f"did not replace {what}: {report.reason}"

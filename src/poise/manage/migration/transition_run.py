@@ -1,0 +1,130 @@
+"""Takes the steps of a transition, and takes them back when one fails."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from msgspec import Struct, structs
+
+from poise.errors import RunError, UsageError
+from poise.manage.deployment import Incarnation
+from poise.manage.migration.move import MoveReport, move
+from poise.manage.migration.transition import Step
+from poise.manage.run import ACTIVE_LIMIT, READY_LIMIT, Run
+
+
+class TransitionReport(Struct, frozen=True, kw_only=True):
+    """How a transition went.
+
+    Parameters
+    ----------
+    steps
+        What was planned.
+    committed
+        Whether the new placement stands; else the old one does again.
+    reason
+        Why not; also when a step back failed.
+    moves
+        The moves that were made, in order, those back included.
+    """
+
+    steps: tuple[Step, ...]
+    committed: bool
+    reason: str = ""
+    moves: tuple[MoveReport, ...] = ()
+
+
+def transit(run: Run, steps: tuple[Step, ...]) -> TransitionReport:
+    """Take the steps of a planned transition; when one fails, take all back."""
+    run.journal.note("decided", f"transition of {len(steps)} steps", steps=steps)
+    way = _Way(run)
+    for number, step in enumerate(steps):
+        reason = way.take(step)
+        if reason:
+            reason = f"step '{step}' failed: {reason}"
+            reason += way.go_back(steps[:number])
+            run.journal.note("failed", f"transition called off; {reason}")
+            return TransitionReport(
+                steps=steps, committed=False, reason=reason, moves=tuple(way.moves)
+            )
+    run.journal.note("done", "transition", placement=run.placement())
+    return TransitionReport(steps=steps, committed=True, moves=tuple(way.moves))
+
+
+class _Way:
+    """The steps of one transition, there or back; one that fails changes nothing."""
+
+    def __init__(self, run: Run) -> None:
+        self.moves: list[MoveReport] = []
+        self._run = run
+        # what is started again may have been replaced since the robot began
+        self._implementations: dict[str, str] = {}
+
+    def take(self, step: Step) -> str:
+        """Take a step; return why it failed, or an empty text."""
+        try:
+            match step.kind:
+                case "move":
+                    report = move(self._run, step.component, step.target)
+                    self.moves.append(report)
+                    return report.reason
+                case "start":
+                    self._start(step.component, step.target)
+                case "stop":
+                    self._stop(step.component)
+        except (RunError, UsageError) as error:
+            return str(error)
+        return ""
+
+    def go_back(self, taken: Sequence[Step]) -> str:
+        """Undo the steps that were taken, last first; return what went wrong there."""
+        troubles = ""
+        for step in reversed(taken):
+            reason = self.take(_inverse(step))
+            if reason:
+                troubles += f"; taking back '{step}' failed: {reason}"
+        return troubles
+
+    def _start(self, component: str, computer: str) -> None:
+        run = self._run
+        others = tuple(run.placed.values())
+        new = Incarnation(
+            component=component,
+            computer=computer,
+            epoch=run.next_epoch(component),
+            implementation=self._implementations.get(component, ""),
+        )
+        ready = new.with_goal("inactive")
+        try:
+            for wanted, limit in ((ready, READY_LIMIT), (new, ACTIVE_LIMIT)):
+                run.tell([*others, wanted], run.computers())
+                run.wait([wanted], limit)
+        except RunError:
+            run.tell(others, run.computers())
+            raise
+        run.placed[component] = new
+
+    def _stop(self, component: str) -> None:
+        run = self._run
+        old = run.placed.pop(component)
+        self._implementations[component] = old.implementation
+        try:
+            run.tell(run.placed.values(), run.computers())
+            run.wait_ended(old)
+        except RunError:
+            # the old one has lost its state by now, if it listens at all
+            run.placed[component] = structs.replace(
+                old, epoch=run.next_epoch(component)
+            )
+            run.tell(run.placed.values(), run.computers())
+            raise
+
+
+def _inverse(step: Step) -> Step:
+    kind = {"start": "stop", "stop": "start", "move": "move"}[step.kind]
+    return Step(
+        kind=kind,  # type: ignore[arg-type] # a dict of literals widens to str
+        component=step.component,
+        source=step.target,
+        target=step.source,
+    )

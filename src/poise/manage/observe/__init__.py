@@ -1,0 +1,1 @@
+"""What the manager knows and reports of a running robot."""

@@ -1,0 +1,154 @@
+"""From samples to figures: what components and connectors used in a stretch of time."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from itertools import pairwise
+
+from msgspec import Struct, structs
+
+from poise.estimate.profile import ConnectorProfile
+from poise.estimate.profile.spread import Spread, spread_of
+from poise.estimate.window import Reading, window_between
+from poise.wire.records.samples import AgentSample, ConnectorSample, ContainerSample
+
+
+class Measured(Struct, frozen=True, kw_only=True):
+    """What was used in a stretch of time, in CPU of the computers themselves.
+
+    Parameters
+    ----------
+    cpu
+        Component -> its own CPU [cores].
+    rest
+        Container -> what it used beyond its components [cores].
+    members
+        Container -> its components.
+    memory
+        Container -> the most it held [bytes].
+    agents
+        Computer -> what its agent used [cores].
+    connectors
+        What went over connectors, by the names they have at run time.
+    undone
+        Component -> jobs that came and were not done, as a share of those that came.
+    """
+
+    cpu: Mapping[str, Spread]
+    rest: Mapping[str, float]
+    members: Mapping[str, tuple[str, ...]]
+    memory: Mapping[str, float]
+    agents: Mapping[str, float]
+    connectors: Mapping[str, ConnectorProfile]
+    undone: Mapping[str, float]
+
+
+def measure(samples: Iterable[AgentSample]) -> Measured:
+    """Return what was used from the first to the last of `samples`."""
+    by_agent: dict[str, list[AgentSample]] = defaultdict(list)
+    by_container: dict[str, list[ContainerSample]] = defaultdict(list)
+    for sample in samples:
+        by_agent[sample.computer].append(sample)
+        for container in sample.containers:
+            by_container[container.name].append(container)
+    cpu: dict[str, Spread] = {}
+    undone: dict[str, float] = {}
+    rest, members, memory = {}, {}, {}
+    connectors: dict[str, ConnectorProfile] = {}
+    for name, seen in by_container.items():
+        readings = _readings(seen)
+        cpu |= {c: _spread(r) for c, r in readings.items()}
+        undone |= {c: _undone(r) for c, r in readings.items()}
+        members[name] = tuple(readings)
+        rest[name] = _rate([(s.at, s.cpu) for s in seen]) - sum(
+            _rate([(r.at, r.cpu) for r in each]) for each in readings.values()
+        )
+        memory[name] = max(float(s.memory) for s in seen)
+        for connector, profile in _connectors(seen).items():
+            connectors[connector] = _busier(connectors.get(connector), profile)
+    return Measured(
+        cpu=cpu,
+        rest=rest,
+        members=members,
+        memory=memory,
+        agents={
+            n: _rate([(s.at, s.cpu) for s in each]) for n, each in by_agent.items()
+        },
+        connectors=connectors,
+        undone=undone,
+    )
+
+
+def _readings(seen: Iterable[ContainerSample]) -> dict[str, list[Reading]]:
+    found: dict[str, list[Reading]] = defaultdict(list)
+    for sample in seen:
+        for each in sample.components:
+            reading = Reading(sample.at, each.cpu, each.wait, each.asked, each.done)
+            found[each.name].append(reading)
+    return found
+
+
+def _spread(readings: list[Reading]) -> Spread:
+    windows = [window_between(a, b) for a, b in pairwise(readings)]
+    kept = [w for w in windows if w is not None]
+    if not kept:
+        return Spread()
+    length = sum(w.seconds for w in kept) / len(kept)
+    spread = spread_of([w.cpu / w.seconds for w in kept], length)
+    # windows are not all of one length, which the mean need not suffer from
+    mean = sum(w.cpu for w in kept) / sum(w.seconds for w in kept)
+    return structs.replace(spread, mean=mean)
+
+
+def _undone(readings: list[Reading]) -> float:
+    asked = readings[-1].asked - readings[0].asked
+    done = readings[-1].done - readings[0].done
+    # up to two are under way
+    return max(0.0, (asked - done - 2) / asked) if asked > 0 else 0.0
+
+
+def _rate(points: list[tuple[float, float]]) -> float:
+    """Return how fast a counter grew [1/s], from (time [s], count) first to last."""
+    (began, first), (ended, last) = points[0], points[-1]
+    return (last - first) / (ended - began) if ended > began else 0.0
+
+
+def _connectors(seen: list[ContainerSample]) -> dict[str, ConnectorProfile]:
+    first = {c.name: (seen[0].at, c) for c in seen[0].connectors}
+    found = {}
+    for now in seen[-1].connectors:
+        if now.name in first:
+            began, before = first[now.name]
+            found[now.name] = traffic_between(before, now, seen[-1].at - began)
+    return found
+
+
+def traffic_between(
+    before: ConnectorSample, after: ConnectorSample, seconds: float
+) -> ConnectorProfile:
+    """Return what went over one end of a connector between two samples."""
+    calls, messages = after.calls - before.calls, after.messages - before.messages
+    if seconds <= 0 or min(calls, messages) < 0 or not calls + messages:
+        return ConnectorProfile()
+    return ConnectorProfile(
+        calls=calls / seconds,
+        messages=messages / seconds,
+        size=(_bytes(after) - _bytes(before)) / (calls + messages),
+    )
+
+
+def _bytes(end: ConnectorSample) -> int:
+    """Return what crossed a wire both ways [bytes]."""
+    return end.bytes_out + end.bytes_in
+
+
+def _busier(one: ConnectorProfile | None, other: ConnectorProfile) -> ConnectorProfile:
+    """Return what both ends say together: each counts both ways."""
+    if one is None:
+        return other
+    return ConnectorProfile(
+        calls=max(one.calls, other.calls),
+        messages=max(one.messages, other.messages),
+        size=max(one.size, other.size),
+    )

@@ -1,0 +1,115 @@
+"""Estimates and counts to an OpenTelemetry collector, over OTLP/HTTP (extra `otel`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+
+from opentelemetry.exporter.otlp.proto.http.metric_exporter import OTLPMetricExporter
+from opentelemetry.metrics import CallbackOptions, Observation
+from opentelemetry.sdk.metrics import MeterProvider
+from opentelemetry.sdk.metrics.export import PeriodicExportingMetricReader
+from opentelemetry.sdk.resources import Resource
+
+from poise.manage.observe.estimates import Estimates
+from poise.manage.observe.prometheus import (
+    COUNTERS,
+    ERRORS,
+    GAUGES,
+    SUMMARIES,
+    Sample,
+    counters,
+    errors,
+    gauges,
+    summaries,
+)
+from poise.manage.observe.report import Statuses
+
+EVERY = 5.0
+"""Metrics go out so often [s]."""
+_LIMIT = 2.0
+_PATH = "/v1/metrics"
+_UNITS = {"cores": "{core}", "share": "1", "bytes": "By", "seconds": "s"}
+
+Read = Callable[[], Iterable[Sample]]
+
+
+class Telemetry:
+    """Sends metrics until it is closed; a collector that is away is no error.
+
+    Names and labels are those that Prometheus gets.
+
+    Parameters
+    ----------
+    robot
+        Its name, which becomes ``service.instance.id``.
+    statuses
+        Returns what every agent said last; any thread may call it.
+    endpoint
+        URL of the collector, such as ``http://localhost:4318``.
+    every
+        [s]; > 0.
+    """
+
+    def __init__(
+        self,
+        robot: str,
+        estimates: Estimates,
+        statuses: Callable[[], Statuses],
+        endpoint: str,
+        every: float = EVERY,
+    ) -> None:
+        url = endpoint.rstrip("/").removesuffix(_PATH) + _PATH
+        self._provider = MeterProvider(
+            metric_readers=[
+                PeriodicExportingMetricReader(
+                    OTLPMetricExporter(endpoint=url, timeout=_LIMIT),
+                    export_interval_millis=1000 * every,
+                    export_timeout_millis=1000 * _LIMIT,
+                )
+            ],
+            resource=Resource.create(
+                {"service.name": "poise", "service.instance.id": robot}
+            ),
+            shutdown_on_exit=False,
+        )
+        meter = self._provider.get_meter("poise")
+        shown: tuple[tuple[Mapping[str, str], Read], ...] = (
+            (GAUGES, lambda: gauges(estimates)),
+            # quantiles come from the connectors' ends: here they are gauges
+            (SUMMARIES, lambda: summaries(statuses())),
+            (ERRORS, lambda: errors(statuses())),
+        )
+        for names, read_all in shown:
+            for name, says in names.items():
+                read = _reader(name, read_all)
+                meter.create_observable_gauge(name, [read], _unit(name), says)
+        for name, says in COUNTERS.items():
+            read = _reader(name, lambda: counters(statuses()))
+            meter.create_observable_counter(name, [read], _unit(name), says)
+
+    def close(self) -> None:
+        """Send what there is, within a few seconds, and end."""
+        self._provider.shutdown(1000 * _LIMIT)
+
+
+def _reader(
+    name: str, read: Read
+) -> Callable[[CallbackOptions], Iterable[Observation]]:
+    def observe(_: CallbackOptions) -> list[Observation]:
+        # while a component moves, an end may be told of twice
+        found = {
+            tuple(labels.items()): Observation(value, labels)
+            for each, labels, value in read()
+            if each == name
+        }
+        return list(found.values())
+
+    return observe
+
+
+def _unit(name: str) -> str:
+    """Return the unit as UCUM writes it, from the end of a metric's name."""
+    last = name.removesuffix("_total").rpartition("_")[2]
+    if name.endswith("_per_second"):
+        return "By/s" if "bytes" in name else "1/s"
+    return _UNITS.get(last, "1")

@@ -1,0 +1,251 @@
+"""From repeated measurements of architectures, alone, to a profile. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+import msgspec
+from msgspec import Struct
+
+from poise.estimate.profile import (
+    ComponentProfile,
+    ConnectorProfile,
+    TimerProfile,
+)
+from poise.estimate.profile.spread import Spread
+from poise.manage.deployment import name_of
+from poise.manage.observe.measure import Measured
+from poise.model.robot import Robot
+from poise.wire.records.deployment import AgentStatus, ComponentStatus, Summary
+
+AGREE_SHARE = 0.05
+AGREE_CORES = 0.01
+"""Repeated means agree within the larger of a share and so many cores."""
+_UNDONE = 0.02
+
+
+class Observed(Struct, frozen=True, kw_only=True):
+    """One measurement of one architecture.
+
+    Parameters
+    ----------
+    statuses
+        What the agents said last, when everything was deactivated.
+    working
+        What they said last before that: a command that is deactivated has ended.
+    void
+        Why it says nothing; empty when it does.
+    """
+
+    measured: Measured
+    statuses: Mapping[str, AgentStatus]
+    working: Mapping[str, AgentStatus] = {}
+    void: str = ""
+
+
+class Subject(Struct, frozen=True, kw_only=True):
+    """What was measured.
+
+    Parameters
+    ----------
+    names
+        The architecture's components.
+    empty
+        Name of the component that does nothing, measured apart.
+    versions
+        Component -> fingerprint of what it is made of.
+    speed
+        What turns the computer's CPU time into the reference computer's.
+    played
+        Connectors of the robot -> those that took their places.
+    """
+
+    robot: Robot
+    computer: str
+    names: Sequence[str]
+    empty: str
+    versions: Mapping[str, str]
+    speed: float
+    played: Mapping[str, str] = {}
+
+
+class Figures(Struct, frozen=True, kw_only=True):
+    """What was found of one architecture; see `Profile` for the fields."""
+
+    components: Mapping[str, ComponentProfile]
+    connectors: Mapping[str, ConnectorProfile]
+    agent: float
+
+
+def disagreeing(runs: Sequence[Observed], names: Iterable[str]) -> list[str]:
+    """Return the components whose means differ too much, or that did not keep up."""
+    return [name for name in names if not _is_stable(runs, name)]
+
+
+def figures(subject: Subject, runs: Sequence[Observed], apart: Observed) -> Figures:
+    """Return what was found of an architecture.
+
+    Parameters
+    ----------
+    runs
+        Measurements with its containers as they are used; at least one.
+    apart
+        A measurement with a container for every component, and an empty one.
+    """
+    names, speed = subject.names, subject.speed
+    typical = sorted(runs, key=lambda run: _total(run, names))[(len(runs) - 1) // 2]
+    memory = _memory(typical, apart, names, subject.empty)
+    states = {s.name: s for s in _components(apart.statuses)}
+    timed = {s.name: s for s in _components(typical.statuses)}
+    timed |= {s.name: s for s in _components(typical.working)}
+    found = {}
+    for name in names:
+        own, base = memory[name]
+        found[name] = ComponentProfile(
+            version=subject.versions[name],
+            cpu=_scaled(typical.measured.cpu.get(name, Spread()), speed),
+            share=speed * _share(typical.measured, name),
+            memory=own,
+            base=base,
+            state=float(states[name].snapshot) if name in states else 0.0,
+            start=timed[name].start if name in timed else 0.0,
+            timers=_timers(timed.get(name)),
+            repeat=speed * _range(runs, name),
+            stable=_is_stable(runs, name),
+        )
+    return Figures(
+        components=found,
+        connectors=dict(_connectors(subject, typical, apart)),
+        agent=speed * typical.measured.agents.get(subject.computer, 0.0),
+    )
+
+
+def _is_stable(runs: Sequence[Observed], name: str) -> bool:
+    means = _means(runs, name)
+    if not means or any(run.measured.undone.get(name, 0) > _UNDONE for run in runs):
+        return False
+    return max(means) - min(means) <= max(AGREE_SHARE * max(means), AGREE_CORES)
+
+
+def _means(runs: Sequence[Observed], name: str) -> list[float]:
+    return [r.measured.cpu[name].mean for r in runs if name in r.measured.cpu]
+
+
+def _range(runs: Sequence[Observed], name: str) -> float:
+    means = _means(runs, name)
+    return max(means) - min(means) if means else 0.0
+
+
+def _total(run: Observed, names: Iterable[str]) -> float:
+    return sum(run.measured.cpu[n].mean for n in names if n in run.measured.cpu)
+
+
+def _scaled(spread: Spread, speed: float) -> Spread:
+    return msgspec.structs.replace(
+        spread,
+        mean=spread.mean * speed,
+        p95=spread.p95 * speed,
+        p99=spread.p99 * speed,
+        peak=spread.peak * speed,
+        sustained=spread.sustained * speed,
+        error=None if spread.error is None else spread.error * speed,
+    )
+
+
+def _share(measured: Measured, name: str) -> float:
+    """Return a component's part of what its container used beyond its components."""
+    for container, members in measured.members.items():
+        if name in members:
+            return max(0.0, measured.rest[container]) / len(members)
+    return 0.0
+
+
+def _memory(
+    typical: Observed, apart: Observed, names: Sequence[str], empty: str
+) -> dict[str, tuple[float, float]]:
+    """Return what each component adds to a container, and its part of the rest.
+
+    Alone, each brings along the libraries that all of them share in one container. How
+    large those are shows in how much smaller the shared container is than the sum.
+    """
+    alone = _by_component(apart.measured)
+    floor = alone.get(empty, 0.0)
+    found: dict[str, tuple[float, float]] = {}
+    for container, members in typical.measured.members.items():
+        here = [name for name in members if name in names]
+        if not here:
+            continue
+        own = {name: max(0.0, alone.get(name, 0.0) - floor) for name in here}
+        together = max(0.0, typical.measured.memory[container] - floor)
+        common = 0.0
+        if len(here) > 1:
+            common = max(0.0, sum(own.values()) - together) / (len(here) - 1)
+            common = min([common, *own.values()])
+        base = (floor + common) / len(here)
+        found |= {name: (amount - common, base) for name, amount in own.items()}
+    return {name: found.get(name, (0.0, 0.0)) for name in names}
+
+
+def _by_component(measured: Measured) -> dict[str, float]:
+    """Return component -> memory of its container, for those that have their own."""
+    return {
+        members[0]: measured.memory[container]
+        for container, members in measured.members.items()
+        if len(members) == 1
+    }
+
+
+def _components(statuses: Mapping[str, AgentStatus]) -> Iterator[ComponentStatus]:
+    for status in statuses.values():
+        for container in status.containers:
+            yield from container.components
+
+
+def _timers(status: ComponentStatus | None) -> dict[str, TimerProfile]:
+    return {
+        timer.name: TimerProfile(
+            period=timer.period,
+            median=timer.duration.median,
+            p99=timer.duration.p99,
+            maximum=timer.duration.maximum,
+            missed=timer.missed / timer.releases if timer.releases else 0.0,
+        )
+        for timer in (status.timers if status else ())
+    }
+
+
+def _connectors(
+    subject: Subject, typical: Observed, apart: Observed
+) -> Iterator[tuple[str, ConnectorProfile]]:
+    """Yield the connectors that end at `names`: rates as used, sizes as encoded."""
+    replaced = {old: new.replace(" -> ", "-") for old, new in subject.played.items()}
+    sizes = _sizes(apart.statuses)
+    for connector in subject.robot.all_connectors():
+        if connector.between[1].component not in subject.names:
+            continue
+        key = replaced.get(str(connector), name_of(connector))
+        used = typical.measured.connectors.get(key)
+        encoded = apart.measured.connectors.get(key)
+        if used is not None:
+            size = sizes.get(key, Summary())
+            yield (
+                str(connector),
+                msgspec.structs.replace(
+                    used,
+                    size=encoded.size if encoded else used.size,
+                    median=size.median,
+                    p99=size.p99,
+                    largest=size.maximum,
+                ),
+            )
+
+
+def _sizes(statuses: Mapping[str, AgentStatus]) -> dict[str, Summary]:
+    """Return the sizes of what went over connectors, from the end that saw the most."""
+    found: dict[str, Summary] = {}
+    for status in statuses.values():
+        for container in status.containers:
+            for end in container.connectors:
+                known = found.setdefault(end.name, end.size)
+                found[end.name] = max(known, end.size, key=lambda each: each.count)
+    return found

@@ -1,0 +1,65 @@
+"""What agents told of what they use, kept in order: to measure by, or to replay."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import msgspec
+
+from poise.errors import UsageError
+from poise.wire.records.recorded import Recorded
+from poise.wire.records.samples import AgentSample
+
+MOST = 200_000
+"""A recording holds at most so many samples: eleven hours of one computer at 5 Hz."""
+
+
+class Recording:
+    """Samples as they came. Its methods may be called from any thread."""
+
+    def __init__(self) -> None:
+        self._samples: list[AgentSample] = []
+        self._lock = threading.Lock()
+
+    def add(self, sample: AgentSample) -> None:
+        """Keep a sample, unless there are `MOST` already."""
+        with self._lock:
+            if len(self._samples) < MOST:
+                self._samples.append(sample)
+
+    def take(self) -> list[AgentSample]:
+        """Return what was kept since the last time, oldest first, and forget it."""
+        with self._lock:
+            taken, self._samples = self._samples, []
+        return taken
+
+
+def save(recorded: Recorded, path: Path) -> None:
+    """Write a recording to a file that `load` reads."""
+    path.write_bytes(msgspec.msgpack.encode(recorded))
+
+
+def load(path: Path) -> Recorded:
+    """Return the recording in a file.
+
+    Raises
+    ------
+    UsageError
+        It cannot be read, or is no recording.
+    """
+    try:
+        return msgspec.msgpack.decode(path.read_bytes(), type=Recorded)
+    except OSError as error:
+        raise UsageError(f"recording {path} cannot be read: {error}") from error
+    except msgspec.DecodeError as error:
+        raise UsageError(f"{path} is no recording: {error}") from error
+
+
+def replay(
+    samples: Iterable[AgentSample], take: Callable[[AgentSample], object]
+) -> None:
+    """Hand samples to an estimator, say, in the order of their times."""
+    for sample in sorted(samples, key=lambda each: each.at):
+        take(sample)

@@ -1,0 +1,159 @@
+"""What a run showed, as records for people and machines."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from msgspec import Struct
+
+from poise.model.robot import Robot
+from poise.wire.records.clocks import ClockStatus
+from poise.wire.records.deployment import (
+    AgentStatus,
+    ComponentStatus,
+    ConnectorStatus,
+    Fault,
+    Summary,
+    TimerStatus,
+)
+
+Statuses = Mapping[str, AgentStatus]
+
+
+class ComponentReport(Struct, frozen=True, kw_only=True):
+    """How a component did, from its activation to the end of the run.
+
+    `cpu` is the CPU time of its own thread per second of the run [cores].
+    """
+
+    name: str
+    computer: str
+    cpu: float
+    errors: int
+    last_error: str
+    timers: tuple[TimerStatus, ...]
+    measures: Mapping[str, Summary]
+
+
+class RunReport(Struct, frozen=True, kw_only=True):
+    """One run of a task.
+
+    Parameters
+    ----------
+    placement
+        ``auto`` or ``static``.
+    where
+        Component -> computer.
+    decision_seconds
+        How long the placement took to decide [s].
+    seconds
+        How long everything was active [s].
+    cpu_share
+        Computer -> CPU that its agent and containers used, as a share of what it has.
+    faults
+        Containers that ended though they should have run.
+    void
+        Why the run says nothing about the robot, or empty when it does.
+    clocks
+        Computer -> other computer -> how far the other's clock was ahead at the end.
+    without
+        What the emulation did without.
+    simulation
+        What the simulated world said last.
+    """
+
+    robot: str
+    task: str
+    placement: str
+    where: Mapping[str, str]
+    decision_seconds: float
+    seconds: float
+    cpu_share: Mapping[str, float]
+    components: tuple[ComponentReport, ...]
+    connectors: tuple[ConnectorStatus, ...]
+    faults: tuple[Fault, ...] = ()
+    clocks: Mapping[str, Mapping[str, ClockStatus]] = {}
+    void: str = ""
+    without: tuple[str, ...] = ()
+    simulation: Mapping[str, Any] = {}
+
+    def component(self, name: str) -> ComponentReport:
+        """Return the report of one component; KeyError when it did not run."""
+        for component in self.components:
+            if component.name == name:
+                return component
+        raise KeyError(name)
+
+
+def cpu_shares(
+    robot: Robot, begin: Statuses, end: Statuses, faster: Mapping[str, float]
+) -> dict[str, float]:
+    """Return computer -> share of its CPU used between two statuses.
+
+    Parameters
+    ----------
+    faster
+        Computer -> how many times more CPU it has than the robot file says; missing: 1.
+    """
+    shares = {}
+    for computer in robot.computers:
+        first, last = begin.get(computer.name), end.get(computer.name)
+        if first is None or last is None or last.uptime <= first.uptime:
+            continue
+        cores = (last.cpu - first.cpu) / (last.uptime - first.uptime)
+        has = computer.capacity["cpu"] * computer.speed * faster.get(computer.name, 1)
+        shares[computer.name] = cores / has
+    return shares
+
+
+def component_reports(begin: Statuses, end: Statuses) -> tuple[ComponentReport, ...]:
+    """Return a report for every component in the last statuses."""
+    return tuple(
+        _component(component, computer, status, begin.get(computer))
+        for computer, status in end.items()
+        for container in status.containers
+        for component in container.components
+    )
+
+
+def connector_reports(end: Statuses) -> tuple[ConnectorStatus, ...]:
+    """Return what every end of every connector counted."""
+    return tuple(
+        connector
+        for status in end.values()
+        for container in status.containers
+        for connector in container.connectors
+    )
+
+
+def clocks_of(statuses: Statuses) -> dict[str, Mapping[str, ClockStatus]]:
+    """Return what each computer knows of the others' clocks, by name."""
+    return {name: status.clocks for name, status in sorted(statuses.items())}
+
+
+def _component(
+    component: ComponentStatus,
+    computer: str,
+    last: AgentStatus,
+    first: AgentStatus | None,
+) -> ComponentReport:
+    before = _cpu_before(component.name, first)
+    seconds = last.uptime - (first.uptime if first else 0.0)
+    return ComponentReport(
+        name=component.name,
+        computer=computer,
+        cpu=(component.cpu - before) / seconds if seconds > 0 else 0.0,
+        errors=component.errors,
+        last_error=component.error,
+        timers=component.timers,
+        measures=component.measures,
+    )
+
+
+def _cpu_before(name: str, first: AgentStatus | None) -> float:
+    for container in first.containers if first else ():
+        for component in container.components:
+            if component.name == name:
+                return component.cpu
+    return 0.0

@@ -1,0 +1,1 @@
+"""The agent: the program on each computer that runs containers."""

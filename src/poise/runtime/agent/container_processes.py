@@ -1,0 +1,179 @@
+"""The containers of an agent: what each should be, and what it is."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+
+from msgspec import Struct
+
+from poise.clock import Clock
+from poise.errors import PoiseError, Timeout, Unavailable
+from poise.runtime._calls import Reader
+from poise.wire import container_channel
+from poise.wire.codec import WireError
+from poise.wire.records.deployment import (
+    ContainerSpec,
+    ContainerStatus,
+    FromContainer,
+    ToContainer,
+)
+from poise.wire.records.migration import Order, Outcome
+
+STOP_LIMIT = 2.0
+"""A container that was asked to end is killed after this time [s]."""
+_FIRST_DELAY = 0.1
+_LONGEST_DELAY = 5.0
+_CALM = 10.0
+"""After so long without an end a container's delay starts from the first again [s]."""
+
+
+class BackOff:
+    """How long to wait before a container that ended is started again.
+
+    The delay doubles from 0.1 s up to 5 s, times `jitter` in [0.5, 1), so that many
+    that broke for one reason do not come back at one moment.
+    """
+
+    def __init__(self) -> None:
+        self._ends = 0
+        self._ended_at = float("-inf")
+        self._again_at = float("-inf")
+
+    def note_end(self, now: float, jitter: float) -> None:
+        """Count an end at `now` [s]."""
+        if now - self._ended_at > _CALM:
+            self._ends = 0
+        delay = min(_FIRST_DELAY * 2 ** min(self._ends, 16), _LONGEST_DELAY)
+        self._ends += 1
+        self._ended_at = now
+        self._again_at = now + delay * jitter
+
+    def is_over(self, now: float) -> bool:
+        """Whether it may be started again at `now` [s]."""
+        return now >= self._again_at
+
+    @property
+    def again_at(self) -> float:
+        """When it may be started again [s]."""
+        return self._again_at
+
+
+class ContainerProcess:
+    """A running container, from the agent's side.
+
+    `pid` is 0 until the zygote has told it; from then on there is `counted`, which
+    tells what the container counts in its ledger. `kill_at` is when it has had time
+    enough to end [s].
+
+    Parameters
+    ----------
+    connection
+        Its control socket.
+    ledger
+        The descriptor of its ledger's memory; closed when it is of no more use.
+    """
+
+    def __init__(
+        self, spec: ContainerSpec, connection: socket.socket, stats_page: int
+    ) -> None:
+        self.name = spec.name
+        self.spec = spec
+        self.connection = connection
+        self.pid = 0
+        self.counted: Reader | None = None
+        self._stats_page = stats_page
+        self.status: ContainerStatus | None = None
+        self.kill_at = float("inf")
+        self.is_stopping = False
+        self.is_deaf = False
+        self._why_deaf = ""
+        self._send(spec)
+
+    def note_born(self, pid: int) -> None:
+        """Take note of its process id."""
+        self.pid = pid
+        self.counted = Reader(self._stats_page, pid)
+        if self.is_deaf:
+            self.kill()
+
+    def close(self) -> None:
+        """Let go of what leads to it."""
+        self.connection.close()
+        os.close(self._stats_page)
+
+    def tell(self, spec: ContainerSpec) -> None:
+        """Tell it what it should be now, if that changed."""
+        if spec != self.spec and not self.is_deaf:
+            self.spec = spec
+            self._send(spec)
+
+    def order(self, order: Order) -> None:
+        """Hand on a step."""
+        if not self.is_deaf:
+            self._send(order)
+
+    def hear(self) -> Outcome | None:
+        """Take in what it says; return the outcome of a step, if it is one.
+
+        One that cannot be understood is killed.
+        """
+        try:
+            what = container_channel.receive(self.connection, FromContainer).what
+        except (Unavailable, Timeout, WireError) as error:
+            self._give_up(error)
+            return None
+        if isinstance(what, ContainerStatus):
+            self.status = what
+            return None
+        return what
+
+    def stop(self, clock: Clock) -> None:
+        """Ask it to end; harmless when repeated."""
+        if self.pid and not self.is_stopping:
+            self.is_stopping = True
+            self.kill_at = clock.now() + STOP_LIMIT
+            _signal(self.pid, signal.SIGTERM)
+
+    def kill(self) -> None:
+        """End it now, or as soon as it is born."""
+        self.kill_at = float("inf")
+        if self.pid:
+            _signal(self.pid, signal.SIGKILL)
+
+    def last_error(self) -> str:
+        """Return the last lines of the errors that it told or made, or nothing."""
+        errors = [c for c in self.status.components if c.error] if self.status else []
+        said = [f"{c.name}: {c.error.splitlines()[-1]}" for c in errors]
+        return "; ".join([*said, *filter(None, [self._why_deaf])])
+
+    def _send(self, what: ContainerSpec | Order) -> None:
+        try:
+            container_channel.send(self.connection, ToContainer(what))
+        except (Timeout, Unavailable, WireError) as error:
+            self._give_up(error)
+
+    def _give_up(self, error: PoiseError) -> None:
+        """Listen no more: it is ending, or stuck. The zygote tells when it ended."""
+        self.is_deaf = True
+        if not isinstance(error, Unavailable):
+            self._why_deaf = f"its agent gave it up: {error}"
+        self.kill()
+
+
+class End(Struct, frozen=True):
+    """How a process ended, for people."""
+
+    status: int
+
+    def __str__(self) -> str:
+        if os.WIFSIGNALED(self.status):
+            return f"was killed by {signal.Signals(os.WTERMSIG(self.status)).name}"
+        return f"ended with exit code {os.waitstatus_to_exitcode(self.status)}"
+
+
+def _signal(pid: int, number: signal.Signals) -> None:
+    with contextlib.suppress(ProcessLookupError):  # the zygote tells that it ended
+        os.kill(pid, number)

@@ -1,0 +1,145 @@
+"""What can be wrong between a robot file and the code that it names.
+
+The code is imported, so this is a second step after `poise.model.load`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from collections.abc import Set as AbstractSet
+from typing import Any
+
+import msgspec
+
+from poise.errors import PoiseError, RobotError
+from poise.model.check.cycles import check_cycles
+from poise.model.check.paths import components
+from poise.model.check.ports import KnownPort, check_ports, check_required
+from poise.model.check.workload import check_generated
+from poise.model.robot import Component, PortKind, Robot
+from poise.model.yaml.positions import Finding, Path
+from poise.runtime.component.fingerprint import fingerprint
+from poise.runtime.component.implementation import find, find_type
+from poise.runtime.component.ports import (
+    Port,
+    is_oneway,
+    methods_of,
+    ports_of,
+    timers_of,
+)
+from poise.runtime.connectors.interface import methods
+from poise.runtime.migration.state_sender import check_state
+from poise.wire.codec import codec
+
+_Known = dict[str, dict[str, KnownPort]]
+
+
+def check_code(
+    robot: Robot,
+    skipped: AbstractSet[str] = frozenset(),
+    begin: Callable[[str], None] = lambda _: None,
+) -> list[Finding]:
+    """Return everything that does not fit between `robot` and its code.
+
+    Imports every implementation, in this process (see `check_code_isolated`). Faulty
+    code of a component gives one finding, and its connectors are not checked.
+
+    Parameters
+    ----------
+    skipped
+        Components whose code is not imported.
+    begin
+        Called with the name of each component before its code is imported, and with an
+        empty name after the last.
+    """
+    findings: list[Finding] = []
+    known: _Known = {}
+    reentrant: set[str] = set()
+    for path, _, component in components(robot):
+        if component.name in skipped:
+            continue
+        begin(component.name)
+        try:
+            ports = dict(_ports(path, component, robot.folder))
+        except _WrongCode as error:
+            findings.append(error.finding)
+        else:
+            if ports or component.implementation:
+                known[component.name] = ports
+            if component.implementation:
+                code = find(component.implementation, robot.folder)
+                reentrant |= {component.name} if code.reentrant else set()
+    begin("")
+    findings += check_ports(robot, known)
+    findings += check_required(robot, known)
+    findings += check_cycles(robot, known, reentrant)
+    findings += check_generated(robot, known)
+    return findings
+
+
+class _WrongCode(Exception):
+    """The code of a component is wrong."""
+
+    def __init__(self, path: Path, message: str) -> None:
+        super().__init__(message)
+        self.finding = Finding(path, message)
+
+
+def _ports(
+    path: Path, component: Component, folder: str
+) -> Iterator[tuple[str, KnownPort]]:
+    """Yield the ports that the class declares, or else the robot file."""
+    if component.implementation:
+        yield from _coded_ports((*path, "implementation"), component, folder)
+    for port in component.ports:
+        where = (*path, "ports", port.name, port.kind)
+        try:
+            declared = find_type(port.type, folder)
+        except RobotError as error:
+            raise _WrongCode(where, str(error)) from None
+        yield port.name, _known(port.name, port.kind, declared)
+
+
+def _coded_ports(
+    path: Path, component: Component, folder: str
+) -> Iterator[tuple[str, KnownPort]]:
+    try:
+        code = find(component.implementation, folder)
+        ports = ports_of(code)
+        timers_of(code)
+        known = [(n, _known_of(port)) for n, port in ports.items()]
+        for port in ports.values():
+            _check_type(port)
+        check_state(code)
+    except PoiseError as error:
+        raise _WrongCode(path, str(error)) from None
+    # Reading annotations runs the user's code, and may raise whatever that raises.
+    except Exception as error:
+        message = (
+            f"the ports of '{component.implementation}' cannot be read: "
+            f"{type(error).__name__}: {error}"
+        )
+        raise _WrongCode(path, message) from error
+    yield from known
+
+
+def _check_type(port: Port) -> None:
+    """Raise when what crosses at a port has no type that a wire can carry."""
+    if port.kind in {"provides", "requires"}:
+        methods(port.type)
+    else:
+        codec(port.type)
+
+
+def _known_of(port: Port) -> KnownPort:
+    known = _known(port.name, port.kind, port.type)
+    is_blocking = port.queue is not None and port.queue.policy == "block"
+    return msgspec.structs.replace(known, waits=known.waits or is_blocking)
+
+
+def _known(name: str, kind: PortKind, type_: Any) -> KnownPort:  # noqa: ANN401, any type
+    shown = getattr(type_, "__qualname__", str(type_))
+    waits = kind == "requires" and not all(
+        is_oneway(type_, method) for method in methods_of(type_)
+    )
+    return KnownPort(name, kind, shown, fingerprint(type_), waits)

@@ -1,0 +1,1 @@
+"""What users write against: components, ports, time limits."""

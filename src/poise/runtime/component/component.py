@@ -1,0 +1,148 @@
+"""The base class of everything that Poise places, starts and moves."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, TypeVar
+
+from msgspec import Struct
+
+from poise.clock import ComponentClock
+from poise.errors import UsageError
+
+
+class Context(Struct, frozen=True, kw_only=True):
+    """What a container gives a component at birth.
+
+    `devices` maps the names of the devices it needs to their paths; `measure` takes
+    a name and a value.
+    """
+
+    name: str
+    parameters: Mapping[str, Any]
+    devices: Mapping[str, str]
+    clock: ComponentClock
+    measure: Callable[[str, float], None]
+
+
+class Component:
+    """A unit of robot software with typed ports (`poise.runtime.component.ports`).
+
+    One thread at a time runs its code, and the same code serves when the other ends
+    of its connectors are in this process or on another computer. Attributes of its own
+    are best set in `configure`.
+
+    The hooks are called in ROS 2's order, each once per transition, never while
+    anything else of the component runs: `configure` (unconfigured -> inactive),
+    `activate` (inactive -> active), `deactivate`, `cleanup`. A hook that raises stops
+    the run with the component's name and the traceback. Calls through required ports
+    are possible from `activate` on.
+    """
+
+    reentrant: ClassVar[bool] = False
+    """Whether others may call it while it waits in a call that it makes itself.
+
+    Still one thread at a time runs its code, but its attributes may have changed when
+    the call comes back. Where calls go round, from component to component, one of these
+    components must say so (`poise check`). It holds for calls from timers, messages and
+    provided methods, not for those from hooks.
+    """
+
+    _context: Context
+
+    @property
+    def name(self) -> str:
+        """Its name in the robot file."""
+        return self._context.name
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """Its parameters from the robot file."""
+        return self._context.parameters
+
+    @property
+    def clock(self) -> ComponentClock:
+        """The clock to stamp and measure by; times in [s].
+
+        A time that goes to other components goes as a `poise.Stamp`, which `stamp`
+        gives: only `since` knows how old that is on another computer.
+        """
+        return self._context.clock
+
+    @property
+    def log(self) -> logging.Logger:
+        """Its logger, ``poise.component.<name>``."""
+        return logging.getLogger(f"poise.component.{self.name}")
+
+    def device(self, name: str) -> str:
+        """Return the path of a device that the robot file gives this component.
+
+        Raises
+        ------
+        UsageError
+            When the component does not list the device.
+        """
+        try:
+            return self._context.devices[name]
+        except KeyError:
+            listed = ", ".join(self._context.devices) or "none"
+            raise UsageError(
+                f"component '{self.name}' asks for device '{name}', "
+                f"but lists only: {listed}"
+            ) from None
+
+    def measure(self, name: str, value: float) -> None:
+        """Count `value` under `name`; count, mean, maximum and median are reported."""
+        self._context.measure(name, value)
+
+    def configure(self) -> None:
+        """Make ready what `parameters` and devices ask for; the ports are not wired."""
+
+    def activate(self) -> None:
+        """Begin to work: the ports are wired, timers and messages come afterwards."""
+
+    def deactivate(self) -> None:
+        """Stop to work: no timer or message comes any more."""
+
+    def cleanup(self) -> None:
+        """Give back what `configure` took. Called also after an error."""
+
+    def snapshot(self) -> Struct | None:
+        """Return the state to hand over to a successor; None: there is none.
+
+        Called when the component moves or is replaced, while nothing else of it runs.
+        """
+        return None
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401, what snapshot returned
+        """Take what `snapshot` gave; called between `configure` and `activate`.
+
+        The parameter's annotation says the type of the state. An error here calls the
+        move off: the component goes on where it was.
+        """
+
+    def snapshot_delta(self) -> Struct | None:
+        """Return what changed since the last `snapshot` or `snapshot_delta`.
+
+        Offer it together with `restore_delta` when the state is large: then it is
+        sent while the component still works, and only the changes while it stands.
+        """
+        return None
+
+    def restore_delta(self, delta: Any) -> None:  # noqa: ANN401, what snapshot_delta returned
+        """Take what `snapshot_delta` gave, on top of the restored state.
+
+        The parameter's annotation says the type of the changes.
+        """
+
+
+C = TypeVar("C", bound=Component)
+
+
+def create(implementation: type[C], context: Context) -> C:
+    """Return a new component that knows its context already in ``__init__``."""
+    component = implementation.__new__(implementation)
+    component._context = context  # noqa: SLF001, this is its constructor
+    component.__init__()  # type: ignore[misc]
+    return component

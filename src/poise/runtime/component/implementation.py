@@ -1,0 +1,111 @@
+"""Finds the classes that a robot file names."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import sys
+from collections.abc import Callable, Mapping
+from types import ModuleType
+from typing import Any
+
+from poise.errors import RobotError
+from poise.model.suggest import did_you_mean, listed
+from poise.runtime.component.component import Component
+from poise.runtime.component.error_report import told_in_brief
+
+
+def find(implementation: str, folder: str) -> type[Component]:
+    """Return the component class ``package.module:Class``.
+
+    Parameters
+    ----------
+    implementation
+        As the robot file names it.
+    folder
+        Where the robot file lies; it is put first on ``sys.path`` for good.
+
+    Raises
+    ------
+    RobotError
+        When the module does not exist or raises as it is imported (then with the
+        traceback), has no such class, or the class is not a `Component`.
+    """
+    found = find_type(implementation, folder)
+    if not issubclass(found, Component):
+        raise RobotError(
+            f"'{implementation}' is not a component: class {found.__qualname__} must "
+            "inherit from poise.Component"
+        )
+    return found
+
+
+def specialised(
+    implementation: type[Component], parameters: Mapping[str, Any], folder: str
+) -> type[Component]:
+    """Return the class to run; Poise's own may have ports by their parameters."""
+    special = getattr(implementation, "__poise_specialised__", None)
+    found: type[Component] = special(parameters, folder) if special else implementation
+    return found
+
+
+def find_type(reference: str, folder: str) -> type[Any]:
+    """Return any class ``package.module:Class``; raises as `find` does."""
+    found = _find_any(reference, folder)
+    if not isinstance(found, type):
+        raise RobotError(
+            f"'{reference}' is of type {type(found).__name__}, not a class"
+        )
+    return found
+
+
+def find_function(reference: str, folder: str = "") -> Callable[[Any], Any]:
+    """Return any function ``package.module:function``; raises as `find` does."""
+    found = _find_any(reference, folder)
+    if not callable(found):
+        raise RobotError(
+            f"'{reference}' is of type {type(found).__name__}, not a function"
+        )
+    return found  # type: ignore[no-any-return]
+
+
+def _find_any(reference: str, folder: str) -> Any:  # noqa: ANN401, whatever it names
+    module_name, _, path = reference.partition(":")
+    found: Any = _module(module_name, folder)
+    for name in path.split("."):
+        if not hasattr(found, name):
+            raise RobotError(_no_attribute(reference, found, name))
+        found = getattr(found, name)
+    return found
+
+
+def _module(name: str, folder: str) -> ModuleType:
+    if folder and folder not in sys.path:
+        sys.path.insert(0, folder)
+        importlib.invalidate_caches()
+    failed = f"the module '{name}' cannot be imported"
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name is not None and f"{name}.".startswith(f"{error.name}."):
+            raise RobotError(
+                f"there is no module '{error.name}': it is looked for in {folder!r} "
+                "first, then among the installed packages"
+            ) from None
+        raise RobotError(f"{failed}: {told_in_brief(error)}") from error
+    # The module is the user's: whatever it raises is told with its traceback.
+    except (Exception, SystemExit) as error:
+        raise RobotError(f"{failed}: {told_in_brief(error)}") from error
+
+
+def _no_attribute(reference: str, holder: Any, name: str) -> str:  # noqa: ANN401, module or class
+    classes = [
+        other
+        for other, value in vars(holder).items()
+        if inspect.isclass(value)
+        and holder.__name__ in (value.__module__, value.__qualname__.split(".")[0])
+    ]
+    return (
+        f"'{reference}': {holder.__name__} has no class '{name}'"
+        f"{did_you_mean(name, classes)}; classes: {listed(classes)}"
+    )

@@ -1,0 +1,268 @@
+"""The path between containers: the same calls and messages, over a pipe."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from typing import Any, NoReturn
+
+from poise.errors import CalleeError, CallError, Timeout
+from poise.runtime._calls import ServedCall, away, time_left
+from poise.runtime.component.error_report import Sparing
+from poise.runtime.component.ports import Port
+from poise.runtime.connectors.direct import Target, raise_callee_error
+from poise.runtime.connectors.flow_control import Credit, Grants
+from poise.runtime.connectors.interface import Method, message_tag, methods
+from poise.runtime.connectors.remote_clock import RemoteClock
+from poise.runtime.connectors.sender import Sender
+from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.execution.exclusion import Retired, current_chain
+from poise.runtime.execution.mailbox import Feed
+from poise.wire import frame
+from poise.wire.codec import Codec, WireError, codec
+from poise.wire.connections import caller
+from poise.wire.connections.channel import Channel, Closed, Handler, Pieces
+from poise.wire.frame import Frame, Kind, segments, size_of
+from poise.wire.records.deployment import ConnectorSpec
+
+log = logging.getLogger(__name__)
+
+_NOTHING: Codec[None] = Codec(type(None))
+
+# looking a member up costs as much as a call
+_CALL, _RESULT, _MARK, _MOVED = Kind.CALL, Kind.RESULT, Kind.MARK, Kind.MOVED
+_ERROR = Kind.ERROR
+_LONGEST = 1e9
+"""A caller that waits for longer says so much: a frame holds no more [s]."""
+
+
+class ChannelRoute:
+    """A way to a component in another container."""
+
+    def __init__(
+        self,
+        channel: Channel,
+        port: Port,
+        limit: float,
+        credit: Credit,
+        far: RemoteClock,
+    ) -> None:
+        self._channel = channel
+        self._far = far
+        self._limit = limit
+        self._credit = credit
+        self._is_topic = port.kind == "publishes"
+        self._tag = message_tag(port.type)
+        self._codec = codec(port.type) if self._is_topic else _NOTHING
+
+    def is_ready(self) -> bool:
+        """Return whether the receiving end is there."""
+        return self._channel.is_ready()
+
+    def close(self) -> None:
+        """Close the pipe."""
+        self._channel.close()
+
+    def push(self, method: Method | None, value: object) -> int:
+        """Send a message or one-way call."""
+        if method is None:
+            kind, tag, coder = Kind.MESSAGE, self._tag, self._codec
+        else:
+            kind, tag, coder = Kind.ONEWAY, method.tag, method.arguments
+        credit = self._credit
+        number = credit.sent + 1
+        pieces = segments(coder, value, kind, tag=tag, number=number, chain=credit.life)
+        if number == 1:
+            self.ask()
+        self._channel.push(pieces, self._limit)
+        credit.sent = number
+        return size_of(pieces)
+
+    def has_room(self) -> bool:
+        """Return whether the target granted one more message."""
+        return self._credit.has_room()
+
+    def ask(self) -> None:
+        """Ask for a grant, behind all that went out."""
+        self._channel.push(self._credit.question(), self._limit)
+
+    def mark(self, number: int) -> None:
+        """Send a mark."""
+        pieces = segments(_NOTHING, None, _MARK, number=number)
+        self._channel.push(pieces, self._limit)
+
+    def function(self, method: Method, sender: Sender) -> Callable[..., Any]:
+        """Return a function that calls a method in another container."""
+        request, limit, counts = self._channel.request, self._limit, sender.counts
+        name, far = sender.name, self._far
+        bind, arguments, tag = method.bind, method.arguments, method.tag
+        decode = method.result.decode
+
+        def call(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401, the method's own
+            started = time.monotonic()
+            chain, left = current_chain(), time_left(limit)
+            if left <= 0.0:
+                counts.add_call(0.0, failed=True)
+                raise Timeout(f"connector {name}: no call was made: no time is left")
+            values = bind(*args, **kwargs)
+            waits = int(1e9 * min(left, _LONGEST)) or 1  # 0 were no limit
+            pieces = segments(
+                arguments, values, _CALL, tag=tag, number=waits, chain=chain
+            )
+            answer = None
+            try:
+                answer = away(chain, left, name, request, pieces)
+                if answer.kind is _RESULT:
+                    result = decode(answer.body, answer.buffers)
+                elif answer.kind is not _MOVED:
+                    _raise_failure(answer)
+            except Closed:
+                pass
+            except (CallError, WireError) as error:
+                came = answer.size if answer is not None else 0
+                took = time.monotonic() - started
+                counts.add_call(took, size_of(pieces), came, failed=True)
+                if isinstance(error, Timeout):
+                    late = f"{method.name} over {name}, limit {left:.3g} s: {error}"
+                    raise Timeout(late) from None
+                raise
+            if answer is None or answer.kind is _MOVED:  # it was not run
+                deadline = started + left
+                return sender.again(self, method.name, args, kwargs, deadline)
+            took = time.monotonic() - started
+            latency = answer.age + far.ahead
+            size = size_of(pieces)
+            counts.add_call(took, size, answer.size, latency, far.error)
+            return result
+
+        return call
+
+
+def receiving(
+    spec: ConnectorSpec,
+    target: Target,
+    port: Port,
+    feed: Feed,
+    grants: Grants,
+    far: RemoteClock,
+) -> Handler:
+    """Return what a target does with the frames that come over pipes."""
+    connector, counts = spec.name, feed.counts
+    known = methods(port.type) if port.kind == "provides" else {}
+    answers = {
+        tag: _answering(target, method, spec.limit, counts)
+        for tag, method in known.items()
+    }
+    tag, coder = message_tag(port.type), codec(port.type) if not known else _NOTHING
+
+    tell = _telling(connector)
+
+    def handle(received: Frame) -> Pieces | None:
+        if received.kind is _MARK:
+            target.note_mark(connector, received.number)
+            return None
+        if received.kind is _CALL:
+            return serve(received)
+        try:
+            if received.kind is Kind.ASK:
+                grants.asked(received)
+                return None
+            latency = received.age + far.ahead
+            counts.add_message(0, received.size, latency, far.error)
+            grants.came(received)
+            wanted = coder if received.tag == tag and not known else None
+            method = known.get(received.tag)
+            value = received.value(wanted or _known(method, port).arguments)
+            feed.put((received.tag, value))
+        except WireError as error:
+            counts.refuse(error)
+            tell(error)
+        return None
+
+    def serve(received: Frame) -> Pieces:
+        began = time.monotonic()
+        try:
+            answer = (answers.get(received.tag) or _refuse(port))(received)
+        except Retired:
+            answer = segments(_NOTHING, None, _MOVED)
+        except (CalleeError, Timeout, WireError) as error:
+            if isinstance(error, WireError):
+                tell(error)
+            answer = _failure(error)
+        took, failed = time.monotonic() - began, answer[0][1] == _ERROR
+        size, latency = size_of(answer), received.age + far.ahead
+        counts.add_call(took, size, received.size, latency, far.error, failed)
+        return answer
+
+    return handle
+
+
+def _telling(connector: str) -> Callable[[WireError], None]:
+    """Return what logs that something was refused: now and then, when much is."""
+    sparing = Sparing()
+
+    def tell(error: WireError) -> None:
+        more = sparing.more("refused", time.monotonic())
+        if more is not None:
+            log.warning("connector %s: refused%s: %s", connector, more, error)
+
+    return tell
+
+
+def entry_codec(port: Port, tag: int) -> Codec[Any]:
+    """Return the codec of a waiting message or one-way call, by its tag.
+
+    Raises
+    ------
+    WireError
+        The port takes nothing with that tag.
+    """
+    if port.kind == "provides":
+        return _known(methods(port.type).get(tag), port).arguments
+    return codec(port.type)
+
+
+def _known(method: Method | None, port: Port) -> Method:
+    return _refuse(port) if method is None else method
+
+
+def _refuse(port: Port) -> NoReturn:
+    raise WireError(
+        f"port '{port.name}' ({port.type.__qualname__}) takes nothing with this "
+        "tag: its ends were built from different versions"
+    )
+
+
+def _answering(
+    target: Target, method: Method, limit: float, counts: Counts
+) -> ServedCall:
+    """Return what answers the calls of a method."""
+    result, tag = method.result, method.tag
+    return ServedCall(
+        decode=method.arguments.decode,
+        method=getattr(target.component, method.name),
+        encode=lambda value: segments(result, value, _RESULT, tag=tag),
+        turn=target.turn,
+        limit=limit,
+        counts=counts,
+        translate=raise_callee_error,
+        is_over=caller.is_gone,
+    )
+
+
+def _raise_failure(answer: Frame) -> NoReturn:
+    type_name, message, text = answer.value(frame.FAILURE)
+    if not text and type_name == "Timeout":
+        raise Timeout(message)
+    if not text and type_name == "WireError":
+        raise WireError(f"the other end refused the call: {message}")
+    error = CalleeError(type_name, message, text)
+    error.add_note(f"Raised in the callee:\n{text}")
+    raise error
+
+
+def _failure(error: CalleeError | Timeout | WireError) -> Pieces:
+    if isinstance(error, CalleeError):
+        return frame.failure(error.type_name, error.message, error.traceback)
+    return frame.failure(type(error).__name__, str(error))

@@ -1,0 +1,113 @@
+"""The file in which what comes over connectors is written down, by whoever takes it.
+
+Each entry is one write at the end of the file, behind its length: so several processes
+of a computer may use one file.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from pathlib import Path
+
+import msgspec
+
+from poise.wire.codec import Bytes, padding
+from poise.wire.connections.channel import Handler, Pieces
+from poise.wire.frame import Frame, Kind
+from poise.wire.records.recorded import Input
+
+log = logging.getLogger(__name__)
+
+MOST = 1 << 28
+"""A file takes at most so much [bytes]; later entries are left out."""
+_LENGTH = 4
+_RESULT_BODY = 1
+
+
+class InputFile:
+    """The end of the file; any thread may add to it."""
+
+    def __init__(self, path: Path) -> None:
+        self._fd = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
+        self._lock = threading.Lock()
+        self._is_closed = False
+
+    def add(self, entry: Input) -> bool:
+        """Write an entry down; False: the file is full or closed, or its disk is."""
+        data = msgspec.msgpack.encode(entry)
+        data = len(data).to_bytes(_LENGTH, "little") + data
+        with self._lock:
+            if self._is_closed or os.fstat(self._fd).st_size + len(data) > MOST:
+                return False
+            try:
+                return os.write(self._fd, data) == len(data)
+            except OSError as error:
+                log.warning("what came is not written down: %s", error)
+                return False
+
+    def close(self) -> None:
+        """End; what was written stays. Harmless when repeated."""
+        with self._lock:
+            if not self._is_closed:
+                self._is_closed = True
+                os.close(self._fd)
+
+
+def noting_calls(
+    handler: Handler, source: str, path: Path
+) -> tuple[Handler, InputFile]:
+    """Return a handler that also writes calls down, and where; close that behind it.
+
+    Parameters
+    ----------
+    source
+        ``component.port`` that calls.
+    """
+    file = InputFile(path)
+
+    def handle(received: Frame) -> Pieces | None:
+        at = time.monotonic()
+        answer = handler(received)
+        if received.kind in (Kind.CALL, Kind.ONEWAY):
+            body, buffers = bytes(received.body), bytes(received.buffers)
+            result = _result(answer)
+            file.add(Input(source, at, body, buffers, received.tag, result))
+        return answer
+
+    return handle, file
+
+
+def _result(answer: Pieces | None) -> bytes:
+    """Return what was answered, encoded; empty when it was no result."""
+    if answer is None or bytes(answer[0])[1] != Kind.RESULT:
+        return b""
+    return bytes(answer[_RESULT_BODY])
+
+
+def end_to_end(buffers: list[memoryview]) -> bytes:
+    """Return buffers as they lie in a frame."""
+    pieces: list[Bytes] = []
+    for buffer in buffers:
+        pieces += (buffer, bytes(padding(buffer.nbytes)))
+    return b"".join(pieces)
+
+
+def read_inputs(path: Path) -> list[Input]:
+    """Return what was written down, oldest first; a cut off end is left out.
+
+    The first came at 0 s.
+    """
+    data = path.read_bytes()
+    found, at = [], 0
+    decoder = msgspec.msgpack.Decoder(Input)
+    while at + _LENGTH <= len(data):
+        length = int.from_bytes(data[at : at + _LENGTH], "little")
+        entry = data[at + _LENGTH : at + _LENGTH + length]
+        at += _LENGTH + length
+        if len(entry) == length:
+            found.append(decoder.decode(entry))
+    found.sort(key=lambda each: each.at)
+    return [msgspec.structs.replace(e, at=e.at - found[0].at) for e in found]

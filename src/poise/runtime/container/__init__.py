@@ -1,0 +1,1 @@
+"""The container process and the zygote that forks it."""

@@ -1,0 +1,257 @@
+"""The zygote: a process that has imported everything and forks containers from itself.
+
+A fork costs milliseconds and a few MB, a fresh interpreter 40 to 100 ms and its own
+copy of everything. The zygote has one thread and no zenoh session, so that what it
+forks starts clean. It is forked from the agent before the agent opens anything.
+
+It sees to it that no container outlives the agent: whoever has not ended by itself
+`PATIENCE` seconds after the agent is killed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import signal
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from msgspec import Struct
+
+from poise.errors import Unavailable
+from poise.runtime.container.container import Container
+from poise.runtime.hosting.wiring import Place
+from poise.runtime.waker import Waker, wait_readable
+from poise.wire import container_channel
+from poise.wire.codec import codec
+from poise.wire.connections import stream
+
+log = logging.getLogger(__name__)
+
+PATIENCE = 2.0
+"""Containers that still run so long after their agent are killed [s]."""
+_OOM_SCORE = "500"
+_LARGEST = 1 << 16
+_LOOK = 0.01
+
+
+class Fork(Struct, frozen=True, kw_only=True):
+    """The agent asks for a container.
+
+    Its control socket and its ledger come with the record.
+    """
+
+    name: str
+    place: Place
+
+
+class Forked(Struct, frozen=True, tag=True):
+    """A container's process began."""
+
+    name: str
+    pid: int
+
+
+class NotForked(Struct, frozen=True, tag=True):
+    """A container's process could not begin."""
+
+    name: str
+    reason: str
+
+
+class Ended(Struct, frozen=True, tag=True):
+    """A container's process ended; `status` as ``waitpid`` gives it."""
+
+    pid: int
+    status: int
+
+
+Event = Forked | NotForked | Ended
+
+
+def start(closing: Sequence[int] = ()) -> tuple[socket.socket, int]:
+    """Fork the zygote; return the socket to it and its process id.
+
+    It, and so the containers, close the file descriptors in `closing`.
+    """
+    # one record is one packet, so neither end ever waits for the rest of one
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    for end in (ours, theirs):
+        stream.set_limit(end, container_channel.LIMIT)
+    pid = os.fork()
+    if pid == 0:
+        ours.close()
+        for fd in closing:
+            os.close(fd)
+        _leave(lambda: _Zygote(theirs).serve())
+    theirs.close()
+    return ours, pid
+
+
+def ask(
+    zygote: socket.socket, name: str, stats_page: int, place: Place
+) -> socket.socket:
+    """Ask for a container and return the agent's end of its control socket.
+
+    `ledger` is the descriptor of the memory in which it is to count.
+
+    Raises
+    ------
+    Unavailable
+        The zygote is gone.
+    """
+    ours, theirs = container_channel.pair()
+    body, _ = codec(Fork).encode(Fork(name=name, place=place))
+    with theirs:
+        try:
+            socket.send_fds(zygote, [body], [theirs.fileno(), stats_page])
+        except OSError as error:
+            ours.close()
+            raise Unavailable(f"the zygote is gone: {error}") from error
+    return ours
+
+
+def hear(zygote: socket.socket) -> Event:
+    """Return what the zygote says next.
+
+    Raises
+    ------
+    Unavailable
+        The zygote is gone.
+    """
+    try:
+        body = zygote.recv(_LARGEST)
+    except OSError as error:
+        raise Unavailable(f"the zygote is gone: {error}") from error
+    if not body:
+        raise Unavailable("the zygote is gone")
+    event: Event = codec(Event).decode(body, memoryview(b""))
+    return event
+
+
+def end(zygote: socket.socket, pid: int) -> None:
+    """Let the zygote end, which takes what containers are left with it."""
+    zygote.close()
+    pidfd = os.pidfd_open(pid)
+    try:
+        if not wait_readable([pidfd], PATIENCE + 1):
+            os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+    finally:
+        os.close(pidfd)
+
+
+def _leave(work: Callable[[], None]) -> None:
+    """Run `work` in a forked process, which ends with it, whatever happens."""
+    code = 1
+    try:
+        work()
+        code = 0
+    except BaseException:
+        # nobody is above it: what is not logged here is lost
+        log.exception("process %d ends", os.getpid())
+    finally:
+        for stream_ in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError):
+                stream_.flush()
+        os._exit(code)
+
+
+@contextlib.contextmanager
+def _closing(fd: int) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        os.close(fd)
+
+
+class _Zygote:
+    """The process itself."""
+
+    def __init__(self, agent: socket.socket) -> None:
+        self._agent = agent
+        self._waker = Waker()
+        self._containers: set[int] = set()
+
+    def serve(self) -> None:
+        """Fork what the agent asks for, until the agent is gone."""
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        # Blocked, not ignored: only the agent's end ends the zygote, and a container
+        # must not lose one that comes before it has its handler.
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+        signal.set_wakeup_fd(self._waker.signal_fd)
+        signal.signal(signal.SIGCHLD, lambda *_: None)
+        try:
+            while True:
+                self._serve_one()
+        except (Unavailable, ConnectionError):
+            pass
+        finally:
+            self._end_containers()
+
+    def _serve_one(self) -> None:
+        ready = wait_readable([self._agent.fileno(), self._waker.fileno()], None)
+        if self._waker.fileno() in ready:
+            self._waker.clear()
+            self._report_ended()
+        if self._agent.fileno() in ready:
+            self._fork_next()
+
+    def _tell(self, event: Event) -> None:
+        body, _ = codec(Event).encode(event)
+        self._agent.send(body)
+
+    def _report_ended(self) -> None:
+        for pid, status in self._ended():
+            self._tell(Ended(pid, status))
+
+    def _ended(self) -> list[tuple[int, int]]:
+        """Return the containers that ended since the last look, and how."""
+        ended = []
+        with contextlib.suppress(ChildProcessError):
+            while (found := os.waitpid(-1, os.WNOHANG))[0]:
+                self._containers.discard(found[0])
+                ended.append(found)
+        return ended
+
+    def _fork_next(self) -> None:
+        body, fds, _, _ = socket.recv_fds(self._agent, _LARGEST, 2)
+        if not body:
+            raise Unavailable("the agent is gone")
+        wanted: Fork = codec(Fork).decode(body, memoryview(b""))
+        control_fd, stats_page = fds
+        with socket.socket(fileno=control_fd) as connection, _closing(stats_page):
+            try:
+                pid = os.fork()
+            except OSError as error:
+                self._tell(NotForked(wanted.name, f"cannot be forked: {error}"))
+                return
+            if pid == 0:
+                _leave(lambda: self._become(wanted, connection, stats_page))
+        self._containers.add(pid)
+        self._tell(Forked(wanted.name, pid))
+
+    def _become(self, wanted: Fork, connection: socket.socket, stats_page: int) -> None:
+        """Be a container from now on; keep nothing that is the zygote's."""
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        self._agent.close()
+        self._waker.close()
+        # when memory is short, the kernel ends a container before the agent
+        with contextlib.suppress(OSError):
+            Path("/proc/self/oom_score_adj").write_text(_OOM_SCORE)
+        Container(wanted.name, connection, stats_page, wanted.place).run()
+
+    def _end_containers(self) -> None:
+        """Wait for the containers, which see that the agent is gone; kill the rest."""
+        deadline = time.monotonic() + PATIENCE
+        while self._containers and time.monotonic() < deadline:
+            self._ended()
+            time.sleep(_LOOK)
+        for pid in self._containers:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)

@@ -1,0 +1,1 @@
+"""How a component's code is run: exclusion, mailbox, timers, counters."""

@@ -1,0 +1,170 @@
+"""What waits for a component's thread: messages, by port, each queue bounded.
+
+Nobody waits here for room: whoever sends asks its `Feed` first. So a thread that brings
+messages from elsewhere never stands still.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from poise.runtime._calls import Account
+from poise.runtime.component.ports import Queue
+from poise.runtime.execution.connector_counters import Counts
+
+log = logging.getLogger(__name__)
+
+Entry = tuple[int, Any]
+"""A waiting message or one-way call: its tag, and the message or the arguments."""
+MOST_AHEAD = 5_000
+"""Messages that one connector may bring before there is room: so many a source may hold
+while the component moves, and then send at once."""
+
+
+class Feed:
+    """One connector's way into the queue of a port.
+
+    A queue that blocks has its room for each of them: none can take another's.
+
+    Parameters
+    ----------
+    counts
+        The connector's: they learn what was dropped, and how long the rest waited.
+    """
+
+    def __init__(self, mailbox: Mailbox, inbox: Inbox, counts: Counts) -> None:
+        self.counts = counts
+        self.waiting = 0
+        self.on_room: Callable[[], None] = _do_nothing
+        self._mailbox = mailbox
+        self._inbox = inbox
+        self.half = max(1, inbox.queue.size // 2)
+
+    def put(self, entry: Entry) -> None:
+        """Queue a message for the component; what finds no room is counted."""
+        self._mailbox.add(self._inbox, entry, self)
+
+    def has_room(self) -> bool:
+        """Return whether a message would find room."""
+        return self.room() != 0
+
+    def room(self) -> int | None:
+        """Return how many messages would find room; None when all do."""
+        return self._inbox.room(self)
+
+
+class Inbox:
+    """The queue of one port, filled by any thread, emptied by the component's."""
+
+    def __init__(self, port: str, queue: Queue) -> None:
+        self.port = port
+        self.queue = queue
+        self._waiting: deque[tuple[Entry, Feed, float]] = deque()
+        self._changing = threading.Lock()
+        self._spare = 0
+        self._is_resting = False
+
+    def add(self, entry: Entry, feed: Feed) -> bool:
+        """Queue a message; return whether the number of waiting ones grew."""
+        with self._changing:
+            grew = True
+            if self.queue.policy == "block":
+                if feed.waiting >= self.queue.size + MOST_AHEAD:
+                    feed.counts.drops += 1
+                    log.warning("port '%s': its source waits for no room", self.port)
+                    return False
+            elif self._is_full():
+                self._drop_oldest()
+                grew = False
+            feed.waiting += 1
+            self._waiting.append((entry, feed, time.monotonic()))
+            return grew
+
+    def take(self) -> Entry | None:
+        """Return the oldest message; None when there is none."""
+        with self._changing:
+            if not self._waiting:
+                return None
+            self._spare = max(0, self._spare - 1)
+            entry, feed, came = self._waiting.popleft()
+            feed.waiting -= 1
+        feed.counts.wait.add(time.monotonic() - came)
+        feed.on_room()
+        return entry
+
+    def room(self, feed: Feed) -> int | None:
+        """Return for how many more messages of `feed` there is room; None: for all."""
+        if self.queue.policy == "keep":
+            return None
+        # at rest nothing is taken: whoever waits here might be waited for elsewhere
+        waiting = 0 if self._is_resting else feed.waiting
+        return max(0, self.queue.size - waiting)
+
+    def rest(self, *, resting: bool) -> None:
+        """Drop nothing and let nobody wait while the component is at rest."""
+        with self._changing:
+            self._is_resting = resting
+            self._spare = len(self._waiting)
+            feeds = {feed for _, feed, _ in self._waiting}
+        if resting:
+            for feed in feeds:
+                feed.on_room()
+
+    def waiting(self) -> list[Entry]:
+        """Return what waits, oldest first."""
+        with self._changing:
+            return [entry for entry, _, _ in self._waiting]
+
+    def _is_full(self) -> bool:
+        # what came while at rest has room of its own until it is taken
+        return (
+            not self._is_resting and len(self._waiting) >= self.queue.size + self._spare
+        )
+
+    def _drop_oldest(self) -> None:
+        _, feed, _ = self._waiting.popleft()
+        feed.waiting -= 1
+        feed.counts.drops += 1
+
+
+class Mailbox:
+    """Wakes a component's thread, once for every message, in the order they came.
+
+    It holds one entry per waiting message, and the queues are bounded.
+
+    Parameters
+    ----------
+    account
+        Where all that comes is counted, also what is dropped.
+    """
+
+    def __init__(self, account: Account) -> None:
+        self._account = account
+        self._filled: SimpleQueue[Inbox | None] = SimpleQueue()
+
+    def add(self, inbox: Inbox, entry: Entry, feed: Feed) -> None:
+        """Queue a message for the component; what finds no room is counted."""
+        self._account.note_asked()
+        if inbox.add(entry, feed):
+            self._filled.put(inbox)
+
+    def wake(self) -> None:
+        """Let `next` return."""
+        self._filled.put(None)
+
+    def next(self, limit: float | None) -> Inbox | None:
+        """Wait up to `limit` [s] for a queue with a message; None when none came."""
+        try:
+            return self._filled.get(timeout=limit)
+        except Empty:
+            return None
+
+
+def _do_nothing() -> None:
+    pass

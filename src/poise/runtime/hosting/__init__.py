@@ -1,0 +1,1 @@
+"""What a container gives its components: runners, wiring, counters."""

@@ -1,0 +1,307 @@
+"""Opens and closes the ends of connectors that lie in one container."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Mapping
+from collections.abc import Set as AbstractSet
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path as FilePath
+
+from msgspec import Struct
+
+from poise.clock import Elapsed
+from poise.errors import RobotError, RunError, UsageError
+from poise.runtime.component.error_report import told
+from poise.runtime.component.ports import Kind, Port
+from poise.runtime.connectors.channel_route import ChannelRoute, receiving
+from poise.runtime.connectors.direct import DirectRoute
+from poise.runtime.connectors.flow_control import GRANTS, Credit, Credits, Grants
+from poise.runtime.connectors.recorded_inputs import noting_calls
+from poise.runtime.connectors.remote_clock import RemoteClock, nobody_knows
+from poise.runtime.connectors.sender import Path, Sender
+from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.hosting.runner import Runner
+from poise.wire.address import Address
+from poise.wire.connections.channel import Channel
+from poise.wire.connections.connection_channel import ConnectionChannel
+from poise.wire.connections.connection_server import ConnectionServer
+from poise.wire.connections.opening import CALLS, MESSAGES
+from poise.wire.records.deployment import (
+    ConnectorKind,
+    ConnectorSpec,
+    ConnectorStatus,
+    End,
+)
+
+SENDING: AbstractSet[Kind] = {"publishes", "requires"}
+TAKING: AbstractSet[Kind] = {"subscribes", "provides"}
+"""The kinds of ports at the two ends of a connector."""
+
+Runners = Mapping[tuple[str, int], Runner]
+"""The incarnations of components in a container, by name and epoch."""
+
+
+class Place(Struct, frozen=True, kw_only=True):
+    """Where a container is.
+
+    Parameters
+    ----------
+    container
+        Its name.
+    folder
+        The folder of its agent, for sockets.
+    door
+        IP address and TCP port of its computer's door.
+    computer
+        The name of its computer.
+    """
+
+    container: str
+    folder: str
+    gateway: str
+    computer: str = ""
+
+
+class Transports:
+    """The pipes of a container, and where those of others end in it."""
+
+    def __init__(self, place: Place) -> None:
+        self._place = place
+        self._credits = Credits()
+        self.server = ConnectionServer(FilePath(place.folder), place.container)
+        self.server.open(GRANTS, self._credits.handle, shared=True)
+
+    def channel(self, connector: str, address: str, *, calls: bool = True) -> Channel:
+        """Return a pipe to the container at an address; for messages without `calls`.
+
+        Raises
+        ------
+        WireError
+            `address` is none.
+        """
+        where, use = Address.parse(address), CALLS if calls else MESSAGES
+        return ConnectionChannel(connector, where, FilePath(self._place.folder), use)
+
+    def credit(self, kind: ConnectorKind) -> Credit:
+        """Return the credit of a new path."""
+        place = self._place
+        near = (
+            place.container if kind == "local" else f"{place.gateway}/{place.container}"
+        )
+        return self._credits.open(near)
+
+    def close(self) -> None:
+        """Close all that was opened."""
+        self.server.close()
+
+
+class OpenEndpoints:
+    """What one connector has open in this container.
+
+    `path` and `outlet` are there when the source's end is.
+    """
+
+    def __init__(self, spec: ConnectorSpec) -> None:
+        self.spec = spec
+        self.closing = ExitStack()
+        self.path: Path | None = None
+        self.sender: Sender | None = None
+        self.counts: Counts = Counts()
+        self.far = RemoteClock()
+
+    def is_ready(self) -> bool:
+        """Return whether the other end is there, so far as this one can know."""
+        return self.path is None or self.path.is_ready()
+
+    def status(self) -> ConnectorStatus:
+        """Return what was counted, and whether the other end is there."""
+        self.far.look()
+        end: End = "target" if self.sender is None else "source"
+        if self.spec.kind == "direct":
+            end = "both"
+        return self.counts.status(
+            self.spec.name, self.spec.kind, end, ready=self.is_ready()
+        )
+
+
+class Wiring:
+    """The connectors of a container.
+
+    Parameters
+    ----------
+    ahead
+        Returns how far another computer's clock is ahead, if that is known.
+    """
+
+    def __init__(
+        self,
+        transports: Transports,
+        ahead: Callable[[str], Elapsed | None] = nobody_knows,
+    ) -> None:
+        self._transports = transports
+        self._ahead = ahead
+        self._open: dict[str, OpenEndpoints] = {}
+
+    def apply(
+        self, specs: tuple[ConnectorSpec, ...], runners: Runners
+    ) -> dict[tuple[str, int], str]:
+        """Make the open connectors those of `specs`, touching only what changed.
+
+        Paths are opened before others are closed, so that a source that has both
+        goes over from one to the other.
+
+        Returns
+        -------
+        Incarnation -> why a connector at one of its ports cannot be opened.
+        """
+        wanted = {spec.key: spec for spec in specs}
+        known = {ends.sender for ends in self._open.values()}
+        troubles: dict[tuple[str, int], str] = {}
+        for key, spec in wanted.items():
+            here = _ends_here(spec, runners)
+            # without one of a direct connector's ends, the other has nothing to join
+            if key in self._open or len(here) < (2 if spec.kind == "direct" else 1):
+                continue
+            try:
+                self._open[key] = self._join(spec, runners)
+            # reading types runs users' code
+            except Exception as error:  # noqa: BLE001
+                text = f"connector {spec.name}: {told(error)}"
+                troubles.update(dict.fromkeys(here, text))
+        self._hold_amid_a_move(known)
+        for key in list(self._open):
+            if key not in wanted:
+                self._open.pop(key).closing.close()
+        return troubles
+
+    def sender(self, name: str) -> Sender:
+        """Return the source's end of a connector that is open here.
+
+        Raises
+        ------
+        UsageError
+            There is none.
+        """
+        for ends in self.ends():
+            if ends.spec.name == name and ends.sender is not None:
+                return ends.sender
+        raise UsageError(f"no connector '{name}' begins in this container")
+
+    def outlet_to(self, key: str) -> Sender:
+        """Return the source's end of the open connector with this key.
+
+        Raises
+        ------
+        UsageError
+            There is none.
+        """
+        ends = self._open.get(key)
+        if ends is None or ends.sender is None:
+            raise UsageError(f"no connector with key '{key}' begins in this container")
+        return ends.sender
+
+    def unjoined(self) -> frozenset[str]:
+        """Return the keys of the connectors whose other end is not there."""
+        return frozenset(ends.spec.key for ends in self.ends() if not ends.is_ready())
+
+    def status(self) -> tuple[ConnectorStatus, ...]:
+        """Return the status of every open connector."""
+        return tuple(ends.status() for ends in self.ends())
+
+    def ends(self) -> list[OpenEndpoints]:
+        """Return what is open now; any thread may ask."""
+        return list(self._open.values())
+
+    def close(self) -> None:
+        """Close every connector."""
+        for ends in self._open.values():
+            ends.closing.close()
+        self._open.clear()
+
+    def _hold_amid_a_move(self, known: AbstractSet[Sender | None]) -> None:
+        """Let what begins while its target moves send nothing before that is over.
+
+        The container was started anew, and its first incarnation was told to hold.
+        """
+        for ends in self._open.values():
+            sender = ends.sender
+            if sender is not None and sender not in known:
+                with contextlib.suppress(RunError):  # its target does not move
+                    sender.hold()
+
+    def _join(self, spec: ConnectorSpec, runners: Runners) -> OpenEndpoints:
+        ends = OpenEndpoints(spec)
+        source = runners.get((spec.source, spec.source_epoch))
+        target = runners.get((spec.target, spec.target_epoch))
+        if spec.kind == "remote":
+            far = spec.source_computer if source is None else spec.target_computer
+            ends.far = RemoteClock(partial(self._ahead, far))
+        with ExitStack() as undo:
+            undo.callback(ends.closing.close)
+            if source is not None:
+                self._open_source(ends, source, target)
+            elif target is not None:
+                self._open_target(ends, target)
+            undo.pop_all()
+        return ends
+
+    def _open_source(
+        self, ends: OpenEndpoints, source: Runner, target: Runner | None
+    ) -> None:
+        spec = ends.spec
+        port = _port(source, spec.source_port, SENDING)
+        sender = source.ends.sender(spec.slot or spec.name, port, spec.limit)
+        if target is not None:
+            far = _port(target, spec.target_port, TAKING)
+            ends.path = DirectRoute(spec.name, target.ends, far, spec.limit, sender)
+        else:
+            credit = self._transports.credit(spec.kind)
+            credit.on_grant = sender.room
+            calls = port.kind == "requires"
+            channel = self._transports.channel(spec.key, spec.address, calls=calls)
+            ends.path = ChannelRoute(channel, port, spec.limit, credit, ends.far)
+        ends.sender = sender
+        ends.counts = sender.counts
+        sender.add(spec.key, ends.path)
+        ends.closing.callback(_remove_path, source, sender, spec.key)
+
+    def _open_target(self, ends: OpenEndpoints, target: Runner) -> None:
+        spec = ends.spec
+        port = _port(target, spec.target_port, TAKING)
+        feed = target.ends.feed(port.name, ends.counts)
+        open_pipe = partial(self._transports.channel, GRANTS, calls=False)
+        grants = Grants(spec.name, feed, ends.counts, open_pipe)
+        ends.closing.callback(grants.close)
+        handler = receiving(spec, target.ends, port, feed, grants, ends.far)
+        if spec.record and port.kind == "provides":
+            caller = f"{spec.source}.{spec.source_port}"
+            handler, file = noting_calls(handler, caller, FilePath(spec.record))
+            ends.closing.callback(file.close)
+        server = self._transports.server
+        server.open(spec.key, handler, ends.counts.refuse)
+        ends.closing.callback(server.shut, spec.key)
+
+
+def _ends_here(spec: ConnectorSpec, runners: Runners) -> list[tuple[str, int]]:
+    ends = (spec.source, spec.source_epoch), (spec.target, spec.target_epoch)
+    return [end for end in ends if end in runners]
+
+
+def _remove_path(source: Runner, sender: Sender, key: str) -> None:
+    sender.remove(key)
+    if not sender.paths():
+        source.ends.drop_outlet(sender.name)
+
+
+def _port(runner: Runner, name: str, kinds: AbstractSet[Kind]) -> Port:
+    """Return a port that the check of the robot has seen, or its code of now lacks."""
+    port = runner.ports.get(name)
+    if port is None or port.kind not in kinds:
+        has = ", ".join(f"{p.name} ({p.kind})" for p in runner.ports.values()) or "none"
+        raise RobotError(
+            f"component '{runner.spec.name}' has no port '{name}' that "
+            f"{' or '.join(sorted(kinds))} (it has {has})"
+        )
+    return port

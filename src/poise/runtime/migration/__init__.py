@@ -1,0 +1,1 @@
+"""A container's part in moving a component."""

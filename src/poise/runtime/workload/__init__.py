@@ -1,0 +1,1 @@
+"""What components work on while they are measured."""

@@ -1,0 +1,175 @@
+"""The component that feeds others while they are measured: it plays a workload."""
+
+from __future__ import annotations
+
+import heapq
+import random
+from collections.abc import Callable, Iterator, Mapping
+from itertools import cycle
+from pathlib import Path
+from types import GenericAlias
+from typing import Any
+
+import msgspec
+from msgspec import Struct
+
+from poise.errors import CallError, RobotError
+from poise.model.robot import Arrivals
+from poise.runtime.component.component import Component
+from poise.runtime.component.implementation import find_function, find_type
+from poise.runtime.component.ports import Published, Required, every
+from poise.runtime.connectors.interface import methods
+from poise.runtime.workload.message_generator import maker
+from poise.wire.codec import codec
+from poise.wire.records.recorded import Input, Recorded
+
+TICK = 0.005
+"""Messages go out at multiples of this [s]."""
+_PAUSE = 0.1
+"""Between two rounds of a recording [s]."""
+
+
+class Part(Struct, frozen=True, kw_only=True):
+    """What one port of the player sends: sources of the recording, or made up.
+
+    `type` is the message's, or the interface that is called, as
+    ``package.module:Class``; for the rest see `poise.model.robot.Generated`.
+    """
+
+    type: str
+    calls: bool = False
+    sources: tuple[str, ...] = ()
+    rate: float = 0.0
+    arrivals: Arrivals = "regular"
+    size: float = 0.0
+    variation: float = 0.0
+    message: str = ""
+    seed: int = 0
+
+
+class Replay(Component):
+    """Publishes and calls as its parameters say.
+
+    These are ``ports`` (port -> `Part`) and ``recording``, a file.
+    A call waits for its answer, so what is due behind it may be late.
+    """
+
+    @classmethod
+    def __poise_specialised__(
+        cls, parameters: Mapping[str, Any], folder: str
+    ) -> type[Component]:
+        """Return a class that publishes and calls what `parameters` say."""
+        parts = parts_of(parameters)
+        types = {name: find_type(each.type, folder) for name, each in parts.items()}
+        hints = {
+            name: GenericAlias(Required if part.calls else Published, (types[name],))
+            for name, part in parts.items()
+        }
+        made = {"__annotations__": hints, "types": types, "folder": folder}
+        return type(cls.__name__, (cls,), made)
+
+    types: Mapping[str, type]
+    folder: str
+
+    def configure(self) -> None:
+        """Read the recording, if there is one."""
+        self._parts = parts_of(self.parameters)
+        recording = self.parameters.get("recording")
+        inputs = read_recorded(Path(recording)) if recording else []
+        self._streams = [
+            self._recorded(name, part, inputs)
+            if part.sources
+            else self._generated(name, part)
+            for name, part in self._parts.items()
+        ]
+
+    def activate(self) -> None:
+        """Begin with what comes first."""
+        self._began = self.clock.now()
+        self._due = heapq.merge(*self._streams, key=lambda each: each[0])
+        self._next = next(self._due, None)
+
+    @every(TICK)
+    def play(self) -> None:
+        """Publish and call all that is due."""
+        now = self.clock.now() - self._began
+        while self._next is not None and self._next[0] <= now:
+            _, port, what = self._next
+            if isinstance(what, _Call):
+                self._call(port, what)
+            else:
+                getattr(self, port).publish(what)
+            self._next = next(self._due, None)
+
+    def _call(self, port: str, call: _Call) -> None:
+        try:
+            getattr(getattr(self, port), call.method)(*call.arguments)
+        except CallError:
+            self.measure("failed_calls", 1)
+
+    def _recorded(
+        self, name: str, part: Part, inputs: list[Input]
+    ) -> Iterator[tuple[float, str, object]]:
+        """Yield the messages or calls of a source, again and again."""
+        found = [each for each in inputs if each.source in part.sources]
+        decode = _calls(self.types[name]) if part.calls else _messages(self.types[name])
+        length = max((each.at for each in inputs), default=0.0) + _PAUSE
+        passed = 0.0
+        for number, each in enumerate(cycle(found), 1):
+            yield passed + each.at, name, decode(each)
+            if number % len(found) == 0:
+                passed += length
+
+    def _generated(self, name: str, part: Part) -> Iterator[tuple[float, str, object]]:
+        """Yield made up messages."""
+        rng = random.Random(part.seed)  # noqa: S311, it is to be repeatable
+        make: Any = maker(self.types[name])
+        if part.message:
+            make = find_function(part.message, self.folder)
+        at = 0.0
+        while True:
+            at += (
+                rng.expovariate(part.rate)
+                if part.arrivals == "poisson"
+                else 1 / part.rate
+            )
+            spread = rng.uniform(-part.variation, part.variation)
+            yield at, name, make(rng, part.size * (1 + spread))
+
+
+class _Call(Struct, frozen=True):
+    """A call as it was recorded."""
+
+    method: str
+    arguments: tuple[Any, ...]
+
+
+def _messages(type_: type) -> Callable[[Input], Any]:
+    coder = codec(type_)
+    return lambda each: coder.decode(each.body, memoryview(each.buffers))
+
+
+def _calls(interface: type) -> Callable[[Input], Any]:
+    known = methods(interface)
+
+    def call(each: Input) -> _Call:
+        method = known.get(each.tag or 0)
+        if method is None:
+            raise RobotError(
+                f"{each.source} called a method that {interface.__qualname__} has no "
+                "more: record the run again"
+            )
+        found = method.arguments.decode(each.body, memoryview(each.buffers))
+        return _Call(method.name, found)
+
+    return call
+
+
+def parts_of(parameters: Mapping[str, Any]) -> dict[str, Part]:
+    """Return what a player's parameters say of its ports."""
+    return msgspec.convert(parameters["ports"], dict[str, Part])
+
+
+def read_recorded(path: Path) -> list[Input]:
+    """Return what was published while a recording was made; raises as `open` does."""
+    return msgspec.msgpack.decode(path.read_bytes(), type=Recorded).inputs

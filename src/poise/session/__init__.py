@@ -1,0 +1,1 @@
+"""The application as a library: load, decide, run, profile, calibrate."""

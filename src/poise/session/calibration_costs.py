@@ -1,0 +1,120 @@
+"""From what pairs that talk used to what a kind of connector costs. Pure.
+
+A call costs what its pair uses more than two containers of the same kind that are
+silent: the source's has the same steps, the target's does nothing. So the steps and
+what containers use anyway cancel out, and what is left is the call: encoding it, waking
+the other end, and all that is cold by then, for whoever talks in steps talks so.
+
+What a container uses is the median over the samples' intervals, all alike in what they
+hold: what only some hold, as the last of its start, does not count.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
+
+from msgspec import Struct
+
+from poise.errors import RunError
+from poise.estimate.profile import Costs, KindCosts
+from poise.session.calibration_robots import EMPTY, KINDS, PAIRS, SIZES, TICKING, Pair
+from poise.wire.records.samples import AgentSample, ContainerSample
+
+
+class Use(Struct, frozen=True):
+    """CPU time of one call or message at either end [s]."""
+
+    source: float
+    target: float
+
+
+def costs_of(
+    samples: Iterable[AgentSample], speeds: Mapping[str, float]
+) -> dict[str, KindCosts]:
+    """Return what connectors cost, by kind; remote only when two computers took part.
+
+    Parameters
+    ----------
+    samples
+        Of the robot that `calibration_robots.pairs` makes, from first to last.
+    speeds
+        Computer -> what turns its CPU time into the reference computer's.
+
+    Raises
+    ------
+    RunError
+        A container told nothing, or a connector seems to cost nothing.
+    """
+    uses, computers = _uses(samples, speeds)
+    kinds = KINDS if len(computers) > 1 else KINDS[:-1]
+    costs = {kind: _fitted(uses, kind) for kind in kinds}
+    for kind, both in costs.items():
+        if kind != "direct" and not both.source.call * both.source.message:
+            raise RunError(
+                f"calls and messages of a {kind} connector drown in what else goes on"
+                " here; try again when less does, or with a longer --for"
+            )
+    return costs
+
+
+def _uses(
+    samples: Iterable[AgentSample], speeds: Mapping[str, float]
+) -> tuple[dict[Pair, Use], set[str]]:
+    told: dict[str, list[ContainerSample]] = defaultdict(list)
+    where: dict[str, str] = {}
+    for sample in samples:
+        for container in sample.containers:
+            told[container.name].append(container)
+            where[container.name] = sample.computer
+    for name in (EMPTY, TICKING, *(name for pair in PAIRS for name in pair.containers)):
+        if name not in told or told[name][-1].at <= told[name][0].at:
+            raise RunError(f"container '{name}' told nothing; try again")
+    used = {name: _cores(each) for name, each in told.items()}
+    found = {}
+    for pair in PAIRS:
+        source = told[pair.containers[0]]
+        seconds = source[-1].at - source[0].at
+        count = _count(source[-1]) - _count(source[0])
+        if count <= 0:
+            raise RunError(f"the pair '{pair.name}' did not talk; try again")
+        spent = [
+            max(0.0, used[name] - used[silent]) * seconds / count * speeds[where[name]]
+            for name, silent in zip(pair.containers, (TICKING, EMPTY), strict=False)
+        ]
+        found[pair] = Use(spent[0], sum(spent[1:]))
+    return found, set(where.values())
+
+
+def _cores(samples: Sequence[ContainerSample]) -> float:
+    """Return the CPU time a container uses [cores]."""
+    return statistics.median(
+        (b.cpu - a.cpu) / (b.at - a.at) for a, b in pairwise(samples) if b.at > a.at
+    )
+
+
+def _count(sample: ContainerSample) -> int:
+    return sum(each.calls + each.messages for each in sample.connectors)
+
+
+def _fitted(uses: Mapping[Pair, Use], kind: str) -> KindCosts:
+    return KindCosts(
+        source=_end({p: use.source for p, use in uses.items()}, kind),
+        target=_end({p: use.target for p, use in uses.items()}, kind),
+    )
+
+
+def _end(uses: Mapping[Pair, float], kind: str) -> Costs:
+    """Return the line through small and large ones; bytes cost alike in both."""
+    small, large = SIZES
+    calls = [uses[Pair(kind, "call", size)] for size in SIZES]
+    messages = [uses[Pair(kind, "message", size)] for size in SIZES]
+    slopes = [(b - a) / (large - small) for a, b in (calls, messages)]
+    byte = max(0.0, sum(slopes) / len(slopes))
+    return Costs(
+        call=max(0.0, calls[0] - small * byte),
+        message=max(0.0, messages[0] - small * byte),
+        byte=byte,
+    )

@@ -1,0 +1,182 @@
+"""The robot's computers, up and with an agent each: real ones, or emulated here."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+from poise.clock import SystemClock
+from poise.emulate import Emulation, StarvationWatch
+from poise.errors import RobotError, RunError
+from poise.model.robot import Robot
+from poise.wire.control_session import endpoint
+from poise.wire.records.samples import SAMPLE_EVERY
+
+Say = Callable[[str], None]
+
+_STDERR = 2
+_TOLERATED = 0.1
+"""A run is void when the host starved computers for more than this share of it."""
+
+
+class Computers:
+    """The computers of a run.
+
+    Parameters
+    ----------
+    endpoints
+        Computer -> zenoh endpoint of its agent.
+    without
+        What the emulation does without.
+    watch
+        Sees whether the host starves the emulation; None when the computers are real.
+    agents
+        Computer -> the process of its agent, where it was started here.
+    faster
+        Computer -> how many times more CPU it has than the robot file says.
+
+    Attributes
+    ----------
+    lease
+        An agent that is silent for this time [s] is lost.
+    """
+
+    def __init__(
+        self,
+        endpoints: Mapping[str, str],
+        without: tuple[str, ...] = (),
+        watch: Callable[[], StarvationWatch] | None = None,
+        agents: Mapping[str, subprocess.Popen[bytes]] | None = None,
+        faster: Mapping[str, float] | None = None,
+    ) -> None:
+        self.endpoints = endpoints
+        self.faster = faster or {}
+        self._agents = agents or {}
+        # nothing can cut off agents that were started here, but they may be starved
+        self.lease = 10.0 if agents else 1.0
+        self.without = without
+        self._make_watch = watch
+        self._watch: StarvationWatch | None = None
+        self._clock = SystemClock()
+        self._began = 0.0
+
+    def raise_if_ended(self) -> None:
+        """Raise RunError when the process of an agent ended."""
+        for name, process in self._agents.items():
+            if (code := process.poll()) is not None:
+                raise RunError(f"the agent of '{name}' ended with exit code {code}")
+
+    def begin(self) -> None:
+        """Judge from now on whether the host gives what the emulation promised."""
+        self._began = self._clock.now()
+        self._watch = self._make_watch() if self._make_watch else None
+
+    def look(self) -> None:
+        """Judge the moment; call it a few times a second."""
+        if self._watch is not None:
+            self._watch.look()
+
+    def end(self, of: str | None = None) -> str:
+        """Return why the run says nothing about the robot; empty when it does.
+
+        Parameters
+        ----------
+        of
+            The computer that the run is about; None: all of them.
+        """
+        starved = self._watch.end() if self._watch is not None else {}
+        if of is not None:
+            starved = {name: t for name, t in starved.items() if name == of}
+        lasted = self._clock.now() - self._began
+        if sum(starved.values()) <= _TOLERATED * lasted:
+            return ""
+        times = ", ".join(f"{name} for {t:.1f} s" for name, t in starved.items())
+        return (
+            "this machine was too busy to give the emulated computers the CPU they "
+            f"were promised ({times}): run it again when less else runs"
+        )
+
+
+@contextlib.contextmanager
+def computers_of(
+    robot: Robot, folder: Path, say: Say, sample_every: float = SAMPLE_EVERY
+) -> Iterator[Computers]:
+    """Give the robot's real computers, or emulate all of them on this one.
+
+    Parameters
+    ----------
+    sample_every
+        How often emulated computers tell what they use [s]; real ones were told by
+        ``poise agent``.
+
+    Raises
+    ------
+    RobotError
+        Some computers have an address and some have none.
+    """
+    addresses = {c.name: c.address for c in robot.computers if c.address}
+    without = [c.name for c in robot.computers if not c.address]
+    if not addresses:
+        with _emulated(robot, folder, say, sample_every) as computers:
+            yield computers
+        return
+    if without:
+        raise RobotError(
+            f"computers without an address: {', '.join(without)}. Give all an address "
+            "to use real ones, or none to emulate them"
+        )
+    yield Computers({n: endpoint(a) for n, a in addresses.items()})
+
+
+@contextlib.contextmanager
+def _emulated(
+    robot: Robot, folder: Path, say: Say, sample_every: float
+) -> Iterator[Computers]:
+    say(f"emulating {len(robot.computers)} computers on this one")
+    # an agent ends at the end of its lifeline, so even a killed manager leaves none
+    lifeline, held = os.pipe()
+    try:
+        with Emulation(robot, folder) as emulation:
+            for sentence in emulation.without:
+                say(f"  without {sentence}")
+            computers = emulation.computers
+            endpoints = {n: endpoint(c.address) for n, c in computers.items()}
+            agents = {}
+            for name in computers:
+                argv = _agent(robot.name, emulation, name, endpoints)
+                argv += ["--lifeline", str(lifeline)]
+                argv += ["--sample-every", str(sample_every)]
+                agents[name] = computers[name].popen(
+                    argv,
+                    stdin=subprocess.DEVNULL,
+                    # what components print must not get into a JSON report
+                    stdout=_STDERR,
+                    pass_fds=[lifeline],
+                )
+            yield Computers(
+                endpoints,
+                emulation.without,
+                lambda: StarvationWatch(computers, SystemClock()),
+                agents,
+                {name: computer.slowdown for name, computer in computers.items()},
+            )
+    finally:
+        os.close(lifeline)
+        os.close(held)
+
+
+def _agent(
+    robot: str, emulation: Emulation, name: str, endpoints: Mapping[str, str]
+) -> list[str]:
+    """Return the command line of a computer's agent."""
+    computer = emulation.computers[name]
+    argv = [sys.executable, "-m", "poise", "agent", name, "--robot", robot]
+    argv += ["--address", computer.address, "--folder", str(computer.folder)]
+    for other, at in endpoints.items():
+        if other != name:
+            argv += ["--peer", at.removeprefix("tcp/")]
+    return argv

@@ -1,0 +1,79 @@
+"""Runs one architecture on its stand and measures it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from poise.errors import RunError
+from poise.estimate.profile.spread import WINDOW
+from poise.manage.journal import Journal
+from poise.manage.observe.measure import measure
+from poise.manage.observe.profiling import Observed
+from poise.manage.observe.recording import Recording
+from poise.manage.run import ACTIVE_LIMIT
+from poise.session.computers import Say
+from poise.session.launch import Up, Watching, running
+from poise.session.profiling_rig import ProfilingRig
+
+Tick = Callable[[float], None]
+_STEP = 0.2
+
+
+def measure_alone(
+    stand: ProfilingRig, seconds: float, warm_up: float, say: Say, tick: Tick
+) -> Observed:
+    """Return what a stand used.
+
+    Parameters
+    ----------
+    seconds
+        How long to measure [s]; > 0.
+    warm_up
+        How long to let it run before [s].
+    say
+        Takes sentences.
+    tick
+        Told how much time passed [s].
+
+    Raises
+    ------
+    RunError
+        A component failed, or the simulator ended before the measurement did.
+    """
+    recording = Recording()
+    watching = Watching(recording.add, WINDOW, weigh=True)
+    journal = Journal(":memory:")
+    try:
+        with running(stand.robot, stand.placement, journal, say, watching) as up:
+            _watch(up, warm_up, tick)
+            recording.take()
+            up.computers.begin()
+            _watch(up, seconds, tick)
+            samples = recording.take()
+            void = up.computers.end(stand.computer)
+            working = up.run.agents.statuses()
+            up.run.reach("inactive", ACTIVE_LIMIT)
+            return Observed(
+                measured=measure(samples),
+                statuses=up.run.agents.statuses(),
+                working=working,
+                void=void,
+            )
+    finally:
+        journal.close()
+
+
+def _watch(up: Up, seconds: float, tick: Tick) -> None:
+    last, end = time.monotonic(), time.monotonic() + seconds
+    while (left := end - last) > 0:
+        up.run.watch(min(left, _STEP))
+        up.computers.look()
+        if up.world is not None and up.world.has_ended():
+            raise RunError(
+                "the simulator ended while components were measured: name one that "
+                "goes on as `workload` in the robot file, or measure for a shorter time"
+            )
+        now = time.monotonic()
+        tick(now - last)
+        last = now

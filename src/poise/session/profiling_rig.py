@@ -1,0 +1,215 @@
+"""What runs where while one architecture is measured alone.
+
+Its components have a computer for themselves. What feeds them, or is called by them,
+runs with its own feeders on another, so that their inputs are the real ones. Where the
+workload is recorded or made up, a player takes the places of those that feed it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import msgspec
+from msgspec import Struct
+
+from poise.errors import UsageError
+from poise.model.robot import (
+    Architecture,
+    Component,
+    Computer,
+    Device,
+    Robot,
+    Simulator,
+)
+from poise.runtime.component.implementation import find
+from poise.runtime.component.ports import ports_of
+from poise.session.workload_replay import Played, played
+
+OTHERS = "others"
+EMPTY = "empty-container"
+"""A component that does nothing: what a container costs by itself."""
+
+
+class ProfilingRig(Struct, frozen=True):
+    """A robot to measure one architecture with.
+
+    Parameters
+    ----------
+    computer
+        Where the architecture runs.
+    measured, feeding
+        Names of its components, and of the architectures that feed it.
+    played
+        Connectors of the robot -> those of the player in their places.
+    """
+
+    robot: Robot
+    computer: str
+    placement: Mapping[str, str]
+    measured: tuple[str, ...]
+    feeding: tuple[str, ...]
+    played: Mapping[str, str] = {}
+
+
+def stand_of(
+    robot: Robot, architecture: str, computer: str, *, apart: bool
+) -> ProfilingRig:
+    """Return the stand for an architecture of `robot`.
+
+    Parameters
+    ----------
+    computer
+        Which computer of the robot to measure on.
+    apart
+        Whether every component gets a container of its own; an empty container then
+        runs beside them.
+
+    Raises
+    ------
+    UsageError
+        There is no such architecture or computer.
+    """
+    chosen = _named(robot, architecture)
+    if computer not in {c.name for c in robot.computers}:
+        known = ", ".join(c.name for c in robot.computers)
+        raise UsageError(f"--on {computer}: the robot's computers are {known}")
+    playing = played(robot)
+    feeding = _feeding(robot, chosen, playing)
+    if apart:
+        chosen = _apart(chosen)
+    here = {c.name: computer for c in chosen.components}
+    made = _emulated if _is_emulated(robot) else _real
+    stand, elsewhere = made(robot, computer)
+    others = feeding if not playing.parts else (*feeding, playing.player())
+    beside = {c.name: elsewhere for a in others for c in a.components}
+    there = {*here, *beside}
+    placement = _held_by_devices(stand, {**here, **beside}, (chosen, *others))
+    return ProfilingRig(
+        msgspec.structs.replace(
+            stand,
+            architectures=(chosen, *others),
+            connectors=tuple(
+                connector
+                for connector in playing.connectors(robot)
+                if there.issuperset(end.component for end in connector.between)
+            ),
+        ),
+        computer,
+        placement,
+        tuple(name for name in here if name != EMPTY),
+        tuple(a.name for a in feeding),
+        playing.names(robot),
+    )
+
+
+def _named(robot: Robot, name: str) -> Architecture:
+    for architecture in robot.architectures:
+        if architecture.name == name:
+            return architecture
+    known = ", ".join(a.name for a in robot.architectures) or "none"
+    raise UsageError(f"--architecture {name}: the robot has {known}")
+
+
+def _is_emulated(robot: Robot) -> bool:
+    return all(computer.address is None for computer in robot.computers)
+
+
+def _emulated(robot: Robot, computer: str) -> tuple[Robot, str]:
+    """Return the robot with one other computer that is as large as all together."""
+    chosen = robot.computer(computer)
+    total = sum(c.capacity["cpu"] * c.speed for c in robot.computers)
+    memory = sum(c.capacity["memory"] for c in robot.computers)
+    others = Computer(name=OTHERS, capacity={"cpu": total, "memory": memory})
+    stand = msgspec.structs.replace(
+        robot,
+        computers=(chosen, others),
+        links=(),
+        # one machine plays both, so its simulator reaches both
+        devices=tuple(_at(device, computer) for device in robot.devices),
+        simulator=_simulator(robot),
+    )
+    return stand, OTHERS
+
+
+def _real(robot: Robot, computer: str) -> tuple[Robot, str]:
+    names = [c.name for c in robot.computers if c.name != computer]
+    stand = msgspec.structs.replace(robot, simulator=_simulator(robot))
+    return stand, names[0] if names else computer
+
+
+def _simulator(robot: Robot) -> Simulator | None:
+    if robot.workload is not None and robot.workload.command:
+        return Simulator(command=robot.workload.command)
+    return robot.simulator
+
+
+def _at(device: Device, computer: str) -> Device:
+    return msgspec.structs.replace(device, computer=computer)
+
+
+def _held_by_devices(
+    stand: Robot,
+    placement: Mapping[str, str],
+    architectures: tuple[Architecture, ...],
+) -> dict[str, str]:
+    """Return the placement with real devices' components where the devices are."""
+    if _is_emulated(stand):
+        return dict(placement)
+    held = {
+        component.name: stand.device(device).computer
+        for architecture in architectures
+        for component in architecture.components
+        for device in component.devices
+    }
+    return {**placement, **held}
+
+
+def _apart(architecture: Architecture) -> Architecture:
+    empty = Component(
+        name=EMPTY,
+        implementation="poise.runtime.component.component:Component",
+        isolated=True,
+    )
+    alone = (
+        msgspec.structs.replace(component, isolated=True)
+        for component in architecture.components
+    )
+    return msgspec.structs.replace(architecture, components=(*alone, empty))
+
+
+def _feeding(
+    robot: Robot, chosen: Architecture, playing: Played
+) -> tuple[Architecture, ...]:
+    """Return the architectures that feed `chosen`, and those that feed them."""
+    owner = {c.name: a for a in robot.architectures for c in a.components}
+    found = [chosen.name]
+    for name in found:  # grows meanwhile
+        for other in _needed(robot, name, owner, playing):
+            if other not in found:
+                found.append(other)
+    return tuple(a for a in robot.architectures if a.name in found[1:])
+
+
+def _needed(
+    robot: Robot, name: str, owner: Mapping[str, Architecture], playing: Played
+) -> Iterator[str]:
+    """Yield the architectures whose messages, calls or answers `name` needs."""
+    for connector in robot.connectors:
+        source, target = connector.between
+        if playing.covers(connector):
+            continue
+        if owner[target.component].name == name:
+            yield owner[source.component].name
+        elif owner[source.component].name == name and source.port in _required(
+            robot, source.component
+        ):
+            yield owner[target.component].name
+
+
+def _required(robot: Robot, name: str) -> set[str]:
+    """Return the names of a component's required ports."""
+    component = next(c for c in robot.components() if c.name == name)
+    if not component.implementation:
+        return {port.name for port in component.ports if port.kind == "requires"}
+    ports = ports_of(find(component.implementation, robot.folder)).values()
+    return {port.name for port in ports if port.kind == "requires"}

@@ -1,0 +1,153 @@
+"""The simulated world of an emulated robot: a process outside every computer."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import threading
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from poise.errors import RobotError, RunError
+from poise.model.robot import Robot
+from poise.runtime.hosting.command_line import die_with_parent, program
+from poise.runtime.waker import wait_readable
+
+READY_LIMIT = 20.0
+"""A simulated world says ``ready`` within this time [s]."""
+_END_LIMIT = 3.0
+
+
+class SimulatorProcess:
+    """The simulated world's process, and what that starts.
+
+    What it prints is read all the time, or it would stop when the pipe is full.
+    """
+
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        self._process = process
+        self._ended = os.pidfd_open(process.pid)
+        self._first: bytes | None = None
+        self._last = b""
+        self._has_spoken = threading.Event()
+        self._reader = threading.Thread(target=self._read, name="world", daemon=True)
+        self._reader.start()
+
+    def wait_ready(self) -> None:
+        """Wait for its line ``ready``.
+
+        Raises
+        ------
+        RunError
+            It said something else, or nothing within `READY_LIMIT`.
+        """
+        if not self._has_spoken.wait(READY_LIMIT):
+            raise RunError(f"the simulator did not say 'ready' in {READY_LIMIT:g} s")
+        line = (self._first or b"").decode(errors="replace").strip()
+        if line != "ready":
+            raise RunError(f"the simulator said {line!r} instead of 'ready'")
+
+    def has_ended(self) -> bool:
+        """Return at once whether it ended by itself."""
+        # not waited for, its number stays its own, and its group's
+        return self._process.returncode is not None or self._is_over(0.0)
+
+    def result(self) -> Mapping[str, Any]:
+        """End it, if it has not, and return the JSON object of its last line.
+
+        Raises
+        ------
+        RunError
+            Its last line is something else, or it does not end.
+        """
+        self._end()
+        return _object(self._last.decode(errors="replace"))
+
+    def _read(self) -> None:
+        with self._process.stdout or contextlib.nullcontext(()) as lines:
+            for line in lines:
+                if self._first is None:
+                    self._first = line
+                    self._has_spoken.set()
+                elif line.strip():
+                    self._last = line
+        self._has_spoken.set()
+
+    def _end(self) -> None:
+        if self._process.returncode is not None:
+            return
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+        self._signal(signal.SIGTERM)
+        self._is_over(_END_LIMIT)
+        self._signal(signal.SIGKILL)
+        if not self._is_over(_END_LIMIT):
+            raise RunError(f"the simulator still runs {_END_LIMIT:g} s after SIGKILL")
+        self._process.wait()
+        os.close(self._ended)
+        self._reader.join(_END_LIMIT)
+
+    def _is_over(self, limit: float) -> bool:
+        return bool(wait_readable([self._ended], limit))
+
+    def _signal(self, number: signal.Signals) -> None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, number)
+
+
+@contextlib.contextmanager
+def world_of(robot: Robot, folder: Path) -> Iterator[SimulatorProcess | None]:
+    """Run the robot's simulated world, if it has one, in the run's folder.
+
+    Raises
+    ------
+    RobotError
+        Its command cannot be started.
+    RunError
+        It does not become ready.
+    """
+    if robot.simulator is None:
+        yield None
+        return
+    process = _start(robot.simulator.command, robot.folder, folder)
+    world = SimulatorProcess(process)
+    try:
+        world.wait_ready()
+        yield world
+    finally:
+        with contextlib.suppress(RunError):  # the run is over, one way or the other
+            world.result()
+
+
+def _start(
+    command: tuple[str, ...], robot_folder: str, folder: Path
+) -> subprocess.Popen[bytes]:
+    try:
+        return subprocess.Popen(  # noqa: S603, the robot file's own command
+            [program(command[0], robot_folder or "."), *command[1:]],
+            cwd=robot_folder or None,
+            env={**os.environ, "POISE_RUN": str(folder)},
+            stdin=subprocess.PIPE,  # its end tells the world that we are gone
+            stdout=subprocess.PIPE,
+            start_new_session=True,
+            # safe beside other threads: it takes no lock that one of them may hold
+            preexec_fn=die_with_parent,  # noqa: PLW1509
+        )
+    except OSError as error:
+        raise RobotError(f"simulator '{command[0]}' cannot start: {error}") from error
+
+
+def _object(line: str) -> Mapping[str, Any]:
+    if not line:
+        return {}
+    try:
+        found = json.loads(line)
+    except json.JSONDecodeError:
+        found = None
+    if not isinstance(found, dict):
+        raise RunError(f"the simulator's last line is no JSON object: {line!r}")
+    return found

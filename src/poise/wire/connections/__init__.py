@@ -1,0 +1,1 @@
+"""Connections between containers, and what they carry."""

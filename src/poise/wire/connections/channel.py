@@ -1,0 +1,68 @@
+"""What carries a connector between containers: a pipe, and who takes what it brings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from poise.errors import Unavailable
+from poise.wire.codec import Bytes, WireError
+from poise.wire.frame import Frame
+
+Pieces = list[Bytes]
+
+
+class Closed(Unavailable):
+    """The pipe was closed here before anything was sent."""
+
+
+Handler = Callable[[Frame], Pieces | None]
+"""What a receiving end does with a frame; the pieces of an answer, or None.
+
+Called on a thread that may block; frames of one pipe's topic come one
+after the other, in order. It must not raise.
+"""
+
+
+Refused = Callable[[WireError], None]
+"""Hears of what came and is no frame; must not block or raise."""
+
+
+def ignore(_: WireError) -> None:
+    """Do nothing with it."""
+
+
+class Channel(Protocol):
+    """The sending end of a connector between containers. Any thread may use it."""
+
+    def is_ready(self) -> bool:
+        """Return at once whether the receiving end is there."""
+        ...
+
+    def request(self, pieces: Pieces, limit: float) -> Frame:
+        """Send a call and return the answer.
+
+        Raises
+        ------
+        Closed
+            This end was closed; nothing was sent.
+        Unavailable
+            Nobody is there, or it went away.
+        Timeout
+            No answer within `limit` [s].
+        """
+        ...
+
+    def push(self, pieces: Pieces, limit: float) -> None:
+        """Send a message; may block up to `limit` [s] when the receiver is slow.
+
+        Raises
+        ------
+        Unavailable, Timeout
+            As for `request`.
+        """
+        ...
+
+    def close(self) -> None:
+        """Send no more, and give back what it holds when no call is under way."""
+        ...

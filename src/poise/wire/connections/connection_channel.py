@@ -1,0 +1,272 @@
+"""The sending end of a connector: links to the container where it ends.
+
+Every link carries one connector: its first frame names it, and says whether calls or
+messages follow. A call uses a link alone until its answer is there, so that answers
+need no sorting and the thread that calls is the thread that reads; callers at the same
+time use several. The thread that reads a call at the other end runs it and answers: no
+thread wakes another. Messages use one link, which keeps their order. When it breaks and
+another takes its place, the receiver first takes all that came over the first.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from poise.errors import CallError, Timeout, Unavailable
+from poise.wire.address import Address
+from poise.wire.connections.channel import Closed, Pieces
+from poise.wire.connections.connection import LAST_ANSWER, Connection
+from poise.wire.connections.opening import CALLS, MESSAGES, Opening
+from poise.wire.frame import Frame
+
+_PATIENCE = 0.2
+"""Who asks whether a container of this computer is ready waits so long for it [s]."""
+_PAUSE, _LONGEST_PAUSE = 0.02, 0.1
+"""Who was refused is not asked again for this time, and then ever longer [s]."""
+_SPARE = 8
+"""Links kept open per connector when no call uses them."""
+_IDLE = 30.0
+"""Links that nobody used for so long are closed, with their shared memory [s]."""
+
+
+class _Links:
+    """Open links for one use; what is long unused is closed."""
+
+    def __init__(self) -> None:
+        self._open: set[Connection] = set()
+        self._recent: list[Connection] = []
+        self._older: list[Connection] = []
+        self._is_closed = False
+
+    def __iter__(self) -> Iterator[Connection]:
+        """Yield those that nobody uses."""
+        return iter([*self._recent, *self._older])
+
+    def is_alive(self) -> bool:
+        """Return at once whether one leads to the other end, so far as is known."""
+        spare = {*self}
+        return any(
+            connection not in spare or connection.is_idle()
+            for connection in list(self._open)
+        )
+
+    def take(self) -> Connection | None:
+        """Return the one that was used last."""
+        try:
+            return self._recent.pop() if self._recent else self._older.pop()
+        except IndexError:  # also when another thread was quicker
+            return None
+
+    def add(self, connection: Connection) -> None:
+        """Know one more, which is used."""
+        self._open.add(connection)
+
+    def give_back(self, connection: Connection) -> None:
+        """Keep one that was used, or close it."""
+        if len(self._recent) >= _SPARE:
+            self.drop(connection)
+            return
+        self._recent.append(connection)
+        if self._is_closed:  # perhaps just now
+            self.close()
+
+    def drop(self, connection: Connection) -> None:
+        """Close one that was used."""
+        self._open.discard(connection)
+        connection.close()
+
+    def close_older(self) -> None:
+        """Close those that nobody used since the last time.
+
+        But not the last one when it costs nothing: to open another takes time.
+        """
+        if not self._recent and self._older and not self._older[-1].has_blocks:
+            self._recent.append(self._older.pop())
+        self._drop_all(self._older)
+        self._older, self._recent = self._recent, []
+
+    def close(self) -> None:
+        """Close all, and what is given back from now on."""
+        self._is_closed = True
+        self._drop_all(self._recent)
+        self._drop_all(self._older)
+
+    def _drop_all(self, connections: list[Connection]) -> None:
+        with contextlib.suppress(IndexError):  # others may take some meanwhile
+            while True:
+                self.drop(connections.pop())
+
+
+class ConnectionChannel:
+    """The sending end; connects when first used, and again when the peer came back.
+
+    Parameters
+    ----------
+    address
+        Where the container is in which the connector ends.
+    folder
+        Where the sockets of this computer's containers are.
+    use
+        What it is for, `CALLS` or `MESSAGES`: such a link is opened by who asks whether
+        it is ready.
+    """
+
+    def __init__(
+        self, connector: str, address: Address, folder: Path, use: int = CALLS
+    ) -> None:
+        self._connector = connector
+        self._address = address
+        self._folder = folder
+        self._use = use
+        self._calls, self._messages = self._connections = _Links(), _Links()
+        self._openings: dict[int, Opening] = {}
+        self._is_closed = False
+        self._is_lost = False
+        self._ordering = threading.Lock()
+        self._looked_at = time.monotonic()
+        self._ask_at, self._pause = 0.0, _PAUSE
+
+    def is_ready(self) -> bool:
+        """Return at once whether the receiving end is there, by connecting to it.
+
+        Who asks now and then lets go of what has become idle.
+        """
+        now = time.monotonic()
+        if now - self._looked_at > _IDLE:
+            self._looked_at = now
+            for connections in self._connections:
+                connections.close_older()
+        return (
+            any(connections.is_alive() for connections in self._connections)
+            or self._is_reached()
+        )
+
+    def request(self, pieces: Pieces, limit: float) -> Frame:
+        """Send a call and wait for its answer (`Channel.request`)."""
+        if self._is_closed:
+            raise Closed(f"{self._connector} is closed")
+        deadline = time.monotonic() + limit
+        connections = self._calls
+        while True:
+            found = self._fresh(connections)
+            connection = found or self._connect(CALLS, deadline)
+            try:
+                answer = connection.ask(pieces, deadline)
+            except BaseException:
+                # also when a signal's handler raises: the answer may still come, and
+                # the next call must not take it for its own
+                connections.drop(connection)
+                raise
+            if answer is not None and answer.number != LAST_ANSWER:
+                connections.give_back(connection)
+                return answer
+            connections.drop(connection)
+            if answer is not None:
+                return answer
+            if found is None:  # else the receiver had closed it while it was idle
+                raise Unavailable(f"{self._connector}: {self._address} went away")
+
+    def push(self, pieces: Pieces, limit: float) -> None:
+        """Send a message; all use one link, which keeps their order."""
+        deadline = time.monotonic() + limit
+        if not self._ordering.acquire(timeout=limit):
+            raise Timeout(f"{self._connector}: others send since {limit:g} s")
+        try:
+            self._messages.give_back(self._send(pieces, deadline))
+        finally:
+            self._ordering.release()
+
+    def close(self) -> None:
+        """Send no more; links in use are closed when their call is over."""
+        self._is_closed = True
+        with self._ordering:
+            self._messages.close()
+        self._calls.close()
+        while self._openings:
+            self._openings.popitem()[1].connection.close()
+
+    def _send(self, pieces: Pieces, deadline: float) -> Connection:
+        """Send a message over the link for them or else a new one, and return it."""
+        connections = self._messages
+        while True:
+            found = self._fresh(connections)
+            connection = found or self._connect(MESSAGES, deadline)
+            try:
+                connection.send(pieces, deadline)
+            except Unavailable:
+                connections.drop(connection)
+                if found is None:
+                    raise
+                # the receiver closed it while it was idle, and has got nothing
+            except BaseException:
+                # also when a signal's handler raises: part of it may have been sent
+                connections.drop(connection)
+                raise
+            else:
+                return connection
+
+    def _fresh(self, connections: _Links) -> Connection | None:
+        """Return an open link that the other end has not closed, so far as is known.
+
+        Over AF_UNIX sending tells that; TCP takes what nobody will get.
+        """
+        while (connection := connections.take()) and not (
+            connection.is_local or connection.is_idle()
+        ):
+            self._is_lost |= connection.is_lost
+            connections.drop(connection)
+        return connection
+
+    def _connect(self, use: int, deadline: float) -> Connection:
+        """Return a new link.
+
+        Waits for another computer once; after it was silent, only the news that it is
+        there again end that. So whoever publishes is not held up by one that is gone.
+        """
+        connection = self._opened(use, 0.0 if self._is_lost else deadline)
+        if connection is None:
+            self._is_lost = bool(self._address.host)
+            raise Unavailable(f"{self._connector}: no answer from {self._address}")
+        return connection
+
+    def _is_reached(self) -> bool:
+        """Return whether a new link can be had, as far as to open it takes no time."""
+        # two links for messages would not keep their order
+        if time.monotonic() < self._ask_at or not self._ordering.acquire(
+            blocking=False
+        ):
+            return False
+        try:
+            patience = 0.0 if self._address.host else _PATIENCE
+            connection = self._opened(self._use, time.monotonic() + patience)
+            if connection is not None:
+                self._connections[self._use].give_back(connection)
+                self._pause = _PAUSE
+        except CallError:
+            self._ask_at = time.monotonic() + self._pause
+            self._pause = min(2 * self._pause, _LONGEST_PAUSE)
+            return False
+        finally:
+            self._ordering.release()
+        return connection is not None
+
+    def _opened(self, use: int, deadline: float) -> Connection | None:
+        """Return a new link that is open before `deadline`; else it goes on later."""
+        # who takes it out of the table is alone with it
+        opening = self._openings.pop(use, None) or Opening(
+            self._connector, self._address, self._folder
+        )
+        if opening.go_on(use, deadline):
+            self._is_lost = False
+            self._connections[use].add(opening.connection)
+            return opening.connection
+        if opening.is_late() or self._is_closed:
+            self._is_lost = bool(self._address.host)
+            opening.connection.close()
+        else:
+            self._openings[use] = opening
+        return None

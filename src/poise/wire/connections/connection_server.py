@@ -1,0 +1,265 @@
+"""The receiving ends of a container: a thread for each link that others opened to it.
+
+Links from this computer come to its AF_UNIX socket. Those from others come to the door
+of this computer (`poise.wire.connections.gateway`), which hands them on as open files.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import select
+import socket
+import threading
+import time
+from pathlib import Path
+
+from msgspec import Struct
+
+from poise.errors import Timeout, Unavailable
+from poise.wire import frame
+from poise.wire.codec import Unreadable, WireError
+from poise.wire.connections import caller
+from poise.wire.connections.channel import Handler, Pieces, Refused, ignore
+from poise.wire.connections.connection import LAST_ANSWER, Connection
+from poise.wire.connections.opening import ANSWER_LIMIT, MESSAGES, NAME
+from poise.wire.connections.socket_path import guests_path, socket_path
+from poise.wire.frame import Kind
+
+log = logging.getLogger(__name__)
+
+LAST_LIMIT = 0.5
+"""When it closes, calls under way are answered within this time, or given up [s]."""
+_TAKE_LIMIT = 10.0
+"""A caller that does not take its answer for so long is given up [s]."""
+_PAUSE = 0.01
+_PATIENCE = 1.0
+"""What was sent over a link before its sender left it comes within this time [s]."""
+_MOST_LINKS = 256
+"""Links that a container serves at a time; more are closed at once."""
+
+
+class _Served(Struct, eq=False):
+    """A link, the thread that takes what comes over it, and what it is for."""
+
+    connection: Connection
+    thread: threading.Thread
+    connector: str = "unknown"
+    use: int = 0
+
+
+class ConnectionServer:
+    """Where links end.
+
+    Parameters
+    ----------
+    folder
+        Where the sockets of this computer's containers are.
+    container
+        The container's name.
+    """
+
+    def __init__(self, folder: Path, container: str) -> None:
+        self._handlers: dict[str, Handler] = {}
+        self._shared: set[str] = set()
+        self._refused: dict[str, Refused] = {}
+        self._connections: set[_Served] = set()
+        self._messages: dict[str, _Served] = {}
+        self._lock = threading.Lock()
+        self._container = container
+        self._closed = threading.Event()
+        self._paths = socket_path(folder, container), guests_path(folder, container)
+        kinds = socket.SOCK_STREAM, socket.SOCK_DGRAM
+        self._neighbours, self._guests = map(_bound, self._paths, kinds)
+        self._neighbours.listen(64)
+        threading.Thread(target=self._accept, name="accept", daemon=True).start()
+
+    def open(
+        self,
+        connector: str,
+        handler: Handler,
+        refused: Refused = ignore,
+        *,
+        shared: bool = False,
+    ) -> None:
+        """Receive the frames of `connector` from now on.
+
+        What is no frame is logged, answered with an error where an answer is waited
+        for, and told to `refused`. A connector is `shared` when many send messages over
+        it: then a new link takes no other's place, and there is no order among them.
+        """
+        if shared:
+            self._shared.add(connector)
+        self._refused[connector] = refused
+        self._handlers[connector] = handler
+
+    def shut(self, connector: str) -> None:
+        """Receive no more of them; harmless when repeated.
+
+        What is under way is answered still; links end at their next frame.
+        """
+        self._handlers.pop(connector, None)
+        self._refused.pop(connector, None)
+
+    def close(self) -> None:
+        """Close the sockets and every link; harmless when repeated."""
+        if self._closed.is_set():
+            return
+        self._handlers.clear()
+        self._closed.set()
+        for listening in (self._neighbours, self._guests):
+            with contextlib.suppress(OSError):
+                listening.shutdown(socket.SHUT_RDWR)
+        with self._lock:
+            connections = list(self._connections)
+        for served in connections:
+            served.connection.end(socket.SHUT_RD)  # calls that came are answered still
+        deadline = time.monotonic() + LAST_LIMIT
+        for served in connections:
+            if served.thread is not threading.current_thread():
+                served.thread.join(max(0.0, deadline - time.monotonic()))
+            served.connection.end()
+        for path in self._paths:
+            path.unlink(missing_ok=True)
+
+    def _accept(self) -> None:
+        poll = select.poll()
+        poll.register(self._neighbours, select.POLLIN)
+        poll.register(self._guests, select.POLLIN)
+        with self._neighbours, self._guests:
+            while not self._closed.is_set():
+                ready = {file for file, _ in poll.poll()}
+                try:
+                    if self._neighbours.fileno() in ready:
+                        self._start(self._neighbours.accept()[0])
+                    if self._guests.fileno() in ready:
+                        self._start(_guest(self._guests))
+                except OSError:
+                    # one that gave up, or no file is free at the moment
+                    self._closed.wait(_PAUSE)
+
+    def _start(self, sock: socket.socket) -> None:
+        connection = Connection(sock)
+        served = _Served(connection, threading.current_thread())
+        served.thread = threading.Thread(
+            target=self._serve, args=(served,), name="link", daemon=True
+        )
+        with self._lock:
+            is_full = len(self._connections) >= _MOST_LINKS
+            if not is_full and not self._closed.is_set():
+                self._connections.add(served)
+                try:
+                    served.thread.start()
+                except RuntimeError as error:  # others may end, and make room
+                    self._connections.discard(served)
+                    log.warning("%s: no link is served: %s", self._container, error)
+                else:
+                    return
+        if is_full:
+            log.warning("%s: more than %d links", self._container, _MOST_LINKS)
+        connection.close()
+
+    def _serve(self, served: _Served) -> None:
+        caller.serve(served.connection)
+        try:
+            self._greet(served)
+            while self._serve_one(served):
+                pass
+        except WireError as error:
+            log.warning("connector %s: refused: %s", served.connector, error)
+        except (Unavailable, Timeout):
+            pass
+        finally:
+            with self._lock:
+                self._connections.discard(served)
+                if self._messages.get(served.connector) is served:
+                    del self._messages[served.connector]
+            served.connection.close()
+
+    def _greet(self, served: _Served) -> None:
+        connection, deadline = served.connection, time.monotonic() + ANSWER_LIMIT
+        try:
+            hello = connection.receive(deadline)
+            name: str = hello.value(NAME)
+            self._raise_if_unknown(name)
+        except (WireError, Unavailable) as error:
+            connection.send(frame.segments(NAME, str(error), Kind.ERROR), deadline)
+            raise
+        served.connector, served.use = name, hello.number
+        before = None
+        if served.use == MESSAGES and name not in self._shared:
+            before = self._messages.get(name)
+            self._messages[name] = served
+        connection.send(frame.segments(NAME, name, Kind.WELCOME), deadline)
+        if before is not None:
+            _wait_until_taken(before)
+
+    def _raise_if_unknown(self, connector: str) -> None:
+        if connector not in self._handlers:
+            # usual while a robot starts: the sender asks again
+            raise Unavailable(f"no connector '{connector}' ends here")
+
+    def _serve_one(self, served: _Served) -> bool:
+        connection, connector = served.connection, served.connector
+        try:
+            received = connection.receive()
+        except WireError as error:
+            self._refused.get(connector, ignore)(error)
+            return self._refuse(served, error)
+        handler = self._handlers.get(connector)
+        if handler is None:
+            return False
+        answer = handler(received)
+        del received  # its shared memory may be used again
+        if answer is not None:
+            deadline = time.monotonic() + _TAKE_LIMIT
+            try:
+                connection.send(answer, deadline)
+            except WireError as error:  # it is too large
+                connection.send(_refusal(error), deadline)
+        return True
+
+    def _refuse(self, served: _Served, error: WireError) -> bool:
+        """Tell who waits for an answer why there is none; whether the link goes on."""
+        is_last = isinstance(error, Unreadable)
+        if served.use != MESSAGES:
+            pieces = _refusal(error, LAST_ANSWER if is_last else 0)
+            served.connection.send(pieces, time.monotonic() + _TAKE_LIMIT)
+        log.warning("connector %s: refused: %s", served.connector, error)
+        return not is_last
+
+
+def _bound(path: Path, kind: socket.SocketKind) -> socket.socket:
+    """Return a socket at a path, where a killed container may have left one."""
+    path.unlink(missing_ok=True)
+    bound = socket.socket(socket.AF_UNIX, kind)
+    bound.bind(os.fspath(path))
+    bound.setblocking(False)
+    return bound
+
+
+def _guest(guests: socket.socket) -> socket.socket:
+    """Return a connection that the door has handed on; OSError when there is none."""
+    _, files, _, _ = socket.recv_fds(guests, 1, 1)
+    if not files:
+        raise BlockingIOError
+    return socket.socket(fileno=files[0])
+
+
+def _refusal(error: WireError, number: int = 0) -> Pieces:
+    told = "WireError", str(error), ""
+    return frame.segments(frame.FAILURE, told, Kind.ERROR, number=number)
+
+
+def _wait_until_taken(before: _Served) -> None:
+    """Wait until all came that was sent over the link before, which its sender left.
+
+    Else a message could overtake those that were sent earlier. It ends, because none of
+    them waits for room for ever, and what has not come in time is given up.
+    """
+    before.thread.join(_PATIENCE)
+    before.connection.end(socket.SHUT_RD)
+    while before.thread.is_alive():
+        before.thread.join(_PATIENCE)
+        log.info("connector %s: older messages are being taken", before.connector)

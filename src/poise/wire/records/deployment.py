@@ -1,0 +1,305 @@
+"""What manager, agents and containers tell each other.
+
+Downwards goes what *should* be (`Deployment`, `ContainerSpec`), upwards what *is*
+(`AgentStatus`, `ContainerStatus`). Each receiver compares the two and takes the
+smallest step, so that saying a thing twice is harmless. What containers are ordered to
+do in a move stands in `poise.wire.records.migration`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from msgspec import Struct
+
+from poise.wire.records.clocks import ClockStatus
+from poise.wire.records.migration import Done, Failed, Order
+
+PROTOCOL = 3
+"""Manager, agents and containers of different protocol versions refuse each other."""
+
+Goal = Literal["inactive", "active", "stay"]
+"""What a component should be. `stay`: as it is, and inactive when it is new: so a
+container that ends in the middle of a move begins again with nothing of it active."""
+Aim = Literal["inactive", "ready", "active", "finalized"]
+"""Where a component goes. `ready`: activated, and at rest until it is `active`."""
+State = Literal["unconfigured", "inactive", "active", "finalized", "failed"]
+ConnectorKind = Literal["direct", "local", "remote"]
+End = Literal["source", "target", "both"]
+
+
+class ComponentSpec(Struct, frozen=True, kw_only=True):
+    """A component that should run: by its class, or by a command line.
+
+    Parameters
+    ----------
+    command
+        Program and arguments; not empty for a component that is any executable.
+    epoch
+        Counts the incarnations of a component: while it moves or is replaced there
+        are two, of which one at most is active.
+    adapt
+        ``package.module:function`` that maps the state of the incarnation before, when
+        that had another implementation; empty: the state is the same.
+    devices
+        Device names to paths.
+    weigh
+        Whether the size of its snapshot is taken when it is deactivated.
+    gently
+        Whether it is prepared with the CPU time that others leave: they are at work.
+    """
+
+    name: str
+    epoch: int = 0
+    goal: Goal
+    implementation: str = ""
+    command: tuple[str, ...] = ()
+    adapt: str = ""
+    parameters: Mapping[str, Any] = {}
+    devices: Mapping[str, str] = {}
+    weigh: bool = False
+    gently: bool = False
+
+
+class ConnectorSpec(Struct, frozen=True, kw_only=True):
+    """A connector that should join two ports; publisher or caller is the source.
+
+    Parameters
+    ----------
+    name
+        Unique in the robot, and the same whatever moves.
+    source_epoch, target_epoch
+        Which incarnations of the two components it joins.
+    source_computer, target_computer
+        Where they are.
+    address
+        Where the target's container is reached (`poise.wire.address.Address`); empty
+        for the kind ``direct``.
+    limit
+        Time limit of a call [s].
+    slot
+        What the source calls its end. Connectors from one port to architectures that
+        are alternatives have the same, so that what waits for one goes to the other.
+        Empty: `name`.
+    record
+        A file for the calls that come; empty: they are not written down.
+    """
+
+    name: str
+    slot: str = ""
+    kind: ConnectorKind
+    source: str
+    source_epoch: int = 0
+    source_port: str
+    source_computer: str = ""
+    target: str
+    target_epoch: int = 0
+    target_port: str
+    target_computer: str = ""
+    address: str = ""
+    limit: float = 1.0
+    record: str = ""
+
+    @property
+    def key(self) -> str:
+        """What both ends call it on their transport: it changes with every move."""
+        return f"{self.name}/{self.source_epoch}.{self.target_epoch}"
+
+
+class ContainerSpec(Struct, frozen=True, kw_only=True, tag=True):
+    """A container that should run: its components, and the connectors at their ports.
+
+    `folder` is where implementations are imported from.
+    """
+
+    name: str
+    folder: str
+    components: tuple[ComponentSpec, ...]
+    connectors: tuple[ConnectorSpec, ...]
+
+
+class Deployment(Struct, frozen=True, kw_only=True, tag=True):
+    """All that should run on one computer. A higher `generation` replaces a lower."""
+
+    protocol: int = PROTOCOL
+    generation: int
+    containers: tuple[ContainerSpec, ...]
+
+
+class Accepted(Struct, frozen=True, tag=True):
+    """An agent's answer: it works towards this generation now."""
+
+    generation: int
+
+
+class Refused(Struct, frozen=True, tag=True):
+    """An agent's answer: it changed nothing, and why."""
+
+    reason: str
+
+
+Answer = Accepted | Refused | Done | Failed
+
+Request = Deployment | Order
+"""What a manager asks of an agent."""
+
+
+class Summary(Struct, frozen=True):
+    """Many values of one measurement, in its own unit."""
+
+    count: int = 0
+    mean: float = 0.0
+    median: float = 0.0
+    p99: float = 0.0
+    maximum: float = 0.0
+
+
+class TimerStatus(Struct, frozen=True, kw_only=True):
+    """How a timer kept its rate.
+
+    Parameters
+    ----------
+    releases
+        How often it was due since activation.
+    missed
+        How many of these ended after their deadline, or never began.
+    lateness, duration
+        From release to start, and from start to end [s].
+    """
+
+    name: str
+    period: float
+    deadline: float | None
+    releases: int
+    missed: int
+    lateness: Summary
+    duration: Summary
+
+
+class ConnectorStatus(Struct, frozen=True, kw_only=True):
+    """What one end of a connector counted.
+
+    Parameters
+    ----------
+    end
+        Where calls and messages begin (``source``), where they end (``target``), or
+        ``both`` in one container: then all is counted once.
+    bytes_out, bytes_in
+        What left this end over a wire, and what came to it [bytes]: at the source
+        requests and messages go out and answers come in, at the target the other way
+        round. None within a container.
+    errors
+        Calls that failed, and what came and was refused.
+    drops
+        Messages that this end gave up: they could not go out, found no room, or made
+        room for newer ones.
+    delay
+        Of calls [s]: at the source there and back, at the target until the answer.
+    wait
+        Of messages [s]: at the source until they went out, elsewhere from their arrival
+        until the component took them.
+    size
+        Of calls, both ways, and of messages, over a wire [bytes].
+    latency
+        From the other end to this one [s]: at the target how long calls and messages
+        were under way, at the source answers. Over a wire only.
+    latency_error
+        How far that is off at most, in the mean [s]: nobody knows better how far other
+        computers' clocks are ahead. 0 on one computer.
+    """
+
+    name: str
+    kind: ConnectorKind
+    end: End
+    ready: bool
+    calls: int = 0
+    messages: int = 0
+    bytes_out: int = 0
+    bytes_in: int = 0
+    errors: int = 0
+    drops: int = 0
+    delay: Summary = Summary()
+    wait: Summary = Summary()
+    size: Summary = Summary()
+    latency: Summary = Summary()
+    latency_error: float = 0.0
+
+
+class ComponentStatus(Struct, frozen=True, kw_only=True):
+    """A component as its container sees it.
+
+    Parameters
+    ----------
+    error
+        The last traceback, or empty.
+    cpu
+        CPU time of its own code, whoever's thread ran it [s].
+    start
+        How long it took to import, make and configure it; of a command, until its
+        program ran [s].
+    snapshot
+        Size of its snapshot, if that was taken [bytes].
+    requires
+        Its ports over which it calls others.
+    """
+
+    name: str
+    epoch: int = 0
+    state: State
+    error: str = ""
+    errors: int = 0
+    cpu: float = 0.0
+    start: float = 0.0
+    snapshot: int = 0
+    requires: tuple[str, ...] = ()
+    timers: tuple[TimerStatus, ...] = ()
+    measures: Mapping[str, Summary] = {}
+
+
+class ContainerStatus(Struct, frozen=True, kw_only=True, tag=True):
+    """A container as it sees itself; `cpu` is its process's CPU time so far [s]."""
+
+    name: str
+    pid: int
+    cpu: float = 0.0
+    components: tuple[ComponentStatus, ...] = ()
+    connectors: tuple[ConnectorStatus, ...] = ()
+
+
+class ToContainer(Struct, frozen=True):
+    """What an agent tells a container."""
+
+    what: ContainerSpec | Order
+
+
+class FromContainer(Struct, frozen=True):
+    """What a container tells its agent."""
+
+    what: ContainerStatus | Done | Failed
+
+
+class Fault(Struct, frozen=True, kw_only=True):
+    """Something on a computer that broke: a container that ended, say."""
+
+    container: str
+    message: str
+
+
+class AgentStatus(Struct, frozen=True, kw_only=True):
+    """A computer as its agent sees it.
+
+    `cpu` is the CPU time of the agent and all its containers, ended ones too [s];
+    `uptime` the time since the agent started [s]; `clocks` what is known of other
+    computers' clocks, by name; `door` the IP address and TCP port of its door.
+    """
+
+    protocol: int = PROTOCOL
+    computer: str
+    generation: int
+    uptime: float
+    cpu: float
+    gateway: str = ""
+    containers: tuple[ContainerStatus, ...] = ()
+    faults: tuple[Fault, ...] = ()
+    clocks: Mapping[str, ClockStatus] = {}

@@ -1,0 +1,148 @@
+"""The steps of an exchange, by hand."""
+
+from __future__ import annotations
+
+from poise.manage.deployment import DeploymentPlan, Incarnation
+from poise.manage.migration.plan import MigrationPlan, Rounds
+from poise.model.robot import Architecture, Component, Connector, End, Robot
+from poise.wire.records.migration import (
+    Activate,
+    Drain,
+    Flush,
+    Give,
+    Hold,
+    Open,
+    Precopy,
+    Release,
+    Rest,
+    Retire,
+    Step,
+    Take,
+)
+
+NUMBER = 7
+DOORS = {"left": "10.0.0.1:4001", "right": "10.0.0.2:4002"}
+
+
+def rounds_of(
+    robot: Robot, olds: dict[str, str], news: dict[str, str], **others: str
+) -> Rounds:
+    """Return the rounds when all components call over ports named ``calls``."""
+
+    def placed(where: dict[str, str], epoch: int) -> tuple[Incarnation, ...]:
+        return tuple(
+            Incarnation(component=n, computer=c, epoch=epoch) for n, c in where.items()
+        )
+
+    change = MigrationPlan(what="it", olds=placed(olds, 0), news=placed(news, 1))
+    rest = {each.component: each for each in placed(others, 0)}
+    calls = {(component.name, "calls") for component in robot.components()}
+    return Rounds(DeploymentPlan(robot, "/run"), change, rest, calls, NUMBER, DOORS)
+
+
+def steps(round_: list[tuple[Incarnation, Step]]) -> list[tuple[str, Step]]:
+    return [(where.component, step) for where, step in round_]
+
+
+def test_a_move_takes_one_round_in_stages(robot: Robot) -> None:
+    rounds = rounds_of(
+        robot,
+        {"filter": "left"},
+        {"filter": "right"},
+        grabber="left",
+        heavy="left",
+        thinker="right",
+    )
+    (only,) = rounds.hand_over()
+    assert steps(only) == [
+        ("grabber", Hold(("grabber.raw-filter.raw",), NUMBER)),
+        ("filter", Rest("filter", 0, NUMBER)),
+        ("filter", Flush("filter", 0, ("grabber.raw-filter.raw",), NUMBER)),
+        ("heavy", Flush("heavy", 0, ("filter.clean-heavy.clean",), NUMBER)),
+        ("thinker", Flush("thinker", 0, ("filter.clean-thinker.seen",), NUMBER)),
+        ("filter", Give("filter", 0)),
+        ("filter", Take("filter", 1)),
+        ("filter", Activate("filter", 1)),
+    ]
+
+
+def test_the_gate_opens_to_either_side(robot: Robot) -> None:
+    rounds = rounds_of(robot, {"filter": "left"}, {"filter": "right"}, grabber="left")
+    assert steps(rounds.keep()) == [
+        ("filter", Open("filter", 1)),
+        ("grabber", Release(("grabber.raw-filter.raw/0.1",))),
+        ("filter", Retire("filter", 0)),
+    ]
+    assert steps(rounds.back()) == [
+        ("filter", Open("filter", 0)),
+        ("grabber", Release(("grabber.raw-filter.raw/0.0",))),
+    ]
+
+
+def _alternatives() -> Robot:
+    """Return a robot whose ``source`` is joined to ``a`` (then ``b``), or to ``c``."""
+
+    def architecture(name: str, function: str, *names: str) -> Architecture:
+        components = tuple(Component(name=n, implementation=f"x:{n}") for n in names)
+        return Architecture(name=name, function=function, components=components)
+
+    def joined(first: str, second: str) -> Connector:
+        ends = (End(*each.split(".")) for each in (first, second))
+        return Connector(between=(next(ends), next(ends)))
+
+    return Robot(
+        name="either",
+        architectures=(
+            architecture("ends", "ends", "source", "sink"),
+            architecture("two", "it", "a", "b"),
+            architecture("one", "it", "c"),
+        ),
+        connectors=(
+            joined("source.calls", "a.port"),
+            joined("a.out", "b.in"),
+            joined("b.out", "sink.in"),
+            joined("source.calls", "c.port"),
+            joined("c.out", "sink.in"),
+        ),
+    )
+
+
+def test_an_architecture_is_drained_on_the_way_of_its_messages() -> None:
+    where = {"source": "left", "sink": "left"}
+    rounds = rounds_of(
+        _alternatives(), {"b": "left", "a": "left"}, {"c": "left"}, **where
+    )
+    first, last = (steps(each) for each in rounds.hand_over())
+    assert first == [
+        ("source", Hold(("source.calls-a.port",), NUMBER)),
+        ("a", Flush("a", 0, ("source.calls-a.port",), NUMBER)),
+        ("a", Drain("a", 0)),
+        ("a", Rest("a", 0, NUMBER)),
+    ]
+    assert last[:3] == [
+        ("b", Flush("b", 0, ("a.out-b.in",), NUMBER)),
+        ("b", Drain("b", 0)),
+        ("b", Rest("b", 0, NUMBER)),
+    ]
+    assert [step for _, step in last][-2:] == [Take("c", 1), Activate("c", 1)]
+
+
+def test_the_alternatives_of_a_connector_share_a_slot() -> None:
+    robot = _alternatives()
+    layout = DeploymentPlan(robot, "/run")
+    slots = {str(each): layout.slot_of(each) for each in robot.connectors}
+    assert slots["source.calls -> c.port"] == slots["source.calls -> a.port"]
+    # what comes from different components is not the same
+    assert slots["c.out -> sink.in"] != slots["b.out -> sink.in"]
+
+
+def test_what_was_held_for_one_goes_to_the_alternative() -> None:
+    where = {"source": "left", "sink": "left"}
+    rounds = rounds_of(
+        _alternatives(), {"a": "left", "b": "left"}, {"c": "left"}, **where
+    )
+    releases = [step for _, step in rounds.keep() if isinstance(step, Release)]
+    assert releases == [Release(("source.calls-c.port/0.1",))]
+    joins = [step for _, step in rounds.prepare()[1]]
+    where_from = {"a": "two", "b": "two"}
+    assert joins == [Precopy("c", 1, NUMBER, {"a": 0, "b": 0}, where_from)]

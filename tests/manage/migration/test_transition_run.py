@@ -1,0 +1,86 @@
+"""Steps of a transition that fail leave all as it was, and those before are undone."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import pytest
+from msgspec import structs
+
+from poise.manage.agents import Agents
+from poise.manage.journal import Journal
+from poise.manage.migration.transition import Step
+from poise.manage.migration.transition_run import transit
+from poise.manage.run import Run
+from poise.model.robot import Robot
+from poise.wire.records.deployment import ComponentStatus, Deployment
+from tests.manage.conftest import FakeAgents
+
+PLACEMENT = {"grabber": "left", "filter": "left"}
+START = Step(kind="start", component="thinker", target="right")
+STOP = Step(kind="stop", component="filter", source="left")
+
+
+@pytest.fixture
+def agents() -> FakeAgents:
+    return FakeAgents("left", "right")
+
+
+@pytest.fixture
+def run(robot: Robot, agents: FakeAgents) -> Run:
+    run = Run(robot, PLACEMENT, cast("Agents", agents), Journal(":memory:"), "/run")
+    run.start()
+    return run
+
+
+def told(agents: FakeAgents) -> dict[str, tuple[str, int, str]]:
+    """Return what each agent was told last: component -> computer, epoch and class."""
+    last: dict[str, Deployment] = dict(agents.deployed)
+    return {
+        component.name: (computer, component.epoch, component.implementation)
+        for computer, deployment in last.items()
+        for container in deployment.containers
+        for component in container.components
+    }
+
+
+def test_what_cannot_be_started_is_placed_nowhere(run: Run, agents: FakeAgents) -> None:
+    agents.states["thinker"] = ComponentStatus(
+        name="thinker", state="failed", error="ValueError: no thought"
+    )
+    report = transit(run, (START,))
+    assert not report.committed
+    assert "ValueError: no thought" in report.reason
+    assert run.placement() == PLACEMENT
+    assert told(agents).keys() == PLACEMENT.keys()
+
+
+def test_what_does_not_end_is_started_anew(run: Run, agents: FakeAgents) -> None:
+    agents.deaf = {"left"}
+    report = transit(run, (STOP,))
+    assert not report.committed
+    assert "component 'filter' still runs on 'left' 5 s after" in report.reason
+    assert run.placement() == PLACEMENT
+    assert told(agents)["filter"] == ("left", 1, "eye:Filter")
+
+
+def test_what_was_replaced_stays_replaced_over_a_short_stop(
+    run: Run, agents: FakeAgents
+) -> None:
+    run.placed["filter"] = structs.replace(
+        run.placed["filter"], implementation="eye:Better"
+    )
+    again = Step(kind="start", component="filter", target="right")
+    assert transit(run, (STOP, again)).committed
+    assert told(agents)["filter"] == ("right", 1, "eye:Better")
+
+
+def test_a_move_that_is_refused_undoes_the_steps_before(
+    run: Run, agents: FakeAgents
+) -> None:
+    nowhere = Step(kind="move", component="grabber", source="left", target="moon")
+    report = transit(run, (START, nowhere))
+    assert not report.committed
+    assert "no computer 'moon'" in report.reason
+    assert run.placement() == PLACEMENT
+    assert told(agents).keys() == PLACEMENT.keys()

@@ -1,0 +1,197 @@
+import socket
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from poise.errors import RunError, UsageError
+from poise.estimate.profile import ComponentProfile, Profile
+from poise.estimate.profile.spread import Spread
+from poise.manage.observe.estimates import Estimates
+from poise.manage.observe.prometheus import MetricsServer, to_prometheus
+from poise.manage.observe.recording import Recording, load, replay, save
+from poise.model.robot import Robot
+from poise.wire.records.deployment import (
+    AgentStatus,
+    ConnectorStatus,
+    ContainerStatus,
+    Summary,
+)
+from poise.wire.records.recorded import Recorded
+from poise.wire.records.samples import AgentSample
+from tests.manage.observe.conftest import Sampler
+
+
+def test_stands_against_the_profile(robot: Robot, steady: Sampler) -> None:
+    """The computer's 10 % are 5 % of the reference computer's core."""
+    known = ComponentProfile(version="", cpu=Spread(mean=0.05))
+    profile = Profile(
+        robot="r",
+        poise="",
+        computer="a",
+        speed=0.5,
+        at="",
+        seconds=1.0,
+        components={"eye": known},
+    )
+    estimates = Estimates(robot, profile, emulated=False)
+    drifts = [d for k in range(200) for d in estimates.take(steady(0.2 * k))]
+    assert drifts == []
+    eye, mind = estimates.demand_estimates()
+    assert (eye.component, eye.computer, eye.expected) == ("eye", "a", 0.05)
+    assert eye.estimate.mean == pytest.approx(0.05)
+    assert mind.expected is None
+    assert mind.estimate.mean == pytest.approx(0.1)
+
+
+def test_time_of_an_emulated_computer_is_the_references(
+    robot: Robot, steady: Sampler
+) -> None:
+    estimates = Estimates(robot, None, emulated=True)
+    for k in range(20):
+        estimates.take(steady(0.2 * k))
+    assert estimates.demand_estimates()[0].estimate.mean == pytest.approx(0.1)
+
+
+def test_estimates_traffic(robot: Robot, steady: Sampler) -> None:
+    estimates = Estimates(robot, None, emulated=True)
+    for k in range(50):
+        estimates.take(steady(0.2 * k))
+    (traffic,) = estimates.traffic()
+    assert traffic.connector == "eye.x-mind.x"
+    assert traffic.now.messages == pytest.approx(10)
+    assert traffic.now.size == 500
+
+
+def test_a_connector_that_falls_silent_has_no_traffic(
+    robot: Robot, steady: Sampler
+) -> None:
+    """The other end, where nothing is ever counted, has no say in it."""
+    estimates = Estimates(robot, None, emulated=True)
+    silent = msgspec.structs.replace(
+        steady(0.0).containers[0].connectors[0], messages=0, bytes_out=0
+    )
+    rates = set()
+    for k in range(100):
+        (here,) = steady(min(0.2 * k, 10.0)).containers
+        there = msgspec.structs.replace(here, name="other", connectors=(silent,))
+        both = tuple(msgspec.structs.replace(c, at=0.2 * k) for c in (here, there))
+        sample = msgspec.structs.replace(steady(0.2 * k), containers=both)
+        estimates.take(sample)
+        rates |= {round(t.now.messages) for t in estimates.traffic()}
+    assert rates == {10, 0}
+    (traffic,) = estimates.traffic()
+    assert traffic.now.rate == 0
+
+
+def test_a_replay_gives_the_same_estimates(
+    robot: Robot, steady: Sampler, tmp_path: Path
+) -> None:
+    live, recording = Estimates(robot, None, emulated=True), Recording()
+    for k in range(100):
+        live.take(steady(0.2 * k))
+        recording.add(steady(0.2 * k))
+    recorded = Recorded(robot="r", samples=recording.take())
+    save(recorded, tmp_path / "run.samples")
+    again = Estimates(robot, None, emulated=True)
+    replay(load(tmp_path / "run.samples").samples, again.take)
+    assert again.demand_estimates() == live.demand_estimates()
+    assert recording.take() == []
+
+
+def test_says_what_is_no_recording(tmp_path: Path) -> None:
+    (tmp_path / "x").write_text("hello")
+    with pytest.raises(UsageError, match="is no recording"):
+        load(tmp_path / "x")
+    with pytest.raises(UsageError, match="cannot be read"):
+        load(tmp_path / "y")
+
+
+def test_speaks_to_prometheus(robot: Robot, steady: Sampler) -> None:
+    estimates = Estimates(robot, None, emulated=True)
+    for k in range(20):
+        estimates.take(steady(0.25 * k))
+    text = to_prometheus(estimates, {})
+    lines = [x for x in text.splitlines() if x.startswith("poise_component_cpu_cores{")]
+    labels, values = zip(*(line.split(" ") for line in lines), strict=True)
+    assert labels == tuple(
+        f'poise_component_cpu_cores{{component="{name}",computer="a"}}'
+        for name in ("eye", "mind")
+    )
+    assert [float(value) for value in values] == pytest.approx([0.1, 0.2])
+
+
+def test_tells_prometheus_what_each_end_counts(robot: Robot) -> None:
+    end = ConnectorStatus(
+        name="eye.x-mind.x",
+        kind="remote",
+        end="target",
+        ready=True,
+        messages=7,
+        bytes_in=350,
+        drops=2,
+        wait=Summary(count=4, mean=0.5, median=0.25, p99=2.0, maximum=2.0),
+    )
+    container = ContainerStatus(name="see", pid=7, connectors=(end, end))
+    status = AgentStatus(
+        computer="a", generation=1, uptime=1.0, cpu=0.0, containers=(container,)
+    )
+    text = to_prometheus(Estimates(robot, None, emulated=True), {"a": status})
+    labels = 'connector="eye.x-mind.x",end="target",computer="a"'
+    assert text.count(f"poise_connector_messages_total{{{labels}}} 7\n") == 1
+    assert f"poise_connector_drops_total{{{labels}}} 2\n" in text
+    assert f'poise_connector_bytes_total{{{labels},direction="in"}} 350\n' in text
+    assert f'poise_connector_wait_seconds{{{labels},quantile="0.99"}} 2.0\n' in text
+    assert f"poise_connector_wait_seconds_sum{{{labels}}} 2.0\n" in text
+    assert f"poise_connector_wait_seconds_count{{{labels}}} 4\n" in text
+    assert "poise_connector_delay_seconds{" not in text  # there were no calls
+
+
+def test_serves_metrics_and_nothing_else(robot: Robot, steady: Sampler) -> None:
+    estimates = Estimates(robot, None, emulated=True)
+    for k in range(3):
+        estimates.take(steady(0.25 * k))
+    server = MetricsServer(estimates, dict, ("127.0.0.1", 0))
+    at = f"http://127.0.0.1:{server.port}"
+    try:
+        with urllib.request.urlopen(f"{at}/metrics", timeout=20) as answer:
+            assert answer.read().decode() == to_prometheus(estimates, {})
+        with pytest.raises(urllib.error.HTTPError) as refused:
+            urllib.request.urlopen(f"{at}/other", timeout=20)
+        refused.value.close()
+        assert refused.value.code == 404
+    finally:
+        server.close()
+
+
+def test_metrics_where_somebody_else_listens_name_the_address(robot: Robot) -> None:
+    estimates = Estimates(robot, None, emulated=True)
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        with pytest.raises(RunError, match=f"on 127.0.0.1:{port}: .* in use"):
+            MetricsServer(estimates, dict, ("127.0.0.1", port))
+
+
+def moved(sample: AgentSample, cpu: float) -> AgentSample:
+    """Return a sample whose components are incarnations that begin with `cpu` [s]."""
+    (container,) = sample.containers
+    components = tuple(
+        msgspec.structs.replace(each, epoch=1, cpu=cpu + each.cpu)
+        for each in container.components
+    )
+    container = msgspec.structs.replace(container, components=components)
+    return msgspec.structs.replace(sample, containers=(container,))
+
+
+@pytest.mark.parametrize("cpu", [-5.0, 0.0, 100.0])
+def test_a_move_is_no_drift(robot: Robot, steady: Sampler, cpu: float) -> None:
+    """Whatever the new incarnation's counters begin with."""
+    estimates = Estimates(robot, None, emulated=True)
+    drifts = [d for k in range(100) for d in estimates.take(steady(0.2 * k))]
+    drifts += [
+        d for k in range(100, 200) for d in estimates.take(moved(steady(0.2 * k), cpu))
+    ]
+    assert drifts == []
+    assert estimates.demand_estimates()[0].estimate.mean == pytest.approx(0.1)

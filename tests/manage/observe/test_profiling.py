@@ -1,0 +1,126 @@
+import pytest
+from msgspec.structs import replace
+
+from poise.estimate.profile import ConnectorProfile
+from poise.estimate.profile.spread import Spread
+from poise.manage.observe.measure import Measured
+from poise.manage.observe.profiling import Observed, Subject, disagreeing, figures
+from poise.model.robot import Architecture, Component, Computer, Connector, End, Robot
+from poise.wire.records.deployment import AgentStatus, ComponentStatus, ContainerStatus
+
+NAMES = ("eye", "mind")
+ROBOT = Robot(
+    name="r",
+    computers=(Computer(name="a", capacity={"cpu": 1.0, "memory": 1e9}),),
+    architectures=(
+        Architecture(
+            name="see",
+            function="seeing",
+            components=tuple(Component(name=name) for name in NAMES),
+            connectors=(Connector(between=(End("eye", "x"), End("mind", "x"))),),
+        ),
+    ),
+)
+
+
+def observed(eye: float, *, undone: float = 0.0) -> Observed:
+    """Both in one container of 30 MB, which uses 4 % beyond them."""
+    return Observed(
+        measured=Measured(
+            cpu={"eye": Spread(mean=eye, peak=2 * eye), "mind": Spread(mean=0.2)},
+            rest={"see": 0.04},
+            members={"see": NAMES},
+            memory={"see": 30e6},
+            agents={"a": 0.01},
+            connectors={"eye.x-mind.x": ConnectorProfile(messages=10.0)},
+            undone={"eye": undone},
+        ),
+        statuses={},
+    )
+
+
+def apart() -> Observed:
+    """Alone: eye 17 MB, mind 28 MB, an empty container 5 MB; messages of 500 B."""
+    status = ContainerStatus(
+        name="see.eye",
+        pid=1,
+        components=(ComponentStatus(name="eye", state="inactive", snapshot=123),),
+    )
+    return Observed(
+        measured=Measured(
+            cpu={},
+            rest={},
+            members={"see.eye": ("eye",), "see.mind": ("mind",), "see.e": ("e",)},
+            memory={"see.eye": 17e6, "see.mind": 28e6, "see.e": 5e6},
+            agents={},
+            connectors={"eye.x-mind.x": ConnectorProfile(messages=9.0, size=500.0)},
+            undone={},
+        ),
+        statuses={
+            "a": AgentStatus(
+                computer="a", generation=1, uptime=1.0, cpu=0.0, containers=(status,)
+            )
+        },
+    )
+
+
+SUBJECT = Subject(
+    robot=ROBOT,
+    computer="a",
+    names=NAMES,
+    empty="e",
+    versions=dict.fromkeys(NAMES, "v"),
+    speed=1.0,
+)
+
+
+def test_takes_the_run_in_the_middle() -> None:
+    runs = [observed(0.104), observed(0.1), observed(0.102)]
+    eye = figures(SUBJECT, runs, apart()).components["eye"]
+    assert eye.cpu.mean == 0.102
+    assert eye.repeat == pytest.approx(0.004)
+    assert eye.stable
+
+
+def test_divides_what_the_container_used_beyond_its_components() -> None:
+    found = figures(SUBJECT, [observed(0.1)], apart())
+    assert [c.share for c in found.components.values()] == [0.02, 0.02]
+    assert found.agent == 0.01
+
+
+def test_tells_memory_of_components_and_what_they_share() -> None:
+    """Alone they add 12 and 23 MB to an empty container of 5 MB, together 25 MB.
+
+    So 35 - 25 = 10 MB are libraries that both brought along: own 2 and 13 MB, and half
+    of 5 + 10 MB each. In all that is the 30 MB of their container.
+    """
+    found = figures(SUBJECT, [observed(0.1)], apart()).components
+    assert [found[n].memory for n in NAMES] == pytest.approx([2e6, 13e6])
+    assert [found[n].base for n in NAMES] == pytest.approx([7.5e6, 7.5e6])
+
+
+def test_rates_are_those_of_use_and_sizes_those_of_the_wire() -> None:
+    found = figures(SUBJECT, [observed(0.1)], apart()).connectors
+    assert found == {"eye.x -> mind.x": ConnectorProfile(messages=10.0, size=500.0)}
+
+
+def test_weighs_snapshots_and_counts_cpu_of_the_reference() -> None:
+    slow = replace(SUBJECT, speed=0.5)
+    eye = figures(slow, [observed(0.1)], apart()).components["eye"]
+    assert (eye.state, eye.cpu.mean, eye.cpu.peak) == (123.0, 0.05, 0.1)
+    assert eye.share == 0.01
+
+
+def test_means_that_lie_apart_are_not_stable() -> None:
+    """More than 5 % and more than 0.01 cores."""
+    assert disagreeing([observed(0.1), observed(0.109)], NAMES) == []
+    assert disagreeing([observed(0.1), observed(0.12)], NAMES) == ["eye"]
+    assert disagreeing([observed(0.5), observed(0.52)], NAMES) == []
+
+
+def test_a_component_that_does_not_keep_up_is_not_stable() -> None:
+    assert disagreeing([observed(0.1, undone=0.1)], NAMES) == ["eye"]
+
+
+def test_one_that_told_nothing_is_not_stable() -> None:
+    assert disagreeing([observed(0.1)], ["ear"]) == ["ear"]

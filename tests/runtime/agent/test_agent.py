@@ -1,0 +1,420 @@
+"""The agent, its zygote and its containers: real processes, and a manager's view."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import zenoh
+
+from poise.runtime.waker import wait_readable
+from poise.wire.control_session import open_session
+from poise.wire.records.deployment import (
+    PROTOCOL,
+    Accepted,
+    AgentStatus,
+    Answer,
+    ComponentSpec,
+    ComponentStatus,
+    ContainerSpec,
+    ContainerStatus,
+    Deployment,
+    Goal,
+    Refused,
+    Request,
+)
+from poise.wire.records.migration import Failed, Order, Retire
+from tests.runtime.conftest import LIMIT, free_port
+
+pytestmark = pytest.mark.slow
+
+MODULE = """
+import os, signal, sys
+from poise import Component
+
+class Quiet(Component): pass
+
+class Angry(Component):
+    def configure(self):
+        raise LookupError("no map here")
+
+class Suicidal(Component):
+    def activate(self):
+        os.kill(os.getpid(), signal.SIGSEGV)
+
+class Stubborn(Component):
+    def deactivate(self):
+        while True: pass
+"""
+
+
+class Manager:
+    """What a manager sees of one agent, and asks of it."""
+
+    def __init__(self, folder: Path) -> None:
+        (folder / "quiet_module.py").write_text(MODULE)
+        self.folder = folder
+        self._port = free_port()
+        self._changed = threading.Condition()
+        self._status: AgentStatus | None = None
+        self._generation = 0
+        self.lifeline, self._held = os.pipe()
+        self.process = self.start_agent()
+        self._session = open_session(connect=[f"tcp/127.0.0.1:{self._port}"])
+        self._subscriber = self._session.declare_subscriber(
+            "poise/test/status/main", self._on_status
+        )
+        self.wait_for(lambda _: True)
+
+    def start_agent(self, *extra: str) -> subprocess.Popen[str]:
+        argv = [sys.executable, "-m", "poise", "agent", "main", "--robot", "test"]
+        argv += ["--address", "127.0.0.1", "--port", str(self._port)]
+        argv += ["--folder", str(self.folder), "--lifeline", str(self.lifeline), *extra]
+        return subprocess.Popen(
+            argv, pass_fds=[self.lifeline], stderr=subprocess.PIPE, text=True
+        )
+
+    def ask(self, request: Request) -> Any:
+        return self.ask_raw(msgspec.msgpack.encode(request))
+
+    def ask_raw(self, data: bytes) -> Any:
+        key = "poise/test/agent/main"
+        for reply in self._session.get(key, payload=data, timeout=LIMIT):
+            assert reply.ok is not None
+            return msgspec.msgpack.decode(reply.ok.payload.to_bytes(), type=Answer)
+        pytest.fail("the agent did not answer")
+
+    def deploy(self, *names: str, goal: Goal = "active", **more: Any) -> None:
+        """Let a container of its own run for each class named in `MODULE`."""
+        self._generation += 1
+        containers = tuple(self._container(name, goal, more) for name in names)
+        wanted = Deployment(generation=self._generation, containers=containers)
+        assert self.ask(wanted) == Accepted(self._generation)
+
+    def wait_for(self, what: Callable[[AgentStatus], bool]) -> AgentStatus:
+        """Wait until a status of the present generation is as asked."""
+
+        def holds() -> bool:
+            status = self._status
+            if status is None or status.generation < self._generation:
+                return False
+            return what(status)
+
+        with self._changed:
+            assert self._changed.wait_for(holds, LIMIT), self._status
+            assert self._status is not None
+            return self._status
+
+    def wait_active(self, name: str, but_not: int = 0) -> ContainerStatus:
+        """Wait until a container runs, in another process than `but_not`."""
+
+        def runs(status: AgentStatus) -> bool:
+            return any(
+                c.name == name
+                and c.pid != but_not
+                and c.components[0].state == "active"
+                for c in status.containers
+            )
+
+        status = self.wait_for(runs)
+        return next(c for c in status.containers if c.name == name)
+
+    def cut_lifeline(self) -> None:
+        if self._held >= 0:
+            os.close(self._held)
+            self._held = -1
+
+    def close(self) -> None:
+        self.cut_lifeline()
+        self._session.close()  # type: ignore[no-untyped-call]
+        try:
+            self.process.wait(LIMIT)
+        finally:
+            self.process.kill()
+            self.process.communicate(timeout=LIMIT)
+            os.close(self.lifeline)
+
+    def _container(self, name: str, goal: Goal, more: dict[str, Any]) -> ContainerSpec:
+        reference = more.get("implementation", f"quiet_module:{name.capitalize()}")
+        command = more.get("command", ())
+        component = ComponentSpec(
+            name=name,
+            goal=goal,
+            implementation="" if command else reference,
+            command=command,
+        )
+        return ContainerSpec(
+            name=name,
+            folder=str(self.folder),
+            components=(component,),
+            connectors=(),
+        )
+
+    def _on_status(self, sample: zenoh.Sample) -> None:
+        with self._changed:
+            self._status = msgspec.msgpack.decode(
+                sample.payload.to_bytes(), type=AgentStatus
+            )
+            self._changed.notify_all()
+
+
+def _managers() -> Iterator[Manager]:
+    with tempfile.TemporaryDirectory() as folder:  # pytest's are too long for sockets
+        manager = Manager(Path(folder))
+        yield manager
+        manager.close()
+
+
+_shared = pytest.fixture(scope="module", name="_shared")(_managers)
+doomed = pytest.fixture(name="doomed")(_managers)
+"""A manager of an agent that the test may end."""
+
+
+@pytest.fixture
+def manager(_shared: Manager) -> Iterator[Manager]:
+    """Share one agent: to start one takes a second; leave it as it was."""
+    yield _shared
+    _shared.deploy()
+    _shared.wait_for(lambda status: not status.containers)
+
+
+def wait_gone(pid: int) -> None:
+    """Wait until a process, which need not be a child, has ended."""
+    try:
+        pidfd = os.pidfd_open(pid)
+    except ProcessLookupError:
+        return
+    assert wait_readable([pidfd], LIMIT)
+    os.close(pidfd)
+
+
+def children(pid: int) -> list[int]:
+    told = Path(f"/proc/{pid}/task/{pid}/children").read_text()
+    return [int(each) for each in told.split()]
+
+
+def only(status: AgentStatus) -> ComponentStatus:
+    ((component,),) = (c.components for c in status.containers)
+    return component
+
+
+def test_runs_what_it_is_told_and_nothing_when_told_nothing(manager: Manager) -> None:
+    manager.deploy("quiet")
+    container = manager.wait_active("quiet")
+    assert container.pid not in {os.getpid(), manager.process.pid}
+    manager.deploy()
+    manager.wait_for(lambda status: not status.containers)
+    wait_gone(container.pid)
+
+
+def test_saying_a_thing_twice_is_harmless(manager: Manager) -> None:
+    manager.deploy("quiet")
+    first = manager.wait_active("quiet")
+    manager.deploy("quiet")
+    assert manager.wait_active("quiet").pid == first.pid
+
+
+def test_heals_a_container_that_was_killed(manager: Manager) -> None:
+    manager.deploy("quiet")
+    first = manager.wait_active("quiet")
+    os.kill(first.pid, signal.SIGKILL)
+    second = manager.wait_active("quiet", but_not=first.pid)
+    status = manager.wait_for(lambda status: bool(status.faults))
+    assert [(f.container, f.message) for f in status.faults] == [
+        ("quiet", "was killed by SIGKILL")
+    ]
+    assert second.pid != first.pid
+
+
+def test_heals_one_that_breaks_again_and_again(manager: Manager) -> None:
+    manager.deploy("suicidal", "quiet")
+    status = manager.wait_for(lambda status: len(status.faults) >= 3)
+    assert {f.message for f in status.faults} == {"was killed by SIGSEGV"}
+    manager.wait_active("quiet")
+    manager.deploy()
+    manager.wait_for(lambda status: not status.containers)
+
+
+def test_tells_the_traceback_of_a_component_that_fails(manager: Manager) -> None:
+    manager.deploy("angry")
+    status = manager.wait_for(
+        lambda s: bool(s.containers) and only(s).state == "failed"
+    )
+    assert "LookupError: no map here" in only(status).error
+
+
+@pytest.mark.parametrize(
+    ("reference", "says"),
+    [
+        ("no_such_module:Any", "there is no module 'no_such_module'"),
+        ("quiet_module:Qiet", "has no class 'Qiet' (did you mean 'Quiet'?)"),
+    ],
+)
+def test_tells_what_cannot_be_imported(
+    manager: Manager, reference: str, says: str
+) -> None:
+    manager.deploy("quiet", implementation=reference)
+    status = manager.wait_for(
+        lambda s: bool(s.containers) and only(s).state == "failed"
+    )
+    assert says in only(status).error
+
+
+def test_kills_one_that_will_not_end(manager: Manager) -> None:
+    manager.deploy("stubborn")
+    container = manager.wait_active("stubborn")
+    manager.deploy()
+    manager.wait_for(lambda status: not status.containers)
+    wait_gone(container.pid)
+
+
+def test_runs_a_command_and_starts_it_anew_when_it_ends(manager: Manager) -> None:
+    manager.deploy("sleeper", command=("sh", "-c", "sleep 0.1; exit 4"))
+    status = manager.wait_for(lambda status: len(status.faults) >= 2)
+    assert "its command ended with exit code 4" in status.faults[0].message
+    manager.deploy()
+    manager.wait_for(lambda status: not status.containers)
+
+
+def test_a_command_that_is_made_inactive_ends_and_its_container_does_not(
+    manager: Manager,
+) -> None:
+    command = ("sleep", "100")
+    manager.deploy("sleeper", command=command)
+    pid = manager.wait_active("sleeper").pid
+    (process,) = children(pid)
+    manager.deploy("sleeper", goal="inactive", command=command)
+    status = manager.wait_for(
+        lambda status: (
+            [c.components[0].state for c in status.containers] == ["inactive"]
+        )
+    )
+    wait_gone(process)
+    assert ([c.pid for c in status.containers], status.faults) == ([pid], ())
+    manager.deploy("sleeper", command=command)
+    assert manager.wait_active("sleeper").pid == pid
+
+
+def test_ends_with_its_lifeline(doomed: Manager) -> None:
+    doomed.deploy("quiet")
+    container = doomed.wait_active("quiet")
+    doomed.cut_lifeline()
+    assert doomed.process.wait(LIMIT) == 0
+    wait_gone(container.pid)
+
+
+def test_a_command_ends_with_its_container(manager: Manager) -> None:
+    manager.deploy("sleeper", command=("sleep", "100"))
+    container = manager.wait_active("sleeper")
+    (command,) = children(container.pid)
+    os.kill(container.pid, signal.SIGKILL)
+    wait_gone(command)
+
+
+def test_refuses_another_protocol_whatever_it_looks_like(manager: Manager) -> None:
+    foreign = {"type": "Deployment", "protocol": 99, "new": "field"}
+    answer = manager.ask_raw(msgspec.msgpack.encode(foreign))
+    assert isinstance(answer, Refused)
+    said = f"manager speaks protocol 99, agent 'main' speaks {PROTOCOL}"
+    assert said in answer.reason
+
+
+def test_refuses_what_is_no_request(manager: Manager) -> None:
+    answer = manager.ask_raw(b"\xc1nonsense")
+    assert isinstance(answer, Refused)
+    assert "not a request" in answer.reason
+
+
+def test_refuses_a_manager_that_is_behind(manager: Manager) -> None:
+    manager.deploy()
+    manager.deploy()
+    answer = manager.ask(Deployment(generation=1, containers=()))
+    assert isinstance(answer, Refused)
+    assert "generation 1 is older than" in answer.reason
+
+
+def test_a_step_for_a_container_that_is_not_there_fails(manager: Manager) -> None:
+    order = Order(number=7, container="ghost", steps=(Retire("x", 0),), limit=1.0)
+    assert manager.ask(order) == Failed(7, "container 'ghost' does not run")
+
+
+@pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGINT])
+def test_ends_in_order_when_asked(doomed: Manager, sent: signal.Signals) -> None:
+    doomed.deploy("quiet")
+    container = doomed.wait_active("quiet")
+    doomed.process.send_signal(sent)
+    assert doomed.process.wait(LIMIT) == 0
+    wait_gone(container.pid)
+    assert not list(doomed.folder.glob("*.sock"))
+
+
+def test_containers_end_with_an_agent_that_was_killed(doomed: Manager) -> None:
+    doomed.deploy("quiet", "stubborn")
+    pids = [doomed.wait_active(name).pid for name in ("quiet", "stubborn")]
+    pids += children(doomed.process.pid)
+    doomed.process.kill()
+    for pid in pids:
+        wait_gone(pid)
+
+
+def test_without_its_zygote_it_ends_and_says_why(doomed: Manager) -> None:
+    doomed.deploy("quiet")
+    container = doomed.wait_active("quiet")
+    (zygote,) = children(doomed.process.pid)
+    os.kill(zygote, signal.SIGKILL)
+    _, said = doomed.process.communicate(timeout=LIMIT)
+    assert doomed.process.returncode == 1
+    assert "agent 'main': the zygote is gone: no container can be started" in said
+    wait_gone(container.pid)
+
+
+def test_no_container_holds_anothers_end(manager: Manager) -> None:
+    manager.deploy("quiet", "stubborn")
+    pids = [manager.wait_active(name).pid for name in ("quiet", "stubborn")]
+    held = [{str(fd.readlink()) for fd in _descriptors(pid)} for pid in pids]
+    assert {
+        connection
+        for connection in held[0] & held[1]
+        if connection.startswith("socket:")
+    } == set()
+    lifeline = Path(f"/proc/self/fd/{manager.lifeline}").readlink()
+    assert str(lifeline) not in held[0] | held[1]
+
+
+def _descriptors(pid: int) -> Iterator[Path]:
+    return Path(f"/proc/{pid}/fd").iterdir()
+
+
+def test_memory_runs_out_for_containers_first(manager: Manager) -> None:
+    manager.deploy("quiet")
+    container = manager.wait_active("quiet")
+    scores = [
+        int(Path(f"/proc/{pid}/oom_score_adj").read_text())
+        for pid in (container.pid, manager.process.pid)
+    ]
+    assert scores[0] == 500
+    assert scores[1] < 500
+
+
+def test_an_address_in_use_is_told(manager: Manager) -> None:
+    second = manager.start_agent()
+    _, said = second.communicate(timeout=LIMIT)
+    assert second.returncode == 1
+    assert "cannot listen on tcp/127.0.0.1:" in said
+    assert "Address already in use" in said
+
+
+def test_a_folder_too_deep_for_sockets_is_told(manager: Manager) -> None:
+    deep = manager.start_agent("--folder", "/tmp/" + "x" * 100)
+    _, said = deep.communicate(timeout=LIMIT)
+    assert deep.returncode == 2
+    assert "bytes long, but sockets in a folder need one of at most" in said

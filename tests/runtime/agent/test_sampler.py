@@ -1,0 +1,119 @@
+"""An agent tells what its containers count."""
+
+from __future__ import annotations
+
+import os
+import threading
+
+import msgspec
+import pytest
+
+from poise.runtime import _calls
+from poise.runtime._calls import Account, Reader
+from poise.runtime.agent.sampler import Sampler, proportional_memory, resident_memory
+from poise.runtime.hosting.stats_page import new_memory
+from poise.wire.records.samples import AgentSample
+
+
+def decoded(body: bytes) -> AgentSample:
+    return msgspec.msgpack.decode(body, type=AgentSample)
+
+
+@pytest.mark.parametrize("every", [0.0, 1.0])
+def test_tells_every_container_with_something_in_it(every: float) -> None:
+    memories = [new_memory(), new_memory()]
+    accounts = [Account(), Account()]
+    readers = [Reader(memory, os.getpid()) for memory in memories]
+    accounts[0].enter(_calls.Ledger(memories[0]), "eye", 2)
+    here = [("see", 7, readers[0]), ("empty", 8, readers[1])]
+    collector = Sampler("a", every, lambda: here, lambda _: None)
+    sample = decoded(collector.sample())
+    assert sample.computer == "a"
+    (container,) = sample.containers
+    assert (container.name, container.pid) == ("see", 7)
+    (eye,) = container.components
+    assert (eye.name, eye.epoch, eye.asked) == ("eye", 2, 0)
+    for memory in memories:
+        os.close(memory)
+
+
+def test_tells_again_and_again() -> None:
+    memory, account = new_memory(), Account()
+    account.enter(_calls.Ledger(memory), "eye", 0)
+    reader = Reader(memory, os.getpid())
+    told: list[AgentSample] = []
+    enough = threading.Event()
+
+    def publish(body: bytes) -> None:
+        told.append(decoded(body))
+        if len(told) >= 3:
+            enough.set()
+
+    pid = os.getpid()
+    collector = Sampler("a", 0.001, lambda: [("see", pid, reader)], publish)
+    collector.start()
+    assert enough.wait(20)
+    collector.stop()
+    os.close(memory)
+    moments = [sample.containers[0].at for sample in told]
+    assert moments == sorted(set(moments))
+    assert told[-1].containers[0].memory > 1e6
+
+
+def test_what_could_not_be_told_once_ends_nothing(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    told: list[bytes] = []
+    enough = threading.Event()
+
+    def publish(body: bytes) -> None:
+        told.append(body)
+        if len(told) == 1:
+            raise RuntimeError("nobody listens")
+        enough.set()
+
+    collector = Sampler("a", 0.001, list, publish)
+    collector.start()
+    assert enough.wait(20)
+    collector.stop()
+    assert "nobody listens" in caplog.text
+
+
+def test_reads_the_memory_of_processes() -> None:
+    assert proportional_memory(os.getpid()) > 1e6
+    assert proportional_memory(1 << 30) == 0
+    assert resident_memory(os.getpid()) >= proportional_memory(os.getpid())
+    assert resident_memory(1 << 30) == 0
+
+
+def test_memory_is_weighed_again_when_there_is_more_or_less_of_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With one container it is due at each tenth sample, and each tenth time anyway."""
+    held, weighed = [1000], list[int]()
+
+    def weigh(_: int) -> int:
+        weighed.append(held[0])
+        return held[0] // 2
+
+    monkeypatch.setattr(
+        "poise.runtime.agent.sampler.resident_memory", lambda _: held[0]
+    )
+    monkeypatch.setattr("poise.runtime.agent.sampler.proportional_memory", weigh)
+    memory, account = new_memory(), Account()
+    account.enter(_calls.Ledger(memory), "eye", 0)
+    here = [("see", os.getpid(), Reader(memory, os.getpid()))]
+    collector = Sampler("a", 0, lambda: here, lambda _: None)
+
+    def told() -> int:
+        return decoded(collector.sample()).containers[0].memory
+
+    for _ in range(30):
+        assert told() == 500
+    assert weighed == [1000]
+    held[0] = 3000
+    assert [told() for _ in range(10)][-1] == 1500
+    for _ in range(110):
+        told()
+    assert weighed == [1000, 3000, 3000]
+    os.close(memory)

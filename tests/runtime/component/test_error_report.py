@@ -1,0 +1,83 @@
+"""Errors that users' code lets out: told by its own lines, and not too often."""
+
+from __future__ import annotations
+
+import traceback
+from pathlib import Path
+
+import pytest
+
+import poise
+from poise.errors import CalleeError, RobotError
+from poise.runtime.component.error_report import AGAIN, Errors, told
+from poise.runtime.connectors.direct import raise_callee_error
+
+ROBOT = "/robot/code.py"
+OURS = f"{Path(poise.__file__).parent}/somewhere.py"
+
+
+def raised(code: str, file: str = ROBOT, **names: object) -> Exception:
+    """Return what code raises that lies in `file`, without the lines of this test."""
+    try:
+        exec(compile(code, file, "exec"), names)
+    except Exception as error:  # noqa: BLE001, whatever it is
+        return error.with_traceback(error.__traceback__ and error.__traceback__.tb_next)
+    raise AssertionError(code)
+
+
+def test_lines_and_causes_that_lie_in_poise_are_left_out() -> None:
+    decode = "from poise.wire.codec import codec\ncodec(str).decode(b'x', b'')\n"
+    error = raised(decode)
+    assert "wire/codec.py" in "".join(traceback.format_exception(error))
+    assert told(error).splitlines() == [
+        "Traceback (most recent call last):",
+        f'  File "{ROBOT}", line 2, in <module>',
+        f"poise.wire.codec.WireError: {error}",
+    ]
+
+
+def test_a_cause_in_users_code_is_told() -> None:
+    said = told(
+        raised(
+            "try:\n    1 / 0\nexcept ZeroDivisionError as error:\n"
+            "    raise ValueError('no') from error\n"
+        )
+    )
+    assert "ZeroDivisionError: division by zero" in said
+    assert said.endswith("ValueError: no")
+
+
+def test_what_poise_says_itself_needs_no_traceback() -> None:
+    error = raised("raise E('no such class')", OURS, E=RobotError)
+    assert told(error) == "no such class"
+
+
+def test_a_fault_of_poise_keeps_its_traceback() -> None:
+    assert OURS in told(raised("1 / 0", OURS))
+
+
+def test_a_callers_error_says_where_the_callee_raised() -> None:
+    error = raised("fail(error)", fail=raise_callee_error, error=raised("[][3]"))
+    assert isinstance(error, CalleeError)
+    assert error.traceback.count(ROBOT) == 1
+    assert told(error).count(ROBOT) == 2
+
+
+def test_what_comes_again_and_again_is_logged_now_and_then(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    errors, error = Errors("camera"), raised("1 / 0")
+    for number in range(1000):
+        errors.note("shoot", error, now=number * 0.001)
+    errors.note("shoot", raised("[][3]"), now=1.0)
+    errors.note("cool", error, now=1.0)
+    errors.note("shoot", error, now=AGAIN)
+    assert [message.split(":")[0] for message in caplog.messages] == [
+        "shoot",
+        "shoot",
+        "cool",
+        "shoot (999 more like it since the last)",
+    ]
+    assert {record.name for record in caplog.records} == {"poise.component.camera"}
+    assert errors.count == 1003
+    assert errors.last.endswith("ZeroDivisionError: division by zero")

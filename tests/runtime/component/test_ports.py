@@ -1,0 +1,157 @@
+"""What a class declares, and what it must not."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import pytest
+
+from poise import (
+    Component,
+    Message,
+    Provided,
+    Published,
+    Required,
+    every,
+    oneway,
+    subscribed,
+)
+from poise.errors import UsageError
+from poise.runtime.component.ports import (
+    Port,
+    Queue,
+    Timer,
+    is_oneway,
+    methods_of,
+    ports_of,
+    timers_of,
+)
+from poise.runtime.connectors.interface import methods
+
+
+class Pose(Message):
+    x: float
+
+
+class Walls(Protocol):
+    def near(self, pose: Pose, limit: float = 1.0) -> int: ...
+
+    @oneway
+    def forget(self) -> None: ...
+
+
+class Everything(Component):
+    mine: Provided[Walls]
+    theirs: Required[Walls]
+    pose: Published[Pose]
+
+    def near(self, pose: Pose, limit: float = 1.0) -> int:
+        return round(pose.x + limit)
+
+    def forget(self) -> None: ...
+
+    @subscribed(keep=3)
+    def target(self, message: Pose) -> None: ...
+
+    @every(0.1, deadline=0.05)
+    def cycle(self) -> None: ...
+
+
+def test_finds_every_port() -> None:
+    assert ports_of(Everything) == {
+        "mine": Port("mine", "provides", Walls),
+        "theirs": Port("theirs", "requires", Walls),
+        "pose": Port("pose", "publishes", Pose),
+        "target": Port("target", "subscribes", Pose, Queue("keep", 3)),
+    }
+
+
+def test_ports_are_inherited() -> None:
+    class More(Everything):
+        extra: Published[Pose]
+
+    assert ports_of(More).keys() == ports_of(Everything).keys() | {"extra"}
+
+
+def test_finds_every_timer() -> None:
+    assert timers_of(Everything) == {"cycle": Timer("cycle", 0.1, 0.05)}
+
+
+def test_knows_an_interfaces_methods() -> None:
+    assert set(methods_of(Walls)) == {"near", "forget"}
+    assert is_oneway(Walls, "forget")
+    assert not is_oneway(Walls, "near")
+
+
+def test_binds_arguments_however_they_are_given() -> None:
+    (near,) = [m for m in methods(Walls).values() if m.name == "near"]
+    assert near.bind(Pose(1.0)) == (Pose(1.0), 1.0)
+    assert near.bind(limit=2.0, pose=Pose(1.0)) == (Pose(1.0), 2.0)
+    with pytest.raises(TypeError):
+        near.bind()
+
+
+@pytest.mark.parametrize(
+    ("period", "deadline"), [(0, None), (-1, None), (float("nan"), None), (1, 0)]
+)
+def test_a_timer_needs_times_above_zero(period: float, deadline: float | None) -> None:
+    with pytest.raises(UsageError, match="must be above 0 s"):
+        every(period, deadline=deadline)
+
+
+@pytest.mark.parametrize(
+    ("queue", "says"),
+    [
+        ({"keep": 1, "block": 1}, "not both"),
+        ({"keep": 0, "block": 1}, "not both"),
+        ({"keep": 0}, r"subscribed\(keep=0\): a queue holds at least 1"),
+        ({"block": -2}, r"subscribed\(block=-2\): a queue holds at least 1"),
+    ],
+)
+def test_a_queue_is_of_one_policy_and_holds_something(
+    queue: dict[str, int], says: str
+) -> None:
+    with pytest.raises(UsageError, match=says):
+        subscribed(**queue)
+
+
+def test_what_needs_parentheses_says_so() -> None:
+    def tick() -> None: ...
+
+    with pytest.raises(UsageError, match=r"as in @every\(0.1\)"):
+        every(tick)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match=r"as in @subscribed\(keep=1\)"):
+        subscribed(tick)  # type: ignore[arg-type]
+
+
+def test_a_subscriber_says_the_type_of_its_message() -> None:
+    class Mute(Component):
+        @subscribed()
+        def scan(self, message) -> None: ...  # type: ignore[no-untyped-def]  # noqa: ANN001
+
+    with pytest.raises(
+        UsageError, match=r"scan: a subscribed method takes one message"
+    ):
+        ports_of(Mute)
+
+
+def test_a_provided_interface_is_implemented() -> None:
+    class Half(Component):
+        walls: Provided[Walls]
+
+        def forget(self) -> None: ...
+
+    with pytest.raises(UsageError, match=r"Half provides walls: Walls, but .* near"):
+        ports_of(Half)
+
+
+def test_a_parameter_needs_a_type_and_a_place() -> None:
+    class Loose(Protocol):
+        def call(self, *numbers: int) -> None: ...
+
+    class Untyped(Protocol):
+        def call(self, number) -> Any: ...  # type: ignore[no-untyped-def]  # noqa: ANN001
+
+    for interface in (Loose, Untyped):
+        with pytest.raises(UsageError, match="needs a type and a place of its own"):
+            methods(interface)

@@ -1,0 +1,229 @@
+"""Grants are totals: lost, doubled, late or meant for another, they do no harm."""
+
+from __future__ import annotations
+
+import pytest
+
+from poise.errors import Unavailable
+from poise.runtime._calls import Account
+from poise.runtime.component.ports import Policy, Queue
+from poise.runtime.connectors.flow_control import Credits, Grants
+from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.execution.mailbox import Feed, Inbox, Mailbox
+from poise.wire import frame
+from poise.wire.codec import Codec, WireError
+from poise.wire.connections.channel import Pieces
+from poise.wire.frame import Frame, Kind
+
+NOTHING: Codec[None] = Codec(type(None))
+
+
+class Way:
+    """Brings grants to a source, unless it is cut."""
+
+    def __init__(self, credits_: Credits) -> None:
+        self.credits = credits_
+        self.granted: list[int] = []
+        self.is_cut = False
+        self.is_closed = False
+
+    def is_ready(self) -> bool:
+        return True
+
+    def request(self, *_: object) -> Frame:
+        raise AssertionError
+
+    def push(self, pieces: Pieces, limit: float) -> None:  # noqa: ARG002, the protocol's
+        if self.is_cut:
+            raise Unavailable("cut")
+        received = frame.parse(b"".join(pieces))
+        self.granted.append(received.number)
+        self.credits.handle(received)
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+class Joined:
+    """A source and a target, without a transport between them."""
+
+    def __init__(self, policy: Policy = "block", size: int = 4) -> None:
+        self.credits = Credits()
+        self.credit = self.credits.open("here")
+        self.way = Way(self.credits)
+        self.start_target(policy, size)
+
+    def start_target(self, policy: Policy = "block", size: int = 4) -> None:
+        self.inbox = Inbox("notes", Queue(policy, size))
+        self.counts = Counts()
+        self.feed = Feed(Mailbox(Account()), self.inbox, self.counts)
+        self.grants = Grants("a.b", self.feed, self.counts, lambda _: self.way)
+
+    def ask(self) -> None:
+        self.grants.asked(frame.parse(b"".join(self.credit.question())))
+
+    def send(self, *, arrives: bool = True) -> None:
+        assert self.credit.has_room()
+        if not self.credit.sent:
+            self.ask()
+        self.push(arrives=arrives)
+
+    def push(self, *, arrives: bool = True) -> None:
+        """Send without a question, or after one that got lost."""
+        self.credit.sent += 1
+        number, life = self.credit.sent, self.credit.life
+        if arrives:
+            pieces = frame.segments(
+                NOTHING, None, Kind.MESSAGE, number=number, chain=life
+            )
+            self.grants.came(frame.parse(b"".join(pieces)))
+            self.feed.put((0, number))
+
+    def send_all(self) -> int:
+        """Send while there is room; return how many went."""
+        before = self.credit.sent
+        while self.credit.has_room():
+            self.send()
+        return self.credit.sent - before
+
+    def take(self, count: int) -> None:
+        for _ in range(count):
+            assert self.inbox.take() is not None
+
+
+@pytest.fixture
+def joined() -> Joined:
+    return Joined()
+
+
+def test_as_many_go_as_there_is_room_for(joined: Joined) -> None:
+    assert joined.send_all() == 4
+    assert len(joined.inbox.waiting()) == 4
+
+
+def test_grants_when_half_of_the_queue_is_empty_again(joined: Joined) -> None:
+    joined.send_all()
+    joined.take(1)
+    assert not joined.credit.has_room()
+    joined.take(1)
+    assert joined.way.granted == [4, 6]  # one grant for two messages
+    assert joined.send_all() == 2
+
+
+def test_a_source_that_is_slow_never_waits(joined: Joined) -> None:
+    for _ in range(100):
+        joined.send()
+        joined.take(1)
+
+
+@pytest.mark.parametrize("size", [1, 2, 3])
+def test_a_small_queue_is_filled_and_never_overfilled(size: int) -> None:
+    joined = Joined(size=size)
+    for _ in range(20):
+        joined.send_all()
+        assert len(joined.inbox.waiting()) == size
+        joined.take(size)
+
+
+def test_a_lost_grant_is_made_good_when_the_source_asks(joined: Joined) -> None:
+    joined.send_all()
+    joined.way.is_cut = True
+    joined.take(4)
+    assert not joined.credit.has_room()
+    joined.way.is_cut = False
+    joined.ask()
+    assert joined.send_all() == 4
+    assert joined.counts.drops == 0
+
+
+def test_a_grant_that_comes_twice_or_late_changes_nothing(joined: Joined) -> None:
+    joined.send_all()
+    joined.take(2)
+    for granted in (6, 4, 1):
+        joined.credit.hear(granted)
+    assert joined.send_all() == 2
+
+
+def test_messages_that_got_lost_are_counted_and_leave_their_room(
+    joined: Joined, caplog: pytest.LogCaptureFixture
+) -> None:
+    joined.send()
+    joined.send(arrives=False)
+    joined.send(arrives=False)
+    joined.send()
+    assert joined.counts.drops == 2
+    assert "connector a.b: 2 messages were lost on their way" in caplog.text
+    joined.ask()
+    assert joined.send_all() == 2  # two are there
+
+
+def test_when_all_got_lost_the_question_tells(joined: Joined) -> None:
+    joined.send()
+    for _ in range(3):
+        joined.send(arrives=False)
+    assert not joined.credit.has_room()
+    joined.ask()
+    assert joined.counts.drops == 3
+    assert joined.send_all() == 3
+
+
+def test_what_got_lost_before_anything_came_is_counted_once(joined: Joined) -> None:
+    joined.push(arrives=False)
+    joined.push()
+    joined.ask()
+    assert joined.counts.drops == 1
+    joined.ask()
+    assert joined.counts.drops == 1
+    assert joined.send_all() == 3
+
+
+def test_when_all_got_lost_from_the_first_on_the_question_tells(joined: Joined) -> None:
+    joined.push(arrives=False)
+    joined.push(arrives=False)
+    joined.ask()
+    assert joined.counts.drops == 2
+    assert joined.send_all() == 4
+
+
+def test_a_target_that_was_started_anew_grants_again(joined: Joined) -> None:
+    joined.send_all()
+    joined.start_target()
+    joined.ask()
+    assert joined.send_all() == 4
+    assert joined.counts.drops == 0  # what the one before had is not its own
+
+
+def test_a_source_that_was_started_anew_counts_anew(joined: Joined) -> None:
+    joined.send_all()
+    old = joined.credit
+    joined.credit = joined.credits.open("here")
+    joined.take(2)  # grants for the source that is no more
+    assert old.has_room()
+    assert joined.send_all() == 2  # two of the old one's still wait
+    joined.take(4)
+    assert joined.send_all() == 4
+    assert joined.counts.drops == 0
+
+
+def test_a_queue_that_keeps_the_last_grants_without_end_once() -> None:
+    joined = Joined("keep", 1)
+    for _ in range(1000):
+        joined.send()
+    assert len(joined.way.granted) == 1
+    assert joined.way.is_closed
+
+
+def test_a_question_without_an_address_is_refused(joined: Joined) -> None:
+    pieces = frame.segments(NOTHING, None, Kind.ASK)
+    with pytest.raises(WireError, match="not a str"):
+        joined.grants.asked(frame.parse(b"".join(pieces)))
+
+
+def test_a_grant_for_a_path_that_is_gone_says_nothing() -> None:
+    credits_ = Credits()
+    gone = credits_.open("here").life  # nobody keeps it
+    other = credits_.open("here")
+    pieces = frame.segments(NOTHING, None, Kind.GRANT, number=9, chain=gone)
+    credits_.handle(frame.parse(b"".join(pieces)))
+    other.sent = 1
+    assert not other.has_room()

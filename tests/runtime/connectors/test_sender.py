@@ -1,0 +1,349 @@
+"""An outlet sends every message over exactly one of its paths, in order."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Protocol
+
+import pytest
+
+from poise import Message
+from poise.errors import RunError, Timeout, Unavailable
+from poise.runtime.component.ports import Port
+from poise.runtime.connectors.interface import Method
+from poise.runtime.connectors.sender import Facade, Sender
+from poise.runtime.execution.exclusion import Turn, new_chain
+from poise.wire.codec import WireError
+
+LONG = 20.0
+
+
+class Note(Message):
+    number: int
+
+
+class Sums(Protocol):
+    def add(self, one: int) -> int: ...
+
+
+class FakePath:
+    """Remembers what goes over it."""
+
+    UNFIT = object()
+
+    def __init__(self, *, ready: bool = True) -> None:
+        self.ready = ready
+        self.went: list[Any] = []
+        self.is_closed = False
+        self.room = 1_000
+        self.asked = threading.Event()
+
+    def is_ready(self) -> bool:
+        return self.ready
+
+    def function(self, method: Method, sender: Sender) -> Callable[..., Any]:
+        def call(*args: Any, **kwargs: Any) -> Any:
+            if not self.ready:  # its target has moved
+                deadline = time.monotonic() + LONG
+                return sender.again(self, method.name, args, kwargs, deadline)
+            return (self, *args)
+
+        return call
+
+    def push(self, _method: Method | None, value: object) -> int:
+        if not self.ready:
+            raise Unavailable("nobody there")
+        if value is self.UNFIT:
+            raise WireError("an object cannot cross a connector")
+        self.went.append(value)
+        self.room -= 1
+        return 1
+
+    def has_room(self) -> bool:
+        return self.room > 0
+
+    def ask(self) -> None:
+        self.asked.set()
+        if not self.ready:
+            raise Unavailable("nobody there")
+
+    def mark(self, number: int) -> None:
+        self.went.append(f"mark {number}")
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+@pytest.fixture
+def sender() -> Sender:
+    return Sender("a.notes-b.notes", Port("notes", "publishes", Note), None, 0.05)
+
+
+@pytest.fixture
+def old(sender: Sender) -> FakePath:
+    path = FakePath()
+    sender.add("old", path)
+    return path
+
+
+@pytest.fixture
+def new(sender: Sender, old: FakePath) -> FakePath:  # noqa: ARG001, the first is old
+    path = FakePath()
+    sender.add("new", path)
+    return path
+
+
+def test_uses_the_first_path(sender: Sender, old: FakePath, new: FakePath) -> None:
+    sender.send(1)
+    assert (old.went, new.went) == ([1], [])
+
+
+def test_a_mark_goes_behind_all_that_went(sender: Sender, old: FakePath) -> None:
+    sender.send(1)
+    sender.mark(7)
+    assert old.went == [1, "mark 7"]
+
+
+def test_no_mark_goes_to_nobody(sender: Sender) -> None:
+    with pytest.raises(Unavailable, match="nobody at its other end"):
+        sender.mark(7)
+    sender.add("old", FakePath(ready=False))
+    with pytest.raises(Unavailable, match="nobody at its other end"):
+        sender.mark(7)
+
+
+def test_what_is_kept_back_goes_when_its_source_works(
+    sender: Sender, old: FakePath
+) -> None:
+    sender.keep_back()
+    sender.send(1)
+    assert old.went == []
+    sender.let_go()
+    sender.send(2)
+    assert old.went == [1, 2]
+
+
+def test_what_is_kept_back_also_waits_for_a_target_that_moves(
+    sender: Sender, old: FakePath, new: FakePath
+) -> None:
+    sender.keep_back()
+    sender.hold()
+    sender.send(1)
+    sender.let_go()
+    assert (old.went, new.went) == ([], [])
+    sender.release("new")
+    assert (old.went, new.went) == ([], [1])
+
+
+@pytest.mark.parametrize("towards", ["old", "new"])
+def test_what_was_held_goes_one_way_in_order(
+    sender: Sender, old: FakePath, new: FakePath, towards: str
+) -> None:
+    sender.send(1)
+    sender.hold()
+    sender.send(2)
+    sender.send(3)
+    assert (old.went, new.went) == ([1], [])
+    sender.release(towards)
+    sender.send(4)
+    expected = {"old": ([1, 2, 3, 4], []), "new": ([1], [2, 3, 4])}
+    assert (old.went, new.went) == expected[towards]
+
+
+@pytest.mark.parametrize(("kept", "gone"), [("old", "new"), ("new", "old")])
+def test_what_was_held_goes_where_one_way_is_left(
+    sender: Sender, old: FakePath, new: FakePath, kept: str, gone: str
+) -> None:
+    """As when the order to release was lost."""
+    sender.hold()
+    sender.send(1)
+    sender.remove(gone)
+    sender.send(2)
+    went = {"old": old, "new": new}
+    assert went[kept].went == [1, 2]
+    assert went[gone].went == []
+    assert went[gone].is_closed
+
+
+def test_what_was_held_goes_out_before_the_next_move(
+    sender: Sender, old: FakePath, new: FakePath
+) -> None:
+    """As when it begins at once, and the order to release was lost."""
+    sender.hold()
+    sender.send(1)
+    next_one = FakePath()
+    sender.add("next", next_one)
+    sender.remove("new")
+    assert (old.went, new.went, next_one.went) == ([1], [], [])
+    sender.hold()
+    sender.send(2)
+    sender.release("next")
+    assert (old.went, next_one.went) == ([1], [2])
+
+
+def test_what_was_held_and_cannot_cross_hinders_nothing_else(
+    sender: Sender, old: FakePath, new: FakePath
+) -> None:
+    sender.hold()
+    for value in (1, FakePath.UNFIT, 3):
+        sender.send(value)
+    sender.release("new")
+    sender.send(4)
+    assert (old.went, new.went) == ([], [1, 3, 4])
+    assert sender.counts.drops == 1
+
+
+@pytest.mark.usefixtures("old")
+def test_does_not_hold_when_no_move_goes_on(sender: Sender) -> None:
+    """As when the order to hold comes after the move is over."""
+    with pytest.raises(RunError, match="nothing to hold messages for"):
+        sender.hold()
+
+
+def test_does_not_release_to_nowhere(
+    sender: Sender, old: FakePath, new: FakePath
+) -> None:
+    sender.hold()
+    sender.send(1)
+    with pytest.raises(Unavailable, match="has no path nowhere"):
+        sender.release("nowhere")
+    assert (old.went, new.went) == ([], [])
+
+
+def test_a_publisher_waits_while_too_much_is_held(
+    sender: Sender, new: FakePath, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("poise.runtime.connectors.sender.MOST_HELD", 2)
+    sender.hold()
+    for number in range(3):
+        sender.send(number)  # the third waits for the outlet's limit, and is lost
+    assert sender.counts.drops == 1
+    sender.release("new")
+    assert new.went == [0, 1]
+
+
+def test_a_publisher_waits_for_room_and_asks_for_it(
+    sender: Sender, old: FakePath
+) -> None:
+    sender = Sender("a.notes-b.notes", Port("notes", "publishes", Note), None, LONG)
+    old.room = 0
+    sender.add("old", old)
+    with ThreadPoolExecutor() as pool:
+        sent = pool.submit(sender.send, 1)
+        assert old.asked.wait(LONG)
+        assert old.went == []
+        old.room = 1
+        sender.room()
+        sent.result(LONG)
+    assert (old.went, sender.counts.drops) == ([1], 0)
+
+
+def test_a_reentrant_publisher_lets_others_in_while_it_waits(old: FakePath) -> None:
+    turn = Turn("a")
+    turn.open()
+    port = Port("notes", "publishes", Note)
+    sender = Sender("a.notes-b.notes", port, None, LONG, turn)
+    sender.add("old", old)
+    old.room = 0
+
+    def publish() -> None:
+        turn.enter(new_chain(), LONG)
+        sender.send(1)
+        turn.leave()  # it has the turn again, or this raises
+
+    with ThreadPoolExecutor() as pool:
+        sent = pool.submit(publish)
+        assert old.asked.wait(LONG)
+        turn.enter(new_chain(), LONG)
+        turn.leave()
+        assert old.went == []
+        old.room = 1
+        sender.room()
+        sent.result(LONG)
+    assert old.went == [1]
+
+
+def test_without_room_a_message_is_dropped_after_the_limit_and_counted(
+    sender: Sender, old: FakePath
+) -> None:
+    old.room = 0
+    sender.send(1)
+    assert (old.went, sender.counts.drops) == ([], 1)
+
+
+def test_nobody_waits_for_the_room_of_one_that_is_gone(old: FakePath) -> None:
+    sender = Sender("a.notes-b.notes", Port("notes", "publishes", Note), None, LONG)
+    sender.add("old", old)
+    old.room, old.ready = 0, False
+    sender.send(1)
+    assert sender.counts.drops == 1
+
+
+def test_who_waits_for_room_does_not_hinder_a_move(old: FakePath) -> None:
+    sender = Sender("a.notes-b.notes", Port("notes", "publishes", Note), None, LONG)
+    new = FakePath()
+    sender.add("old", old)
+    sender.add("new", new)
+    old.room = 0
+    with ThreadPoolExecutor() as pool:
+        sent = pool.submit(sender.send, 1)
+        assert old.asked.wait(LONG)
+        sender.hold()  # its message is held, too
+        sent.result(LONG)
+    sender.release("new")
+    assert (old.went, new.went) == ([], [1])
+
+
+def test_what_does_not_go_out_is_counted(sender: Sender) -> None:
+    sender.send(1)
+    sender.add("old", FakePath(ready=False))
+    sender.send(2)
+    assert (sender.counts.drops, sender.counts.messages) == (2, 0)
+
+
+@pytest.fixture
+def calling() -> tuple[Sender, Any]:
+    facade: Any = Facade("a.sums (Sums)")
+    sender = Sender("a.sums-b.sums", Port("sums", "requires", Sums), facade, 0.05)
+    return sender, facade
+
+
+def test_a_call_that_was_not_run_goes_where_the_target_is_now(
+    calling: tuple[Sender, Any],
+) -> None:
+    sender, facade = calling
+    old, new = FakePath(ready=False), FakePath()
+    sender.add("old", old)
+    sender.add("new", new)
+    begun = threading.Event()
+
+    def call() -> Any:
+        begun.set()
+        return facade.add(1)
+
+    with ThreadPoolExecutor() as pool:
+        result = pool.submit(call)
+        assert begun.wait(LONG)
+        sender.release("new")
+        assert result.result(LONG) == (new, 1)
+
+
+def test_a_call_does_not_wait_for_ever_for_its_target(
+    calling: tuple[Sender, Any],
+) -> None:
+    sender, _ = calling
+    path = FakePath()
+    sender.add("old", path)
+    with pytest.raises(Timeout, match="its target did not come back"):
+        sender.again(path, "add", (1,), {}, time.monotonic())
+
+
+def test_without_a_path_calls_are_unavailable(calling: tuple[Sender, Any]) -> None:
+    sender, facade = calling
+    sender.add("old", FakePath())
+    sender.remove("old")
+    with pytest.raises(Unavailable, match=r"'a.sums-b.sums' is not connected"):
+        facade.add(1)

@@ -1,0 +1,128 @@
+"""What waits for a component: bounded, and in order."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from poise.runtime._calls import Account
+from poise.runtime.component.ports import Queue
+from poise.runtime.execution import mailbox as module
+from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.execution.mailbox import Feed, Inbox, Mailbox
+
+LIMIT = 20.0
+
+
+def feed(inbox: Inbox, mailbox: Mailbox | None = None) -> Feed:
+    return Feed(mailbox or Mailbox(Account()), inbox, Counts())
+
+
+def put(feed: Feed, *numbers: int) -> None:
+    for number in numbers:
+        feed.put((0, number))
+
+
+def waiting(inbox: Inbox) -> list[int]:
+    return [value for _, value in inbox.waiting()]
+
+
+def test_keeps_the_last_and_tells_each_connector_what_it_lost() -> None:
+    inbox = Inbox("scan", Queue("keep", 2))
+    one, other = feed(inbox), feed(inbox)
+    put(one, 1)
+    put(other, 2, 3, 4)  # 3 takes the place of 1, and 4 that of 2
+    assert waiting(inbox) == [3, 4]
+    assert (one.counts.drops, other.counts.drops) == (1, 1)
+    assert one.room() is None
+
+
+def test_counts_how_long_what_is_taken_has_waited() -> None:
+    inbox = Inbox("scan", Queue("keep", 2))
+    one = feed(inbox)
+    began = time.monotonic()
+    put(one, 1, 2)
+    inbox.take()
+    waited = one.counts.wait.summary()
+    assert waited.count == 1
+    assert 0 <= waited.maximum <= time.monotonic() - began
+
+
+def test_has_room_of_its_own_for_every_connector() -> None:
+    inbox = Inbox("scan", Queue("block", 2))
+    one, other = feed(inbox), feed(inbox)
+    put(one, 1, 2)
+    assert (one.room(), other.room()) == (0, 2)
+    assert not one.has_room()
+    put(other, 3)
+    assert other.room() == 1
+
+
+def test_tells_whoever_waits_that_there_is_room() -> None:
+    inbox = Inbox("scan", Queue("block", 1))
+    one = feed(inbox)
+    told: list[int | None] = []
+    one.on_room = lambda: told.append(one.room())
+    put(one, 1)
+    assert told == []
+    assert inbox.take() == (0, 1)
+    assert told == [1]
+
+
+def test_takes_what_was_held_and_drops_what_nobody_may_send(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A source sends at once what it held during a move, whatever room there is."""
+    monkeypatch.setattr(module, "MOST_AHEAD", 3)
+    inbox = Inbox("scan", Queue("block", 1))
+    one = feed(inbox)
+    put(one, 1, 2, 3, 4, 5)
+    assert waiting(inbox) == [1, 2, 3, 4]
+    assert (one.room(), one.counts.drops) == (0, 1)
+
+
+def test_takes_nothing_from_an_empty_queue() -> None:
+    assert Inbox("scan", Queue()).take() is None
+
+
+def test_neither_drops_nor_lets_wait_at_rest() -> None:
+    for policy in ("keep", "block"):
+        inbox = Inbox("scan", Queue(policy, 1))
+        one = feed(inbox)
+        inbox.rest(resting=True)
+        for number in (1, 2, 3):
+            assert one.has_room()
+            put(one, number)
+        inbox.rest(resting=False)
+        assert [inbox.take() for _ in range(3)] == [(0, 1), (0, 2), (0, 3)]
+
+
+def test_tells_whoever_waits_when_it_comes_to_rest() -> None:
+    inbox = Inbox("scan", Queue("block", 1))
+    one = feed(inbox)
+    put(one, 1)
+    told: list[int | None] = []
+    one.on_room = lambda: told.append(one.room())
+    inbox.rest(resting=True)
+    assert told == [1]
+
+
+def test_wakes_once_for_every_message_that_waits() -> None:
+    mailbox, inbox = Mailbox(Account()), Inbox("scan", Queue("keep", 2))
+    put(feed(inbox, mailbox), 1, 2, 3)
+    assert [mailbox.next(0.0) for _ in range(3)] == [inbox, inbox, None]
+
+
+def test_serves_ports_in_the_order_of_arrival() -> None:
+    mailbox = Mailbox(Account())
+    one, two = (Inbox(name, Queue("keep", 5)) for name in ("one", "two"))
+    for inbox in (two, one, two):
+        put(feed(inbox, mailbox), 0)
+    assert [mailbox.next(0.0) for _ in range(3)] == [two, one, two]
+
+
+def test_a_wake_up_brings_nothing() -> None:
+    mailbox = Mailbox(Account())
+    mailbox.wake()
+    assert mailbox.next(LIMIT) is None

@@ -1,0 +1,412 @@
+"""The life of one component, and what happens when its code fails."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import ClassVar
+
+import pytest
+
+from poise import Component, Message, every, subscribed
+from poise.clock import SystemClock
+from poise.errors import RunError, Timeout
+from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.execution.exclusion import Retired
+from poise.runtime.hosting.runner import Runner
+from poise.wire.records.deployment import ComponentSpec, State
+from tests.runtime.conftest import wait_until
+
+LIMIT = 20.0
+
+
+class Note(Message):
+    text: str
+
+
+class Recorder(Component):
+    """Writes down which of its code ran, and fails where its parameters say so."""
+
+    def configure(self) -> None:
+        self.told = threading.Condition()
+        self.record: list[str] = []
+        self._do("configure")
+
+    def activate(self) -> None:
+        self._do("activate")
+
+    def deactivate(self) -> None:
+        self._do("deactivate")
+
+    def cleanup(self) -> None:
+        self._do("cleanup")
+
+    @subscribed(keep=5)
+    def note(self, message: Note) -> None:
+        self._do(message.text)
+
+    def _do(self, what: str) -> None:
+        with self.told:
+            self.record.append(what)
+            self.told.notify_all()
+        if what == self.parameters.get("fail"):
+            raise LookupError(f"{what} went wrong")
+        if what == self.parameters.get("exit"):
+            sys.exit(3)
+
+    def wait_for(self, what: str) -> None:
+        with self.told:
+            assert self.told.wait_for(lambda: what in self.record, LIMIT)
+
+
+class Ticking(Recorder):
+    @every(0.001)
+    def tick(self) -> None:
+        self._do("tick")
+
+
+class Fixture:
+    """Starts components and ends them after the test."""
+
+    def __init__(self) -> None:
+        self._runners: list[Runner] = []
+
+    def start(self, implementation: type[Component], **parameters: str) -> Runner:
+        spec = ComponentSpec(name="one", goal="inactive", parameters=parameters)
+        runner = Runner(spec, implementation, SystemClock(), lambda: None)
+        self._runners.append(runner)
+        runner.start()
+        return runner
+
+    def close(self) -> None:
+        for runner in self._runners:
+            runner.aim("finalized")
+            assert runner.wait_ended(LIMIT)
+
+
+@pytest.fixture
+def running() -> Iterator[Fixture]:
+    fixture = Fixture()
+    yield fixture
+    fixture.close()
+
+
+def reach(runner: Runner, state: State) -> Recorder:
+    runner.aim("inactive" if state == "failed" else state)  # type: ignore[arg-type]
+    return _reached(runner, state)
+
+
+def _reached(runner: Runner, state: State) -> Recorder:
+    assert runner.wait_state({state, "failed"}, LIMIT) == state
+    assert isinstance(runner.component, Recorder)
+    return runner.component
+
+
+def rest(runner: Runner, limit: float) -> None:
+    runner.stay()
+    runner.rest(limit)
+
+
+def receive(runner: Runner, *texts: str) -> None:
+    feed = runner.ends.feed("note", Counts())
+    for text in texts:
+        feed.put((0, Note(text)))
+
+
+def test_the_hooks_come_in_order(running: Fixture) -> None:
+    runner = running.start(Recorder)
+    component = reach(runner, "active")
+    assert component.record == ["configure", "activate"]
+    reach(runner, "inactive")
+    reach(runner, "active")
+    reach(runner, "finalized")
+    assert component.record[2:] == [
+        *("deactivate", "activate", "deactivate", "cleanup"),
+    ]
+
+
+def test_nothing_runs_before_it_is_active_and_after(running: Fixture) -> None:
+    runner = running.start(Ticking)
+    component = reach(runner, "inactive")
+    receive(runner, "early")
+    reach(runner, "active")
+    component.wait_for("early")
+    component.wait_for("tick")
+    reach(runner, "inactive")
+    at_rest = component.record.copy()
+    assert at_rest[-1] == "deactivate"
+    assert at_rest.index("early") > at_rest.index("activate")
+    assert component.record == at_rest
+
+
+def test_messages_come_in_order(running: Fixture) -> None:
+    runner = running.start(Recorder)
+    reach(runner, "active")
+    receive(runner, "a", "b", "c")
+    component = _reached(runner, "active")
+    component.wait_for("c")
+    assert component.record[2:] == ["a", "b", "c"]
+
+
+@pytest.mark.parametrize("hook", ["configure", "activate"])
+@pytest.mark.parametrize("how", ["fail", "exit"])
+def test_a_hook_that_fails_ends_the_component(
+    running: Fixture, hook: str, how: str
+) -> None:
+    runner = running.start(Recorder, **{how: hook})
+    runner.aim("active")
+    component = _reached(runner, "failed")
+    assert runner.wait_ended(LIMIT)
+    assert component.record[-2:] == [hook, "cleanup"]
+    told = runner.status()
+    assert told.state == "failed"
+    assert f'_do("{hook}")' in told.error
+    assert told.errors == 1
+
+
+def test_a_handler_that_fails_is_counted_and_the_component_goes_on(
+    running: Fixture,
+) -> None:
+    runner = running.start(Recorder, fail="bad")
+    component = reach(runner, "active")
+    receive(runner, "bad", "good")
+    component.wait_for("good")
+    told = runner.status()
+    assert (told.state, told.errors) == ("active", 1)
+    assert told.error.endswith("LookupError: bad went wrong")
+
+
+def test_a_timer_that_fails_goes_on_ticking(running: Fixture) -> None:
+    runner = running.start(Ticking, fail="tick")
+    component = reach(runner, "active")
+    with component.told:
+        component.told.wait_for(lambda: component.record.count("tick") > 3, LIMIT)
+    assert runner.status().errors >= 3
+    assert runner.status().timers[0].releases >= 3
+
+
+def test_its_cpu_time_is_known_after_its_end(running: Fixture) -> None:
+    class Busy(Component):
+        def configure(self) -> None:
+            sum(range(200_000))
+
+    runner = running.start(Busy)
+    runner.aim("finalized")
+    assert runner.wait_ended(LIMIT)
+    assert runner.status().cpu > 0.0
+
+
+def test_many_that_end_at_once_are_asked_how_they_are(running: Fixture) -> None:
+    # a status must not ask for the CPU clock of a thread that is ending
+    for _ in range(50):
+        runner = running.start(Recorder, fail="configure")
+        runner.aim("active")
+        while runner.status().state != "failed":
+            pass
+        assert runner.status().cpu >= 0.0
+
+
+def test_a_goal_that_is_told_again_waits_for_no_hook(running: Fixture) -> None:
+    """Its container would not listen meanwhile, or end with all that it holds."""
+
+    class Slow(Recorder):
+        go_on: ClassVar = threading.Event()
+
+        def activate(self) -> None:
+            super().activate()
+            assert self.go_on.wait(LIMIT)
+
+    runner = running.start(Slow)
+    component = reach(runner, "inactive")
+    runner.aim("active")
+    component.wait_for("activate")
+    runner.aim("active")
+    Slow.go_on.set()
+    assert _reached(runner, "active") is component
+    receive(runner, "works")
+    component.wait_for("works")
+
+
+def test_a_component_that_is_busy_does_not_come_to_rest(running: Fixture) -> None:
+    class Slow(Recorder):
+        go_on: ClassVar = threading.Event()
+
+        @subscribed()
+        def note(self, message: Note) -> None:
+            super()._do(message.text)
+            self.go_on.wait(LIMIT)
+
+    runner = running.start(Slow)
+    component = reach(runner, "active")
+    receive(runner, "a")
+    component.wait_for("a")
+    with pytest.raises(Timeout, match="component 'one' did not come to rest"):
+        rest(runner, 0.01)
+    Slow.go_on.set()
+    rest(runner, LIMIT)
+    runner.go_on()
+
+
+def test_a_lull_comes_when_all_that_waits_was_worked_on(running: Fixture) -> None:
+    class Slow(Recorder):
+        go_on: ClassVar = threading.Semaphore(0)
+
+        @subscribed(block=5)
+        def note(self, message: Note) -> None:
+            super()._do(message.text)
+            self.go_on.acquire(timeout=LIMIT)
+
+    runner = running.start(Slow)
+    component = reach(runner, "active")
+    receive(runner, "a", "b")
+    component.wait_for("a")
+    with ThreadPoolExecutor(1) as waiter:
+        lull = waiter.submit(runner.wait_lull, LIMIT)
+        wait_until(lambda: runner._awaits_lull)
+        Slow.go_on.release()
+        component.wait_for("b")
+        assert not lull.done()
+        Slow.go_on.release()
+        assert lull.result(LIMIT)
+
+
+def test_a_lull_is_not_waited_for_longer_than_its_limit(running: Fixture) -> None:
+    runner = running.start(Recorder)
+    reach(runner, "active")
+    assert not runner.wait_lull(0.01)
+
+
+def test_waiting_for_marks_has_a_limit(running: Fixture) -> None:
+    runner = running.start(Recorder)
+    reach(runner, "active")
+    runner.ends.note_mark("somebody", 7)
+    runner.ends.wait_marks({"somebody": 7}, LIMIT)
+    with pytest.raises(Timeout, match="still under way over somebody"):
+        runner.ends.wait_marks({"somebody": 8}, 0.01)
+
+
+def test_measures_are_summed_up(running: Fixture) -> None:
+    class Measuring(Component):
+        def configure(self) -> None:
+            for value in (1.0, 2.0, 6.0):
+                self.measure("size", value)
+
+    runner = running.start(Measuring)
+    runner.aim("inactive")
+    runner.wait_state({"inactive"}, LIMIT)
+    summary = runner.status().measures["size"]
+    assert (summary.count, summary.mean, summary.maximum) == (3, 3.0, 6.0)
+
+
+def test_an_order_to_rest_that_comes_after_the_move_is_refused(
+    running: Fixture,
+) -> None:
+    runner = running.start(Recorder)
+    component = reach(runner, "active")
+    runner.stay()
+    runner.aim("active")  # the move is over
+    with pytest.raises(RunError, match="component 'one' does not move"):
+        runner.rest(LIMIT)
+    receive(runner, "a")
+    component.wait_for("a")
+
+
+def test_an_order_to_rest_that_waits_ends_with_the_move(running: Fixture) -> None:
+    runner = running.start(Recorder)
+    component = reach(runner, "active")
+    runner.stay()
+    runner.turn.enter(7, LIMIT)
+    with ThreadPoolExecutor() as pool:
+        late = pool.submit(runner.rest, LIMIT)
+        runner.aim("active")
+        runner.turn.leave()
+        with pytest.raises(RunError, match="does not move"):
+            late.result(LIMIT)
+    receive(runner, "a")
+    component.wait_for("a")
+
+
+def test_an_order_to_rest_that_waits_ends_with_its_own_move(
+    running: Fixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runner = running.start(Recorder)
+    component = reach(runner, "active")
+    shut = runner._shut
+
+    def meanwhile(limit: float) -> None:
+        runner.aim("active")
+        runner.stay()  # for the next move
+        shut(limit)
+
+    monkeypatch.setattr(runner, "_shut", meanwhile)
+    with pytest.raises(RunError, match="does not move"):
+        rest(runner, LIMIT)
+    receive(runner, "a")
+    component.wait_for("a")
+
+
+def test_goes_on_after_its_code_ran_at_rest(running: Fixture) -> None:
+    runner = running.start(Recorder)
+    component = reach(runner, "active")
+    rest(runner, LIMIT)
+    with runner.at_rest():  # a snapshot, say
+        runner.aim("active")  # does not wait for it
+        runner.stay()  # nor for the next move
+        receive(runner, "a")
+        with pytest.raises(Timeout):
+            runner.turn.enter(7, 0.05)
+    component.wait_for("a")
+
+
+def test_stays_at_rest_after_its_code_ran_there(running: Fixture) -> None:
+    runner = running.start(Recorder)
+    component = reach(runner, "active")
+    rest(runner, LIMIT)
+    with runner.at_rest():
+        runner.aim("active")
+        rest(runner, LIMIT)  # for the next move
+    receive(runner, "a")
+    with pytest.raises(Timeout):
+        runner.turn.enter(7, 0.05)
+    assert "a" not in component.record
+
+
+def test_what_is_ready_does_nothing_before_it_is_active(running: Fixture) -> None:
+    runner = running.start(Ticking)
+    runner.aim("ready")
+    component = _reached(runner, "active")
+    receive(runner, "a")
+    with pytest.raises(Timeout):
+        runner.turn.enter(7, 0.05)
+    assert component.record == ["configure", "activate"]
+    runner.aim("active")
+    component.wait_for("a")
+
+
+def test_what_has_ended_does_not_begin_again(running: Fixture) -> None:
+    runner = running.start(Recorder)
+    component = reach(runner, "inactive")
+    runner.aim("finalized")
+    runner.aim("active")  # an order that comes late
+    assert runner.wait_ended(LIMIT)
+    assert component.record == ["configure", "cleanup"]
+
+
+def test_callers_that_wait_are_sent_away_when_it_ends(running: Fixture) -> None:
+    runner = running.start(Recorder)
+    reach(runner, "active")
+    rest(runner, LIMIT)
+    with ThreadPoolExecutor() as pool:
+        caller = pool.submit(runner.turn.enter, 7, LIMIT)
+        runner.aim("finalized")
+        with pytest.raises(Retired):
+            caller.result(LIMIT)
+
+
+def test_nobody_takes_a_snapshot_of_what_works(running: Fixture) -> None:
+    runner = running.start(Recorder)
+    reach(runner, "active")
+    with pytest.raises(RunError, match="is not at rest"), runner.at_rest():
+        pass

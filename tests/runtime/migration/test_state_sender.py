@@ -1,0 +1,286 @@
+"""What an incarnation hands over makes the next go on where it stopped."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Protocol
+
+import pytest
+
+from poise import Component, Message, Provided, every, oneway, subscribed
+from poise.clock import SystemClock
+from poise.errors import Timeout, UsageError
+from poise.runtime.connectors.interface import methods
+from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.hosting.runner import Runner
+from poise.runtime.migration import state_sender
+from poise.runtime.migration.state_sender import Ask, StateSender
+from poise.wire import frame
+from poise.wire.connections.channel import Pieces
+from poise.wire.frame import Frame
+from poise.wire.records.deployment import ComponentSpec
+from tests.runtime.conftest import wait_until
+
+LIMIT = 20.0
+
+
+class Notes(Message):
+    texts: tuple[str, ...]
+
+
+class Tells(Protocol):
+    @oneway
+    def tell(self, text: str) -> None: ...
+
+
+class Book(Component):
+    """Has a state, a topic, one-way calls and a timer."""
+
+    tells: Provided[Tells]
+
+    def configure(self) -> None:
+        self.texts: tuple[str, ...] = ()
+
+    @every(1000.0)
+    def tick(self) -> None: ...
+
+    @subscribed(block=2)
+    def notes(self, message: Notes) -> None:
+        self.texts += message.texts
+
+    def tell(self, text: str) -> None:
+        self.texts += (text,)
+
+    def snapshot(self) -> Notes:
+        return Notes(self.texts)
+
+    def restore(self, state: Notes) -> None:
+        self.texts = state.texts
+
+
+class Gradual(Book):
+    """Hands over what changed since it was asked last."""
+
+    def snapshot(self) -> Notes:
+        self.given = len(self.texts)
+        return super().snapshot()
+
+    def snapshot_delta(self) -> Notes:
+        return Notes(self.texts[self.given :])
+
+    def restore_delta(self, delta: Notes) -> None:
+        self.texts += delta.texts
+
+
+class Untyped(Book):
+    def restore(self, state) -> None:  # type: ignore[no-untyped-def] # noqa: ANN001
+        self.texts = state.texts
+
+
+class Counted(Message):
+    count: int
+
+
+class Counting(Book):
+    def restore(self, state: Counted) -> None:  # type: ignore[override]
+        self.texts = ("?",) * state.count
+
+
+def adapt(old: Notes) -> Counted:
+    return Counted(len(old.texts))
+
+
+class DirectPipe:
+    """Asks the old incarnation on the thread of the new."""
+
+    def __init__(self, state_source: StateSender) -> None:
+        self._state_source = state_source
+
+    def is_ready(self) -> bool:
+        return True
+
+    def request(self, pieces: Pieces, limit: float) -> Frame:  # noqa: ARG002, it is here
+        answer = self._state_source.handle(frame.parse(b"".join(pieces)))
+        return frame.parse(b"".join(answer or ()))
+
+    def push(self, pieces: Pieces, limit: float) -> None:
+        raise NotImplementedError
+
+    def close(self) -> None: ...
+
+
+class Incarnations:
+    """An old incarnation at work, and new ones that take over."""
+
+    def __init__(self) -> None:
+        self._runners: list[Runner] = []
+
+    def start(self, implementation: type[Component], *, active: bool) -> Runner:
+        spec = ComponentSpec(name="book", goal="inactive")
+        runner = Runner(spec, implementation, SystemClock(), lambda: None)
+        self._runners.append(runner)
+        runner.start()
+        runner.aim("active" if active else "inactive")
+        runner.wait_state({"active" if active else "inactive"}, LIMIT)
+        return runner
+
+    def close(self) -> None:
+        for runner in self._runners:
+            runner.aim("finalized")
+            assert runner.wait_ended(LIMIT)
+
+
+@pytest.fixture
+def incarnations() -> Iterator[Incarnations]:
+    made = Incarnations()
+    yield made
+    made.close()
+
+
+def texts(runner: Runner) -> tuple[str, ...]:
+    assert isinstance(runner.component, Book)
+    return runner.component.texts
+
+
+def rest(runner: Runner) -> DirectPipe:
+    runner.stay()
+    runner.rest(LIMIT)
+    state_source = StateSender(runner)
+    state_source.give()
+    return DirectPipe(state_source)
+
+
+def tell(runner: Runner, *words: str) -> None:
+    """Let the component hear something, as if over a connector."""
+    runner.turn.enter(1, LIMIT)
+    assert isinstance(runner.component, Book)
+    for word in words:
+        runner.component.tell(word)
+    runner.turn.leave()
+
+
+def test_state_and_timers_go_over(incarnations: Incarnations) -> None:
+    old = incarnations.start(Book, active=True)
+    new = incarnations.start(Book, active=False)
+    tell(old, "a", "b")
+    channel = rest(old)
+    state_sender.take(new, state_sender.fetch(channel, Ask.ALL, LIMIT))
+    new.aim("ready")
+    new.wait_state({"active"}, LIMIT)
+    assert texts(new) == ("a", "b")
+    # the time for which the answer was under way is all by which the phase may shift
+    assert new.schedules["tick"].due == pytest.approx(old.schedules["tick"].due, abs=5)
+
+
+def test_what_waits_goes_over_in_order(incarnations: Incarnations) -> None:
+    old = incarnations.start(Book, active=True)
+    new = incarnations.start(Book, active=False)
+    channel = rest(old)
+    feed = old.ends.feed("notes", Counts())
+    for number in range(5):  # more than there is room for while it works
+        feed.put((0, Notes((str(number),))))
+    state_sender.take(new, state_sender.fetch(channel, Ask.ALL, LIMIT))
+    assert [v.texts for _, v in new.ends.inboxes["notes"].waiting()] == [
+        (str(number),) for number in range(5)
+    ]
+
+
+def test_one_way_calls_that_wait_go_over_in_order(incarnations: Incarnations) -> None:
+    old = incarnations.start(Book, active=True)
+    new = incarnations.start(Book, active=False)
+    channel = rest(old)
+    tag = next(iter(methods(Tells)))
+    feed = old.ends.feed("tells", Counts())
+    for word in ("a", "b"):
+        feed.put((tag, (word,)))
+    state_sender.take(new, state_sender.fetch(channel, Ask.ALL, LIMIT))
+    new.aim("active")
+    wait_until(lambda: texts(new) == ("a", "b"))
+
+
+def test_a_large_state_goes_first_and_then_what_changed(
+    incarnations: Incarnations,
+) -> None:
+    old = incarnations.start(Gradual, active=True)
+    new = incarnations.start(Gradual, active=False)
+    tell(old, "a")
+    state_source = StateSender(old)
+    channel = DirectPipe(state_source)
+    state_sender.take(new, state_sender.fetch(channel, Ask.STATE, LIMIT))
+    assert texts(new) == ("a",)
+    tell(old, "b")
+    old.stay()
+    old.rest(LIMIT)
+    state_source.give()
+    given = state_sender.fetch(channel, Ask.ALL, LIMIT)
+    assert not given.state
+    state_sender.take(new, given)
+    assert texts(new) == ("a", "b")
+
+
+def test_what_works_gives_only_its_state(incarnations: Incarnations) -> None:
+    """As when the new one asks after the move led back."""
+    state_source = StateSender(incarnations.start(Book, active=True))
+    state_source.give()
+    channel = DirectPipe(state_source)
+    with pytest.raises(UsageError, match="RunError: component 'book' is not at rest"):
+        state_sender.fetch(channel, Ask.ALL, LIMIT)
+
+
+def test_another_implementation_takes_the_adapted_state(
+    incarnations: Incarnations,
+) -> None:
+    old = incarnations.start(Book, active=True)
+    new = incarnations.start(Counting, active=False)
+    tell(old, "a", "b")
+    state_sender.take(new, state_sender.fetch(rest(old), Ask.ALL, LIMIT), adapt)
+    assert texts(new) == ("?", "?")
+
+
+def test_restore_must_say_the_type_of_the_state(incarnations: Incarnations) -> None:
+    old = incarnations.start(Book, active=True)
+    new = incarnations.start(Untyped, active=False)
+    given = state_sender.fetch(rest(old), Ask.ALL, LIMIT)
+    with pytest.raises(UsageError, match="'state' must say the state's type"):
+        state_sender.take(new, given)
+
+
+def test_a_state_comes_in_pieces(
+    incarnations: Incarnations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(state_sender, "PIECE", 100)
+    old = incarnations.start(Book, active=True)
+    new = incarnations.start(Book, active=False)
+    words = tuple(f"word {number}" for number in range(100))
+    tell(old, *words)
+    state_sender.take(new, state_sender.fetch(rest(old), Ask.ALL, LIMIT))
+    assert texts(new) == words
+
+
+def test_a_state_does_not_come_for_ever(incarnations: Incarnations) -> None:
+    channel = rest(incarnations.start(Book, active=True))
+    with pytest.raises(Timeout, match="of the state came in 0 s"):
+        state_sender.fetch(channel, Ask.ALL, 0.0)
+
+
+def test_whoever_asks_waits_until_it_is_given(incarnations: Incarnations) -> None:
+    old = incarnations.start(Book, active=True)
+    tell(old, "a")
+    state_source = StateSender(old)
+    with ThreadPoolExecutor(1) as asker:
+        asked = asker.submit(
+            state_sender.fetch, DirectPipe(state_source), Ask.ALL, LIMIT
+        )
+        old.stay()
+        old.rest(LIMIT)
+        assert not asked.done()
+        state_source.give()
+        assert asked.result(LIMIT).state
+
+
+def test_whoever_asks_hears_why_nothing_is_given(incarnations: Incarnations) -> None:
+    state_source = StateSender(incarnations.start(Book, active=True))
+    state_source.refuse("it did not come to rest")
+    with pytest.raises(UsageError, match="it did not come to rest"):
+        state_sender.fetch(DirectPipe(state_source), Ask.ALL, LIMIT)

@@ -1,0 +1,341 @@
+"""A robot file is held against the classes that it names."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from poise.errors import Problem
+from poise.model.load import load_source
+from poise.runtime.code_check import check_code
+
+CODE = """
+from poise import (
+    Component, Message, Provided, Published, Required, every, oneway, subscribed
+)
+
+class Scan(Message, frozen=True):
+    ranges: list[float]
+
+class Pose(Message, frozen=True):
+    x: float
+
+class Poses:
+    def pose(self, at: float) -> Pose: ...
+
+class Walls:
+    def walls(self) -> int: ...
+
+class Scanner(Component):
+    scan: Published[Scan]
+
+class Localiser(Component):
+    poses: Provided[Poses]
+
+    @subscribed(keep=1)
+    def scan(self, message: Scan) -> None: ...
+
+    @subscribed(keep=1)
+    def hints(self, message: Pose) -> None: ...
+
+    def pose(self, at: float) -> Pose: ...
+
+class Navigator(Component):
+    poses: Required[Poses]
+
+class Mapper(Component):
+    walls: Provided[Walls]
+
+    def walls(self) -> int: ...
+
+class Lacking(Component):
+    poses: Provided[Poses]
+
+class Untyped(Component):
+    @subscribed(keep=1)
+    def scan(self, message): ...
+
+class Asks:
+    def ask(self) -> int: ...
+
+class Tells:
+    @oneway
+    def tell(self) -> None: ...
+
+class Round(Component):
+    out: Required[Asks]
+    into: Provided[Asks]
+
+    def ask(self) -> int: ...
+
+class Letting(Round):
+    reentrant = True
+
+class Telling(Component):
+    out: Required[Tells]
+    into: Provided[Asks]
+
+    def ask(self) -> int: ...
+
+class Told(Component):
+    out: Required[Asks]
+    into: Provided[Tells]
+
+    def tell(self) -> None: ...
+
+class Filling(Component):
+    out: Published[Pose]
+
+    @subscribed(block=2)
+    def into(self, message: Pose) -> None: ...
+
+class LettingFill(Filling):
+    reentrant = True
+
+class Passing(Component):
+    out: Published[Pose]
+
+    @subscribed(keep=2)
+    def into(self, message: Pose) -> None: ...
+
+class Loose:
+    def turn(self, angle) -> None: ...
+
+class Turning(Component):
+    loose: Provided[Loose]
+
+    def turn(self, angle: float) -> None: ...
+
+class Vague(Component):
+    either: Published[Scan | Pose]
+
+class Forgetting(Component):
+    def restore(self, state): ...
+
+class Misspelt(Component):
+    scan: Published["Sacn"]
+"""
+
+ROBOT = """
+robot: r
+computers: {main: {cpu: 1, memory: 1 GiB}}
+architectures:
+  nav:
+    function: f
+    components:
+      scanner: {implementation: "PACKAGE.nav:Scanner"}
+      localiser: {implementation: "PACKAGE.nav:Localiser"}
+      MORE
+    connectors:
+      - {between: [scanner.scan, localiser.scan]}
+      CONNECTOR
+"""
+
+Check = Callable[[str, str], list[Problem]]
+Refuse = Callable[..., None]
+
+
+@pytest.fixture
+def check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Check:
+    """Return a function that gives the problems of a robot with these lines."""
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    package = "p" + str(abs(hash(str(tmp_path))))
+    (tmp_path / package).mkdir()
+    (tmp_path / package / "__init__.py").touch()
+    (tmp_path / package / "nav.py").write_text(CODE)
+
+    def find_problems(more: str, connector: str) -> list[Problem]:
+        path = tmp_path / "robot.yaml"
+        text = ROBOT.replace("MORE", more).replace("CONNECTOR", connector)
+        path.write_text(text.replace("PACKAGE", package))
+        source = load_source(path)
+        return [source.positions.problem(f) for f in check_code(source.robot)]
+
+    return find_problems
+
+
+def test_accepts_what_fits(check: Check) -> None:
+    more = '{navigator: {implementation: "PACKAGE.nav:Navigator"}}'
+    more = more[1:-1]
+    assert check(more, "- {between: [navigator.poses, localiser.poses]}") == []
+
+
+def test_accepts_a_command_whose_port_fits(check: Check) -> None:
+    more = 'log: {command: l, ports: {in: {subscribes: "PACKAGE.nav:Scan"}}}'
+    assert check(more, "- {between: [scanner.scan, log.in]}") == []
+
+
+def test_does_not_look_at_the_ports_of_what_has_no_code(check: Check) -> None:
+    more = "planned: {cpu: 5%}"
+    assert check(more, "- {between: [scanner.scan, planned]}") == []
+
+
+@pytest.mark.parametrize(
+    ("more", "connector", "place", "words"),
+    [
+        (
+            "",
+            "- {between: [scanner.scam, localiser.scan]}",
+            (13, 20),
+            ["'scanner' has no port 'scam'", "did you mean 'scan'?", "publishes Scan"],
+        ),
+        (
+            "",
+            "- {between: [localiser.scan, scanner.scan]}",
+            (13, 10),
+            ["wrong way round", "[scanner.scan, localiser.scan]"],
+        ),
+        (
+            "",
+            "- {between: [scanner.scan, localiser.hints]}",
+            (13, 10),
+            ["types differ", "publishes Scan", "subscribes Pose"],
+        ),
+        (
+            "",
+            "- {between: [scanner.scan, localiser.poses]}",
+            (13, 10),
+            ["publishes and 'localiser.poses' provides", "does not fit"],
+        ),
+        (
+            "",
+            "- {between: [scanner, localiser.scan]}",
+            (13, 20),
+            ["name the port of component 'scanner'"],
+        ),
+        (
+            'navigator: {implementation: "PACKAGE.nav:Navigator"}',
+            "",
+            (10, 7),
+            ["'navigator.poses' requires Poses", "no connector"],
+        ),
+        (
+            'lacking: {implementation: "PACKAGE.nav:Lacking"}',
+            "",
+            (10, 17),
+            ["Lacking provides poses", "has no method pose"],
+        ),
+        (
+            'untyped: {implementation: "PACKAGE.nav:Untyped"}',
+            "",
+            (10, 17),
+            ["Untyped.scan", "takes one message"],
+        ),
+        (
+            'turning: {implementation: "PACKAGE.nav:Turning"}',
+            "",
+            (10, 17),
+            ["Loose.turn", "parameter 'angle' needs a type"],
+        ),
+        (
+            'vague: {implementation: "PACKAGE.nav:Vague"}',
+            "",
+            (10, 15),
+            ["cannot be read", "multiple Struct types"],
+        ),
+        (
+            'forgetting: {implementation: "PACKAGE.nav:Forgetting"}',
+            "",
+            (10, 20),
+            ["Forgetting.restore", "must say the state's type"],
+        ),
+        (
+            'misspelt: {implementation: "PACKAGE.nav:Misspelt"}',
+            "",
+            (10, 18),
+            ["cannot be read", "NameError", "Sacn"],
+        ),
+        (
+            'other: {implementation: "PACKAGE.nav:Othr"}',
+            "",
+            (10, 15),
+            ["has no class 'Othr'"],
+        ),
+        (
+            'log: {command: l, ports: {in: {subscribes: "PACKAGE.nav:Sca"}}}',
+            "",
+            (10, 38),
+            ["has no class 'Sca'", "'Scan'"],
+        ),
+        (
+            'log: {command: l, ports: {in: {subscribes: "PACKAGE.nav:Pose"}}}',
+            "- {between: [scanner.scan, log.in]}",
+            (13, 10),
+            ["the types differ"],
+        ),
+    ],
+)
+def test_refuses_what_does_not_fit(
+    check: Check,
+    more: str,
+    connector: str,
+    place: tuple[int, int],
+    words: list[str],
+) -> None:
+    (problem,) = check(more, connector)
+    assert (problem.line, problem.column) == place, problem
+    assert all(word in problem.message for word in words), problem
+
+
+def test_a_required_port_has_one_connector(check: Check) -> None:
+    more = (
+        'navigator: {implementation: "PACKAGE.nav:Navigator"}\n'
+        '      second: {implementation: "PACKAGE.nav:Localiser"}'
+    )
+    connectors = (
+        "- {between: [navigator.poses, localiser.poses]}\n"
+        "      - {between: [navigator.poses, second.poses]}"
+    )
+    (problem,) = check(more, connectors)
+    assert "'navigator.poses' requires one provider" in problem.message
+    assert "navigator.poses -> second.poses" in problem.message
+    assert (problem.line, problem.column) == (15, 20)
+
+
+def test_tells_every_problem(check: Check) -> None:
+    more = (
+        'one: {implementation: "PACKAGE.nav:Lacking"}\n'
+        '      two: {implementation: "PACKAGE.nowhere:X"}'
+    )
+    problems = check(more, "- {between: [scanner.x, localiser.y]}")
+    assert len(problems) == 4
+
+
+def ring(*classes: str) -> tuple[str, str]:
+    """Return components of these classes, each of which calls the next, round."""
+    names = [f"c{number}" for number in range(len(classes))]
+    more = [
+        f'{name}: {{implementation: "PACKAGE.nav:{code}"}}'
+        for name, code in zip(names, classes, strict=True)
+    ]
+    connectors = [
+        f"- {{between: [{name}.out, {other}.into]}}"
+        for name, other in zip(names, [*names[1:], names[0]], strict=True)
+    ]
+    return "\n      ".join(more), "\n      ".join(connectors)
+
+
+@pytest.mark.parametrize("classes", [["Round"] * 2, ["Round"] * 4, ["Filling"] * 3])
+def test_refuses_calls_that_go_round(check: Check, classes: list[str]) -> None:
+    (problem,) = check(*ring(*classes))
+    last = f"c{len(classes) - 1}.out -> c0.into"
+    assert "calls go round: c0.out -> c1.into" in problem.message
+    assert f"called over {last} one-way" in problem.message
+    assert problem.line == 9 + 2 * len(classes) + 2  # the last connector's
+
+
+@pytest.mark.parametrize(
+    "classes",
+    [
+        ["Round", "Letting"],
+        ["Letting", "Round", "Round"],
+        ["Telling", "Told"],
+        ["Filling", "LettingFill"],
+        ["Filling", "Passing"],
+    ],
+)
+def test_accepts_a_ring_that_lets_others_in_or_does_not_wait(
+    check: Check, classes: list[str]
+) -> None:
+    assert check(*ring(*classes)) == []

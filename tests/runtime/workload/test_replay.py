@@ -1,0 +1,174 @@
+"""A workload is played: recorded messages, and made up ones."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from poise import Message
+from poise.runtime.connectors.recorded_inputs import read_inputs
+from poise.runtime.workload.recorder import Recorder
+from poise.runtime.workload.replay import TICK, Replay
+from poise.testing import Bench
+from poise.wire.codec import codec
+from poise.wire.records.recorded import Input, Recorded
+
+
+class Text(Message):
+    text: str
+
+
+def words(_: object, size: float) -> Text:
+    return Text("w" * int(size))
+
+
+# found by name, as a robot's own types are, however pytest imported this file
+sys.modules["played_texts"] = sys.modules[__name__]
+TEXT = "played_texts:Text"
+
+
+def recorded(path: Path, *messages: tuple[str, float, str]) -> str:
+    """Write a recording of texts; return its file."""
+    encode = codec(Text).encode
+    inputs = [
+        Input(source, at, encode(Text(text))[0], b"") for source, at, text in messages
+    ]
+    path.write_bytes(msgspec.msgpack.encode(Recorded(robot="r", inputs=inputs)))
+    return str(path)
+
+
+def player(**parameters: Any) -> Bench[Any]:
+    parameters.setdefault("recording", "")
+    return Bench(Replay.__poise_specialised__(parameters, ""), parameters)
+
+
+def recorder(path: Path) -> Bench[Any]:
+    parameters = {"path": str(path), "ports": {"heard": ["a.x", TEXT]}}
+    return Bench(Recorder.__poise_specialised__(parameters, ""), parameters)
+
+
+def texts(bench: Bench[Any], port: str) -> list[str]:
+    return [message.text for message in bench.published[port]]
+
+
+def test_plays_what_each_source_published_when_it_did(tmp_path: Path) -> None:
+    file = recorded(
+        tmp_path / "r", ("a.x", 0.1, "one"), ("b.y", 0.2, "other"), ("a.x", 0.3, "two")
+    )
+    ports = {
+        "first": {"type": TEXT, "sources": ["a.x"]},
+        "second": {"type": TEXT, "sources": ["b.y"]},
+    }
+    with player(recording=file, ports=ports) as bench:
+        bench.advance(0.1 + TICK)
+        assert texts(bench, "first") == ["one"]
+        bench.advance(0.1)
+        assert texts(bench, "second") == ["other"]
+        bench.advance(0.1)
+        assert texts(bench, "first") == ["one", "two"]
+
+
+def test_a_recording_begins_again(tmp_path: Path) -> None:
+    """It lasts 0.3 s, and a pause of 0.1 s."""
+    file = recorded(tmp_path / "r", ("a.x", 0.1, "one"), ("a.x", 0.3, "two"))
+    ports = {"out": {"type": TEXT, "sources": ["a.x"]}}
+    with player(recording=file, ports=ports) as bench:
+        bench.advance(0.7 + TICK)
+        assert texts(bench, "out") == ["one", "two", "one", "two"]
+
+
+def test_makes_up_messages_at_a_rate_and_a_size() -> None:
+    """20 Hz for 2 s; all of them have the size that was asked for."""
+    ports = {"out": {"type": TEXT, "rate": 20.0, "size": 108.0}}
+    with player(ports=ports) as bench:
+        bench.advance(2 + TICK)
+        sizes = [len(codec(Text).encode(each)[0]) for each in bench.published["out"]]
+    assert sizes == [108] * 40
+
+
+def test_arrivals_may_be_random_and_are_the_same_for_a_seed() -> None:
+    """1000 in 50 s on average; the standard deviation is 32."""
+    found = []
+    for seed in (1, 1, 2):
+        part = {"type": TEXT, "rate": 20.0, "arrivals": "poisson", "seed": seed}
+        with player(ports={"out": part}) as bench:
+            bench.advance(50.0)
+            found.append(len(bench.published["out"]))
+    assert found[0] == found[1]
+    assert all(abs(count - 1000) < 4 * 32 for count in found)
+
+
+def test_sizes_vary_evenly_around_the_mean() -> None:
+    part = {"type": TEXT, "rate": 100.0, "size": 1000.0, "variation": 0.2}
+    with player(ports={"out": part}) as bench:
+        bench.advance(5.0)
+        sizes = [len(text) for text in texts(bench, "out")]
+    assert 780 < min(sizes) < 830
+    assert 1160 < max(sizes) < 1200
+    assert sum(sizes) / len(sizes) == pytest.approx(1000, abs=30)
+
+
+def test_a_function_of_the_robots_may_make_them() -> None:
+    part = {"type": TEXT, "rate": 10.0, "size": 7.0, "message": "played_texts:words"}
+    with player(ports={"out": part}) as bench:
+        bench.advance(0.1 + TICK)
+        assert texts(bench, "out") == ["wwwwwww"]
+
+
+def test_a_recorder_writes_down_what_comes(tmp_path: Path) -> None:
+    path = tmp_path / "inputs"
+    with recorder(path) as bench:
+        bench.send("heard", Text("one"))
+        bench.send("heard", Text("two"))
+    found = read_inputs(path)
+    assert [each.source for each in found] == ["a.x", "a.x"]
+    assert 0 <= found[0].at <= found[1].at
+    decode = codec(Text).decode
+    decoded = [decode(each.body, memoryview(each.buffers)) for each in found]
+    assert decoded == [Text("one"), Text("two")]
+
+
+class Vectors(Message):
+    one: NDArray[np.uint8]
+    two: NDArray[np.uint8]
+
+
+def test_arrays_of_any_length_are_written_down(tmp_path: Path) -> None:
+    path = tmp_path / "inputs"
+    sent = Vectors(np.arange(3, dtype=np.uint8), np.arange(5, dtype=np.uint8))
+    parameters = {
+        "path": str(path),
+        "ports": {"heard": ["a.x", "played_texts:Vectors"]},
+    }
+    with Bench(Recorder.__poise_specialised__(parameters, ""), parameters) as bench:
+        bench.send("heard", sent)
+    (found,) = read_inputs(path)
+    got = codec(Vectors).decode(found.body, memoryview(found.buffers))
+    np.testing.assert_array_equal(got.one, sent.one)
+    np.testing.assert_array_equal(got.two, sent.two)
+
+
+def test_a_cut_off_end_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "inputs"
+    with recorder(path) as bench:
+        bench.send("heard", Text("one"))
+        bench.send("heard", Text("two"))
+    path.write_bytes(path.read_bytes()[:-1])
+    assert len(read_inputs(path)) == 1
+
+
+def test_a_recording_is_bounded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("poise.runtime.connectors.recorded_inputs.MOST", 100)
+    with recorder(tmp_path / "inputs") as bench:
+        for _ in range(5):
+            bench.send("heard", Text("a" * 40))
+        assert len(bench.measured["left_out"]) == 4
+    assert len(read_inputs(tmp_path / "inputs")) == 1

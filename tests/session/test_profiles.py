@@ -1,0 +1,111 @@
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+
+from poise.errors import RobotError
+from poise.estimate.profile import ComponentProfile, Profile
+from poise.estimate.profile import file as profile_file
+from poise.estimate.profile.spread import Spread
+from poise.estimate.profile.version import version_of
+from poise.model import load
+from poise.model.robot import Robot
+from poise.session.profiles import profiled, stale
+from poise.session.write_demands import write_demands
+
+TEXT = """\
+robot: r
+computers:
+  a: {cpu: 1, memory: 1 GiB}
+architectures:
+  see:
+    function: seeing
+    components:
+      eye: {implementation: "eyes:Eye"} # looks
+      ear: {implementation: "ears:Ear", cpu: 7%}
+profile: profile.yaml
+"""
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Robot:
+    (tmp_path / "robot.yaml").write_text(TEXT)
+    (tmp_path / "eyes.py").write_text("class Eye: ...\n")
+    return load(tmp_path / "robot.yaml")
+
+
+def measured(robot: Robot) -> Profile:
+    """Return a profile of the eye: 20 % sustained, 10 MB."""
+    eye = next(robot.components())
+    found = ComponentProfile(
+        version=version_of(eye, robot.folder),
+        cpu=Spread(mean=0.1, sustained=0.2),
+        memory=10e6,
+    )
+    return Profile(
+        robot="r",
+        poise="0",
+        computer="a",
+        speed=1.0,
+        at="today",
+        seconds=1.0,
+        components={"eye": found},
+    )
+
+
+def write(robot: Robot, profile: Profile) -> None:
+    path = Path(robot.folder) / "profile.yaml"
+    path.write_text(profile_file.to_text(profile))
+
+
+def test_says_where_demands_are_from_and_what_is_missing(robot: Robot) -> None:
+    write(robot, measured(robot))
+    found = profiled(robot)
+    assert found.says == (
+        "demands from profile.yaml, measured by `poise profile` on 'a', today",
+        "overheads are MB/s: `poise calibrate` measures what connectors cost",
+        "no demand is known of: ear",
+    )
+    eye, ear = found.robot.components()
+    assert eye.demand == pytest.approx({"cpu": 0.21, "memory": 11e6})
+    assert ear.demand == pytest.approx({"cpu": 0.07})
+
+
+def test_says_that_the_robot_files_own_demands_go_first(robot: Robot) -> None:
+    folder = Path(robot.folder)
+    own = '"eyes:Eye", cpu: 30%, memory: 20 MB}'
+    (folder / "robot.yaml").write_text(TEXT.replace('"eyes:Eye"}', own))
+    robot = load(folder / "robot.yaml")
+    write(robot, measured(robot))
+    found = profiled(robot)
+    assert "but from the robot file, which goes first: eye" in found.says
+    assert next(found.robot.components()).demand == {"cpu": 0.3, "memory": 20e6}
+
+
+def test_says_that_a_profile_is_stale(robot: Robot) -> None:
+    write(robot, measured(robot))
+    assert stale(robot, measured(robot)) == []
+    (Path(robot.folder) / "eyes.py").write_text("class Eye:\n    x = 1\n")
+    assert "changed since they were measured: eye" in profiled(robot).says
+
+
+def test_says_what_measures_a_profile_that_is_not_there(robot: Robot) -> None:
+    found = profiled(robot)
+    assert found.robot == robot
+    assert found.says == ("profile.yaml is not there: `poise profile` measures it",)
+    assert profiled(replace(robot, profile="")).says == ()
+
+
+def test_refuses_the_profile_of_another_robot(robot: Robot) -> None:
+    write(robot, replace(measured(robot), robot="other"))
+    with pytest.raises(RobotError, match="the profile of robot 'other', not of 'r'"):
+        profiled(robot)
+
+
+def test_writes_demands_into_the_robot_file(robot: Robot) -> None:
+    file = Path(robot.folder) / "robot.yaml"
+    assert write_demands(file, measured(robot)) == [file]
+    assert file.read_text() == TEXT.replace(
+        "eye: {impl", "eye: {cpu: 21%, memory: 10.5 MiB, impl"
+    )
+    assert write_demands(file, measured(robot)) == []

@@ -1,0 +1,108 @@
+import pytest
+from msgspec.structs import replace
+
+from poise.errors import UsageError
+from poise.manage.deployment import DeploymentPlan
+from poise.model.robot import (
+    Architecture,
+    Component,
+    Computer,
+    Connector,
+    Device,
+    End,
+    Port,
+    Robot,
+    Simulator,
+    Workload,
+)
+from poise.session.profiling_rig import EMPTY, OTHERS, stand_of
+
+
+def architecture(name: str, *components: Component) -> Architecture:
+    return Architecture(name=name, function=name, components=components)
+
+
+def computer(name: str, address: str | None = None) -> Computer:
+    return Computer(
+        name=name, capacity={"cpu": 1.0, "memory": 1e9}, speed=0.5, address=address
+    )
+
+
+ASKS = Port(name="map", kind="requires", type="p:Map")
+ROBOT = Robot(
+    name="r",
+    computers=(computer("main"), computer("vision")),
+    devices=(Device(name="laser", computer="main"),),
+    architectures=(
+        architecture("see", Component(name="eye", devices=("laser",))),
+        architecture("think", Component(name="mind", ports=(ASKS,))),
+        architecture("remember", Component(name="map")),
+        architecture("speak", Component(name="mouth")),
+    ),
+    connectors=(
+        Connector(between=(End("eye", "image"), End("mind", "image"))),
+        Connector(between=(End("mind", "map"), End("map", "map"))),
+        Connector(between=(End("mind", "words"), End("mouth", "words"))),
+    ),
+    simulator=Simulator(command=("world",)),
+    workload=Workload(command=("work",)),
+)
+
+
+def test_feeds_from_who_publishes_and_who_is_called() -> None:
+    """The mouth only listens to the mind: it is not needed."""
+    stand = stand_of(ROBOT, "think", "vision", apart=False)
+    assert stand.feeding == ("see", "remember")
+    assert stand.measured == ("mind",)
+    assert stand.placement == {"mind": "vision", "eye": OTHERS, "map": OTHERS}
+
+
+@pytest.mark.parametrize("name", [a.name for a in ROBOT.architectures])
+def test_a_stand_can_be_deployed(name: str) -> None:
+    """It has no connector to a component that is not there."""
+    stand = stand_of(ROBOT, name, "main", apart=False)
+    there = {component.name for component in stand.robot.components()}
+    ends = {e.component for c in stand.robot.all_connectors() for e in c.between}
+    assert ends <= there == set(stand.placement)
+    joined = DeploymentPlan(stand.robot, "folder").connectors(there)
+    assert joined == list(stand.robot.all_connectors())
+
+
+def test_feeds_from_who_feeds_the_feeders() -> None:
+    assert stand_of(ROBOT, "speak", "main", apart=False).feeding == (
+        "see",
+        "think",
+        "remember",
+    )
+
+
+def test_others_are_as_large_as_all_together() -> None:
+    robot = stand_of(ROBOT, "see", "main", apart=False).robot
+    here, others = robot.computers
+    assert here == ROBOT.computer("main")
+    assert others.capacity["cpu"] * others.speed == 1.0
+    assert robot.simulator == Simulator(command=("work",))
+
+
+def test_apart_each_has_a_container_and_one_is_empty() -> None:
+    stand = stand_of(ROBOT, "see", "main", apart=True)
+    components = stand.robot.architectures[0].components
+    assert [c.name for c in components] == ["eye", EMPTY]
+    assert all(c.isolated for c in components)
+    assert stand.measured == ("eye",)
+
+
+def test_real_devices_hold_their_components() -> None:
+    real = replace(
+        ROBOT, computers=(computer("main", "10.0.0.1"), computer("vision", "10.0.0.2"))
+    )
+    stand = stand_of(real, "think", "vision", apart=False)
+    assert stand.placement == {"mind": "vision", "eye": "main", "map": "main"}
+    assert stand.robot.computers == real.computers
+
+
+def test_names_what_there_is() -> None:
+    with pytest.raises(UsageError, match="--on arm: the robot's computers are main, v"):
+        stand_of(ROBOT, "see", "arm", apart=False)
+    with pytest.raises(UsageError, match="the robot has see, think, remember, speak"):
+        stand_of(ROBOT, "walk", "main", apart=False)

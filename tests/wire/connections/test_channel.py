@@ -1,0 +1,555 @@
+"""Pipes between containers of one computer and of two, with real sockets."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from poise.errors import Timeout, Unavailable
+from poise.wire import frame
+from poise.wire.codec import WireError
+from poise.wire.connections import connection_channel, connection_server
+from poise.wire.connections.channel import Closed, Pieces
+from poise.wire.connections.connection import HEAD, Connection
+from poise.wire.connections.connection_channel import ConnectionChannel
+from poise.wire.connections.opening import CALLS, MESSAGES
+from poise.wire.connections.socket_path import socket_path
+from poise.wire.connections.stream import LARGEST
+from poise.wire.frame import Frame, Kind
+from tests.wire.conftest import (
+    LIMIT,
+    SHORT,
+    TEXT,
+    Receiver,
+    Wire,
+    both,
+    call,
+    message,
+    remote,
+    wait_until,
+)
+
+
+@both
+def test_a_call_brings_back_its_answer(wire: Wire) -> None:
+    wire.server().open("echo", Receiver())
+    assert wire.channel().request(call("stressed"), LIMIT).value(TEXT) == "desserts"
+
+
+@both
+def test_each_of_many_callers_gets_its_own_answer(wire: Wire) -> None:
+    together = threading.Barrier(8)
+
+    def answer(received: Frame) -> Pieces | None:
+        together.wait(LIMIT)  # all eight are in here at the same time
+        return Receiver()(received)
+
+    wire.server().open("echo", answer)
+    channel = wire.channel()
+    with ThreadPoolExecutor(8) as callers:
+        texts = [f"caller {n}" for n in range(8)]
+        answers = callers.map(lambda t: channel.request(call(t), LIMIT), texts)
+        assert [a.value(TEXT) for a in answers] == [t[::-1] for t in texts]
+
+
+@both
+def test_links_are_let_in_again_when_there_are_threads_again(
+    wire: Wire, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    wire.server().open("echo", Receiver())
+    start, refused = threading.Thread.start, threading.Event()
+
+    def none_left(thread: threading.Thread) -> None:
+        if thread.name == "link":
+            refused.set()
+            raise RuntimeError("can't start new thread")
+        start(thread)
+
+    monkeypatch.setattr(threading.Thread, "start", none_left)
+    with pytest.raises(Unavailable):
+        wire.channel().request(call("ab"), LIMIT)
+    assert refused.is_set()
+    monkeypatch.undo()
+    assert wire.channel().request(call("ab"), LIMIT).value(TEXT) == "ba"
+    assert "there: no link is served: can't start new thread" in caplog.text
+
+
+@both
+def test_a_call_may_come_back_while_it_waits(wire: Wire) -> None:
+    channel = wire.channel()
+
+    def answer(received: Frame) -> Pieces | None:
+        text = received.value(TEXT)
+        inner = channel.request(call(text[1:]), LIMIT).value(TEXT) if text else ""
+        return frame.segments(TEXT, f"{text[:1]}({inner})", Kind.RESULT)
+
+    wire.server().open("echo", answer)
+    assert channel.request(call("abc"), LIMIT).value(TEXT) == "a(b(c(())))"
+
+
+@both
+def test_messages_keep_their_order(wire: Wire) -> None:
+    receiver = Receiver()
+    wire.server().open("echo", receiver)
+    channel = wire.channel()
+    sent = [str(n) for n in range(500)]
+    for text in sent:
+        channel.push(message(text), LIMIT)
+    assert receiver.wait_for(500) == sent
+
+
+@both
+def test_many_send_over_a_shared_connector_at_the_same_time(wire: Wire) -> None:
+    receiver = Receiver()
+    server = wire.server()
+    server.open("echo", receiver, shared=True)
+    first, second = wire.channel(use=MESSAGES), wire.channel(use=MESSAGES)
+    for number, channel in enumerate((first, second) * 3, 1):
+        channel.push(message(str(number)), LIMIT)
+        receiver.wait_for(number)
+    assert len(server._connections) == 2  # none ended for another
+
+
+@both
+def test_a_large_message_comes_whole(wire: Wire) -> None:
+    wire.server().open("echo", Receiver())
+    text = "0123456789" * 600_000
+    assert wire.channel().request(call(text), LIMIT).value(TEXT) == text[::-1]
+
+
+@both
+def test_a_slow_receiver_holds_the_sender_up_until_its_limit(wire: Wire) -> None:
+    go_on = threading.Event()
+
+    def handle(_: Frame) -> None:
+        go_on.wait(LIMIT)
+
+    wire.server().open("echo", handle)
+    channel = wire.channel()
+    channel.push(message("first"), LIMIT)
+    with pytest.raises(Timeout):
+        _push_for_ever(channel)
+    go_on.set()
+
+
+def _push_for_ever(channel: ConnectionChannel) -> None:
+    while True:
+        channel.push(message("x" * 1_000_000), SHORT)
+
+
+@both
+def test_messages_after_a_time_limit_do_not_overtake_those_before(wire: Wire) -> None:
+    came: list[str] = []
+    go_on, all_came = threading.Event(), threading.Event()
+
+    def handle(received: Frame) -> None:
+        came.append(received.value(TEXT)[:4])
+        if came[-1] == "last":
+            all_came.set()
+        go_on.wait(LIMIT)
+
+    wire.server().open("echo", handle)
+    channel = wire.channel()
+    sent: list[str] = []
+
+    def push(number: str, limit: float, size: int = 0) -> None:
+        channel.push(message(number + size * "x"), limit)
+        sent.append(number)
+
+    def fill() -> None:
+        while True:
+            push(f"{len(sent):04}", SHORT, 100_000)
+
+    push("0000", LIMIT)
+    with pytest.raises(Timeout):
+        fill()
+    for number in ("new1", "new2", "last"):
+        push(number, LIMIT)
+    go_on.set()
+    assert all_came.wait(LIMIT)
+    assert came == sent
+
+
+@both
+def test_what_nobody_uses_is_closed_in_time(
+    wire: Wire, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wire.server().open("echo", Receiver())
+    channel = wire.channel()
+    channel.push(message("a"), LIMIT)
+    together = threading.Barrier(2)
+    with ThreadPoolExecutor(2) as callers:
+
+        def ask(text: str) -> Frame:
+            together.wait(LIMIT)
+            return channel.request(call(text), LIMIT)
+
+        assert [a.value(TEXT) for a in callers.map(ask, ["ab", "cd"])] == ["ba", "dc"]
+    before = [*channel._calls, *channel._messages]
+    monkeypatch.setattr(connection_channel, "_IDLE", 0.0)
+    assert channel.is_ready()  # they were used since it was last asked
+    assert [*channel._calls, *channel._messages] == before
+    assert channel.is_ready()
+    left = [*channel._calls, *channel._messages]
+    assert len(left) == 2  # one of each: to open it takes time
+    assert {*left} <= {*before}
+    assert channel.request(call("ab"), LIMIT).value(TEXT) == "ba"
+
+
+@both
+def test_a_call_that_takes_too_long_is_given_up(wire: Wire) -> None:
+    go_on, receiver = threading.Event(), Receiver()
+
+    def answer(received: Frame) -> Pieces | None:
+        go_on.wait(LIMIT)
+        return receiver(received)
+
+    wire.server().open("echo", answer)
+    channel = wire.channel()
+    wait_until(channel.is_ready)
+    with pytest.raises(Timeout, match="no answer came in time"):
+        channel.request(call("late"), SHORT)
+    go_on.set()
+    assert channel.request(call("next"), LIMIT).value(TEXT) == "txen"
+
+
+@both
+def test_nobody_there_is_unavailable(wire: Wire) -> None:
+    channel = wire.channel()
+    assert not channel.is_ready()
+    why = {"local": "nobody at there", "remote": "no container 'there' is here"}
+    with pytest.raises(Unavailable, match=f"echo: {why[wire.kind]}"):
+        channel.request(call("?"), LIMIT)
+    with pytest.raises(Unavailable):
+        channel.push(message("?"), LIMIT)
+
+
+@both
+def test_a_connector_that_does_not_end_there_is_unavailable(wire: Wire) -> None:
+    wire.server().open("other", Receiver())
+    channel = wire.channel()
+    assert not channel.is_ready()
+    with pytest.raises(Unavailable, match="no connector 'echo' ends here"):
+        channel.request(call("?"), LIMIT)
+
+
+@both
+def test_who_was_refused_is_not_asked_all_the_time(
+    wire: Wire, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection_channel, "_PAUSE", 1e6)
+    monkeypatch.setattr(connection_channel, "_LONGEST_PAUSE", 1e6)
+    server, channel = wire.server(), wire.channel()
+    wait_until(lambda: not channel.is_ready() and channel._ask_at > 0.0)
+    server.open("echo", Receiver())
+    assert not channel.is_ready()
+    assert channel.request(call("ab"), LIMIT).value(TEXT) == "ba"  # a call does ask
+    assert channel.is_ready()
+
+
+@both
+def test_a_connector_that_was_shut_is_unavailable(wire: Wire) -> None:
+    server, channel = wire.server(), wire.channel()
+    server.open("echo", Receiver())
+    channel.request(call("a"), LIMIT)
+    server.shut("echo")
+    with pytest.raises(Unavailable):
+        channel.request(call("b"), LIMIT)
+
+
+@both
+def test_a_closed_pipe_sends_nothing(wire: Wire) -> None:
+    wire.server().open("echo", Receiver())
+    channel = wire.channel()
+    channel.close()
+    with pytest.raises(Closed):
+        channel.request(call("a"), LIMIT)
+
+
+def newcomer(wire: Wire) -> socket.socket:
+    """Return a connection to the server that has not named a connector."""
+    if wire.kind == "local":
+        sock = socket.socket(socket.AF_UNIX)
+        sock.connect(str(socket_path(wire.folder, "there")))
+    else:
+        address = wire.address()
+        sock = socket.create_connection((address.host, address.port))
+        Connection(sock).send(frame.segments(TEXT, "there", Kind.WELCOME))
+    sock.settimeout(LIMIT)
+    return sock
+
+
+def everything(sock: socket.socket) -> bytes:
+    """Return all that comes until the other end closes."""
+    data = b""
+    while came := sock.recv(1 << 16):
+        data += came
+    return data
+
+
+@both
+def test_it_tells_a_newcomer_of_another_version_why(wire: Wire) -> None:
+    wire.server().open("echo", Receiver())
+    with newcomer(wire) as sock:
+        hello = b"".join(frame.segments(TEXT, "echo", Kind.WELCOME))
+        sock.sendall(HEAD.pack(len(hello), 0) + b"\x07" + hello[1:])
+        refusal = frame.parse(everything(sock)[HEAD.size :])
+    assert refusal.kind is Kind.ERROR
+    assert f"protocol version 7, but this is version {frame.VERSION}" in refusal.value(
+        TEXT
+    )
+
+
+@both
+def test_a_server_of_another_version_is_unavailable(
+    wire: Wire, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    welcome = frame.segments
+
+    def newer(*args: object, **more: object) -> Pieces:
+        head, *rest = welcome(*args, **more)  # type: ignore[arg-type]
+        return [b"\x07" + bytes(head)[1:], *rest]
+
+    wire.server().open("echo", Receiver())
+    channel = wire.channel()
+    monkeypatch.setattr(frame, "segments", newer)
+    with pytest.raises(Unavailable, match="protocol version 7"):
+        channel.request(call("?"), LIMIT)
+
+
+@both
+def test_nonsense_ends_its_connection_and_no_other(wire: Wire) -> None:
+    wire.server().open("echo", Receiver())
+    with newcomer(wire) as sock:
+        sock.sendall(b"\xff" * 64)
+        assert b"is the largest" in everything(sock)
+    assert wire.channel().request(call("ab"), LIMIT).value(TEXT) == "ba"
+
+
+@both
+def test_a_frame_that_cannot_be_read_is_refused_and_the_link_goes_on(
+    wire: Wire,
+) -> None:
+    refused: list[WireError] = []
+    receiver = Receiver()
+    wire.server().open("echo", receiver, refused.append)
+    channel = wire.channel()
+    answer = channel.request([b"\x07nonsense"], LIMIT)
+    (connection,) = channel._calls
+    assert answer.kind is Kind.ERROR
+    assert "cut short" in answer.value(frame.FAILURE)[1]
+    assert channel.request(call("ab"), LIMIT).value(TEXT) == "ba"
+    assert [*channel._calls] == [connection]
+    channel.push([b"\x07nonsense"], LIMIT)
+    channel.push(message("a"), LIMIT)
+    assert receiver.wait_for(1) == ["a"]
+    assert len(refused) == 2
+
+
+@both
+def test_a_link_on_which_nothing_more_can_be_read_is_left(wire: Wire) -> None:
+    refused: list[WireError] = []
+    wire.server().open("echo", Receiver(), refused.append)
+    channel = wire.channel()
+    channel.request(call("a"), LIMIT)
+    (connection,) = channel._calls
+    connection._connection.sendall(HEAD.pack(LARGEST + 1, 0))
+    wait_until(lambda: bool(refused))
+    assert "1073741825 B; 1073741824 B is the largest" in str(refused[0])
+    answer = connection.receive()
+    assert answer.number  # it says that it is the last one
+    connection.end()
+    assert channel.request(call("ab"), LIMIT).value(TEXT) == "ba"
+
+
+@both
+def test_a_peer_that_ends_during_a_call_is_unavailable(wire: Wire) -> None:
+    server = wire.server()
+
+    def answer(_: Frame) -> Pieces | None:
+        server.close()
+        return None
+
+    server.open("echo", answer)
+    with pytest.raises(Unavailable):
+        wire.channel().request(call("?"), LIMIT)
+
+
+BLOCKED = """
+import pathlib, sys, threading
+from poise.wire.connections.connection_server import ConnectionServer
+
+def handle(_):
+    print("inside", flush=True)
+    threading.Event().wait()
+
+server = ConnectionServer(pathlib.Path(sys.argv[1]), "there")
+server.open("echo", handle)
+print("ready", flush=True)
+threading.Event().wait()
+"""
+
+
+@both
+@pytest.mark.slow
+def test_a_container_that_is_killed_during_a_call_is_unavailable(wire: Wire) -> None:
+    argv = [sys.executable, "-c", BLOCKED, str(wire.folder)]
+    with subprocess.Popen(argv, stdout=subprocess.PIPE) as killed:
+        assert killed.stdout is not None
+        assert killed.stdout.readline() == b"ready\n"
+        with ThreadPoolExecutor() as thread:
+            asked = thread.submit(wire.channel().request, call("?"), LIMIT)
+            assert killed.stdout.readline() == b"inside\n"
+            killed.kill()
+            with pytest.raises(Unavailable, match="the other end is gone"):
+                asked.result(LIMIT)
+    server = wire.server()
+    server.open("echo", Receiver())
+    assert wire.channel().request(call("ab"), LIMIT).value(TEXT) == "ba"
+
+
+@both
+def test_calls_that_came_are_answered_though_their_server_closes(wire: Wire) -> None:
+    server, inside = wire.server(), threading.Event()
+    closing = threading.Thread(target=server.close)
+
+    def answer(received: Frame) -> Pieces | None:
+        inside.set()
+        wait_until(server._closed.is_set)
+        return Receiver()(received)
+
+    server.open("echo", answer)
+    with ThreadPoolExecutor() as thread:
+        asked = thread.submit(wire.channel().request, call("ab"), LIMIT)
+        assert inside.wait(LIMIT)
+        closing.start()
+        assert asked.result(LIMIT).value(TEXT) == "ba"
+    closing.join(LIMIT)
+
+
+@both
+def test_nothing_is_lost_to_a_peer_that_ended_and_came_back(wire: Wire) -> None:
+    first, channel = wire.server(), wire.channel()
+    first.open("echo", Receiver())
+    channel.request(call("a"), LIMIT)
+    channel.push(message("a"), LIMIT)
+    first.close()
+    _wait_until_gone(channel)
+    second, receiver = wire.server(), Receiver()
+    second.open("echo", receiver)
+    channel.push(message("b"), LIMIT)
+    assert channel.request(call("cd"), LIMIT).value(TEXT) == "dc"
+    assert receiver.wait_for(1) == ["b"]
+
+
+def _wait_until_gone(channel: ConnectionChannel) -> None:
+    for connection in [*channel._calls, *channel._messages]:
+        connection._connection.setblocking(True)
+        assert connection._connection.recv(1, socket.MSG_PEEK) == b""
+
+
+@both
+def test_a_pipe_is_ready_no_more_when_its_peer_ended(wire: Wire) -> None:
+    server, channel = wire.server(), wire.channel()
+    server.open("echo", Receiver())
+    wait_until(channel.is_ready)
+    server.close()
+    _wait_until_gone(channel)
+    assert not channel.is_ready()
+
+
+@both
+def test_a_pipe_whose_only_link_is_used_is_ready(wire: Wire) -> None:
+    channel = wire.channel()
+    found = []
+
+    def answer(received: Frame) -> Pieces | None:
+        found.append(channel.is_ready())
+        return Receiver()(received)
+
+    wire.server().open("echo", answer)
+    channel.request(call("a"), LIMIT)
+    assert found == [True]
+    assert len([*channel._calls]) == 1
+
+
+@both
+@pytest.mark.parametrize("use", [CALLS, MESSAGES])
+def test_what_is_looked_for_is_used(wire: Wire, use: int) -> None:
+    server, receiver = wire.server(), Receiver()
+    server.open("echo", receiver)
+    channel = wire.channel(use=use)
+    wait_until(channel.is_ready)
+    if use == CALLS:
+        channel.request(call("a"), LIMIT)
+    else:
+        channel.push(message("a"), LIMIT)
+        receiver.wait_for(1)
+    assert len(server._connections) == 1
+
+
+@both
+def test_a_closed_pipe_keeps_no_connection(wire: Wire) -> None:
+    channel = wire.channel()
+
+    def answer(received: Frame) -> Pieces | None:
+        channel.close()
+        return Receiver()(received)
+
+    wire.server().open("echo", answer)
+    channel.request(call("a"), LIMIT)
+    assert [*channel._calls] == []
+
+
+@both
+def test_more_links_than_a_container_serves_are_closed(
+    wire: Wire, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection_server, "_MOST_LINKS", 1)
+    server = wire.server()
+    server.open("echo", Receiver())
+    one, other = wire.channel(), wire.channel()
+    one.request(call("a"), LIMIT)
+    with pytest.raises(Unavailable):
+        other.request(call("b"), LIMIT)
+    assert one.request(call("ab"), LIMIT).value(TEXT) == "ba"
+    one.close()
+    wait_until(lambda: not server._connections)
+    assert other.request(call("ab"), LIMIT).value(TEXT) == "ba"
+
+
+@both
+def test_a_socket_left_by_a_killed_container_is_replaced(wire: Wire) -> None:
+    path = socket_path(wire.folder, "there")
+    with socket.socket(socket.AF_UNIX) as killed:
+        killed.bind(str(path))
+    server, channel = wire.server(), wire.channel()
+    server.open("echo", Receiver())
+    wait_until(channel.is_ready)
+    server.close()
+    assert not [*wire.folder.iterdir()]
+
+
+@remote
+def test_whoever_looks_does_not_wait_for_a_computer_that_is_silent(wire: Wire) -> None:
+    """A full backlog: the kernel answers no more who wants to connect."""
+    with socket.create_server(("127.0.0.1", 0), backlog=0) as silent:
+        address = silent.getsockname()
+        with socket.create_connection(address):
+            channel = ConnectionChannel("echo", wire.address(), wire.folder)
+            channel._address = type(channel._address)("there", *address)
+            assert not channel.is_ready()
+            assert not channel.is_ready()
+            (opening,) = channel._openings.values()
+            assert not opening._asked
+            with pytest.raises(Unavailable, match="no answer from"):
+                channel.push(message("a"), SHORT)
+            assert channel._is_lost
+            with pytest.raises(Unavailable, match="no answer from"):
+                channel.push(message("a"), 1e6)  # does not wait a second time
+            channel.close()

@@ -1,0 +1,379 @@
+"""Arrays cross a link in shared memory, and no block can crash who receives it."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import resource
+import socket
+import struct
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from poise.errors import Timeout, Unavailable
+from poise.wire import frame
+from poise.wire.codec import Unreadable, WireError, codec
+from poise.wire.connections import shared_memory
+from poise.wire.connections.connection import Connection
+from poise.wire.connections.stream import LARGEST
+from poise.wire.frame import Kind
+
+ANY = codec(Any)
+LONG = 20.0
+NEW = 1 << 31
+
+
+@pytest.fixture
+def ends() -> Iterator[tuple[Connection, Connection]]:
+    """Give the asking end, and the other, at which a thread sends back what comes."""
+    ours, theirs = map(Connection, socket.socketpair())
+
+    def serve() -> None:
+        with contextlib.suppress(Unavailable):
+            while True:
+                echo(theirs)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    yield ours, theirs
+    ours.end()
+    thread.join(LONG)
+    ours.close()
+    theirs.close()
+
+
+@pytest.fixture
+def far() -> Iterator[tuple[Connection, socket.socket]]:
+    """Give a link over TCP, and the socket at its other end."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        theirs = socket.create_connection(listener.getsockname())
+        ours, _ = listener.accept()
+    connection = Connection(ours)
+    with theirs:
+        yield connection, theirs
+    connection.close()
+
+
+def echo(connection: Connection) -> None:
+    connection.send(frame.segments(ANY, connection.receive().value(ANY), Kind.RESULT))
+
+
+def ask(connection: Connection, value: object) -> Any:
+    deadline = time.monotonic() + LONG
+    connection.send(frame.segments(ANY, value, Kind.CALL, chain=1), deadline)
+    return connection.receive(deadline).value(ANY)
+
+
+def call(value: object) -> Any:
+    return frame.segments(ANY, value, Kind.CALL)
+
+
+def image(number: int, size: int = 1 << 20) -> Any:
+    return np.full(size, number, np.uint8)
+
+
+@pytest.mark.parametrize("size", [0, 1, 8000, 8160, 8192, 8193, 100_000, 3_000_000])
+def test_brings_bytes_of_any_size(
+    ends: tuple[Connection, Connection], size: int
+) -> None:
+    assert ask(ends[0], bytes(size)) == bytes(size)
+
+
+@pytest.mark.parametrize("size", [0, 10, 65_535, 65_536, 1_000_000])
+def test_brings_arrays_of_any_size(
+    ends: tuple[Connection, Connection], size: int
+) -> None:
+    for number in range(20):
+        answer = ask(ends[0], [image(number, size), image(number + 1, size)])
+        assert [array.size for array in answer] == [size, size]
+        assert all((a == number + i).all() for i, a in enumerate(answer))
+
+
+def test_received_arrays_cannot_be_written(ends: tuple[Connection, Connection]) -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        ask(ends[0], image(1))[0] = 2
+
+
+def test_arrays_that_are_kept_stay_as_they_are(
+    ends: tuple[Connection, Connection],
+) -> None:
+    """More are kept than there are blocks; then the socket carries them."""
+    most = 3 * shared_memory.MOST_BLOCKS
+    kept = [ask(ends[0], image(number)) for number in range(most)]
+    assert all((array == number).all() for number, array in enumerate(kept))
+    part = kept[3][10:20]
+    del kept
+    gc.collect()
+    for number in range(100, 100 + most):
+        ask(ends[0], image(number))
+    assert (part == 3).all()
+
+
+def test_arrays_outlive_their_link() -> None:
+    ours, theirs = map(Connection, socket.socketpair())
+    echoing = threading.Thread(target=echo, args=(theirs,))
+    echoing.start()
+    array = ask(ours, image(7))
+    echoing.join(LONG)
+    ours.close()
+    theirs.close()
+    assert (array == 7).all()
+
+
+def test_blocks_are_used_again_when_arrays_are_let_go(
+    ends: tuple[Connection, Connection],
+) -> None:
+    ask(ends[0], image(0))
+    before = open_files()
+    for number in range(50):
+        ask(ends[0], image(number))
+    # each end may need one more while an answer is still under way
+    assert open_files() <= before + 4
+
+
+def test_leaves_no_name_in_shared_memory(ends: tuple[Connection, Connection]) -> None:
+    before = os.listdir("/dev/shm")  # noqa: PTH208, a folder of the kernel
+    ask(ends[0], image(0))
+    assert os.listdir("/dev/shm") == before  # noqa: PTH208, the same
+
+
+def test_makes_room_for_larger_arrays(ends: tuple[Connection, Connection]) -> None:
+    for exponent in range(16, 25):
+        array = ask(ends[0], image(exponent, 1 << exponent))
+        assert array.size == 1 << exponent
+        assert (array == exponent).all()
+
+
+def test_a_pool_is_bounded_while_nothing_is_given_back() -> None:
+    pool = shared_memory.Pool(shared_memory.Block)
+    taken = []
+    while (block := pool.take(1 << 16)[0]) is not None:
+        block.lend()
+        taken.append(block)
+    assert len(taken) == shared_memory.MOST_BLOCKS
+    pool.close()
+
+
+def test_a_pool_makes_no_block_that_is_too_large() -> None:
+    pool = shared_memory.Pool(shared_memory.Block)
+    assert pool.take(shared_memory.MOST_BYTES + 1) == (None, False)
+    pool.close()
+
+
+def open_files() -> int:
+    return len(os.listdir("/proc/self/fd"))  # noqa: PTH208, a folder of the kernel
+
+
+def head(length: int, block: int, used: int = 0) -> bytes:
+    return struct.pack("<IIQ", length, block, used)[: 16 if block else 8]
+
+
+@pytest.fixture
+def raw() -> Iterator[tuple[socket.socket, Connection]]:
+    """Give a socket to write anything to, and the link that gets it."""
+    ours, theirs = socket.socketpair()
+    ours.settimeout(LONG)
+    connection = Connection(theirs)
+    yield ours, connection
+    ours.close()
+    connection.close()
+
+
+@pytest.mark.parametrize(
+    ("sent", "why"),
+    [
+        (head(3, 0) + b"abc", "cut short"),
+        (head((1 << 30) + 1, 0), "is the largest"),
+        (head(24, 3, 10) + bytes(24), "no shared block 3"),
+        (head(0, NEW, 4096), "block 0 of 4096 B was announced"),
+        (head(0, NEW | 99, 4096), "block 99 of 4096 B was announced"),
+        (head(0, NEW | 1, 1 << 40), "was announced"),
+    ],
+)
+def test_refuses_what_is_no_frame(
+    raw: tuple[socket.socket, Connection], sent: bytes, why: str
+) -> None:
+    raw[0].sendall(sent)
+    with pytest.raises(WireError, match=why):
+        raw[1].receive(time.monotonic() + LONG)
+
+
+@pytest.mark.parametrize(
+    ("kind", "why"),
+    [
+        ("unsealed", "may shrink"),
+        ("too small", "is not of 131072 B"),
+        ("no memory", "cannot be mapped"),
+        ("none", "no file came"),
+    ],
+)
+def test_refuses_a_block_that_could_crash_it(
+    raw: tuple[socket.socket, Connection], kind: str, why: str
+) -> None:
+    small = shared_memory.Block(1, 1 << 16)
+    files = {
+        "unsealed": os.memfd_create("test", os.MFD_ALLOW_SEALING),
+        "no memory": os.open("/dev/null", os.O_RDWR),
+        "too small": os.dup(small.file),
+    }
+    raw[0].sendall(head(0, NEW | 1, 1 << 17))
+    answered = threading.Thread(target=_hand_over, args=(raw[0], files.get(kind)))
+    answered.start()
+    with pytest.raises(WireError, match=why):
+        raw[1].receive(time.monotonic() + LONG)
+    answered.join(LONG)
+    for file in files.values():
+        os.close(file)
+    small.close()
+
+
+def test_who_is_gone_amid_announcing_a_block_is_gone(
+    raw: tuple[socket.socket, Connection],
+) -> None:
+    raw[0].sendall(head(0, NEW | 1, 1 << 17))
+    raw[0].shutdown(socket.SHUT_WR)
+    with pytest.raises(Unavailable, match="is gone"):
+        raw[1].receive(time.monotonic() + LONG)
+
+
+def _hand_over(sock: socket.socket, file: int | None) -> None:
+    assert sock.recv(1) == b"+"
+    if file is None:
+        sock.sendall(b"+")
+    else:
+        socket.send_fds(sock, [b"+"], [file])
+
+
+def test_refuses_more_of_a_block_than_it_has(
+    raw: tuple[socket.socket, Connection],
+) -> None:
+    block = shared_memory.Block(1, 1 << 16)
+
+    def send() -> None:
+        _hand_over(raw[0], block.file)
+        raw[0].sendall(head(24, 1, block.capacity + 1) + bytes(24))
+
+    raw[0].sendall(head(0, NEW | 1, block.capacity))
+    sender = threading.Thread(target=send)
+    sender.start()
+    with pytest.raises(WireError, match="65537 B announced in a block of 65536 B"):
+        raw[1].receive(time.monotonic() + LONG)
+    sender.join(LONG)
+    block.close()
+
+
+def test_over_tcp_arrays_come_inline(far: tuple[Connection, socket.socket]) -> None:
+    connection, sock = far
+    other = Connection(sock)
+    sent = [image(1, 3 << 20), image(2, 70_000)]
+    pieces = frame.segments(ANY, sent, Kind.CALL)
+    sender = threading.Thread(target=other.send, args=(pieces,))
+    sender.start()
+    came = connection.receive().value(ANY)
+    sender.join(LONG)
+    assert [(a == b).all() for a, b in zip(came, sent, strict=True)] == [True, True]
+    assert not any(array.flags.writeable or array.flags.owndata for array in came)
+    assert [connection.has_blocks, other.has_blocks] == [False, False]
+
+
+@pytest.mark.parametrize("block", [1, NEW | 1])
+def test_over_tcp_no_shared_memory_is_taken(
+    far: tuple[Connection, socket.socket], block: int
+) -> None:
+    connection, sock = far
+    sock.sendall(struct.pack("<IIQ", 0, block, 1 << 16))
+    with pytest.raises(Unreadable, match="was announced over TCP"):
+        connection.receive()
+
+
+def test_what_is_announced_takes_no_memory_before_it_comes(
+    far: tuple[Connection, socket.socket],
+) -> None:
+    connection, sock = far
+    sock.sendall(struct.pack("<II", LARGEST, 0) + bytes(1 << 20))
+    before = resident()
+    with pytest.raises(Timeout):
+        connection.receive(time.monotonic() + 0.05)
+    assert resident() - before < 1 << 26  # a gigabyte was announced
+
+
+def resident() -> int:
+    """Return how much memory this process has used at most [bytes]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
+
+
+@pytest.mark.parametrize("size", [1 << 16, (1 << 16) + 7, 3_000_001])
+def test_arrays_of_one_frame_lie_end_to_end_on_a_block(
+    ends: tuple[Connection, Connection], size: int
+) -> None:
+    """Also when the body is of any length, and the arrays are not."""
+    numbers = np.random.default_rng(size).integers(256, size=2 * size, dtype=np.uint8)
+    for length in range(17):
+        sent: list[Any] = [
+            "x" * length,
+            numbers[:size],
+            numbers[1 : size + 1],
+            numbers[size:],
+        ]
+        answer = ask(ends[0], sent)
+        assert answer[0] == sent[0]
+        pairs = zip(sent[1:], answer[1:], strict=True)
+        assert all(np.array_equal(one, other) for one, other in pairs)
+
+
+Known = tuple[Connection, Connection, shared_memory.Block]
+
+
+@pytest.fixture
+def known() -> Iterator[Known]:
+    """Give two ends, and a block of the first one that the other knows."""
+    ours, theirs = map(Connection, socket.socketpair())
+    thread = threading.Thread(target=ours.send, args=(call(image(1)),))
+    thread.start()
+    theirs.receive()
+    thread.join(LONG)
+    (block,) = ours._pool.blocks()
+    yield ours, theirs, block
+    ours.close()
+    theirs.close()
+
+
+def test_a_block_is_lent_until_the_last_view_is_gone(known: Known) -> None:
+    ours, theirs, block = known
+    assert block.is_free()
+    ours.send(call(image(1)))
+    part = theirs.receive().value(ANY)[7:9]
+    assert not block.is_free()
+    del part
+    assert block.is_free()
+
+
+def test_a_call_that_got_no_answer_takes_no_block_back(known: Known) -> None:
+    """The other end has it, and may read it for as long as it likes."""
+    ours, theirs, block = known
+    with pytest.raises(Timeout, match="no answer"):
+        ours.ask(call(image(5)), time.monotonic() + 0.01)
+    assert not block.is_free()
+    assert (theirs.receive().value(ANY) == 5).all()
+
+
+def test_a_call_that_did_not_go_out_gives_its_block_back(known: Known) -> None:
+    ours, theirs, block = known
+    theirs.close()
+    assert ours.ask(call(image(5)), time.monotonic() + LONG) is None
+    assert block.is_free()
+
+
+def test_a_frame_on_more_than_its_block_is_refused(known: Known) -> None:
+    ours, theirs, block = known
+    head = frame.segments(ANY, None, Kind.CALL)
+    deadline = time.monotonic() + LONG
+    ours._channel.send(head, deadline, LARGEST, block.number, block.capacity + 1)
+    with pytest.raises(WireError, match="B announced in a block of"):
+        theirs.receive()

@@ -1,0 +1,214 @@
+"""The door of a computer: whoever comes is handed on, or told why not, or let go."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import tempfile
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from poise.errors import RunError, Unavailable
+from poise.wire import frame
+from poise.wire.address import Address
+from poise.wire.connections import gateway as gateway_module
+from poise.wire.connections.connection import HEAD, Connection
+from poise.wire.connections.connection_channel import ConnectionChannel
+from poise.wire.connections.connection_server import ConnectionServer
+from poise.wire.connections.gateway import Gateway
+from poise.wire.connections.socket_path import guests_path
+from poise.wire.frame import VERSION, Kind
+from tests.wire.conftest import LIMIT, TEXT, Receiver, Wire, call, remote, wait_until
+
+ANYBODY = "127.0.0.1"
+
+
+def come(wire: Wire) -> socket.socket:
+    address = wire.address()
+    return socket.create_connection((address.host, address.port), LIMIT)
+
+
+def everything(sock: socket.socket) -> bytes:
+    data = b""
+    with contextlib.suppress(ConnectionResetError):
+        while came := sock.recv(1 << 16):
+            data += came
+    return data
+
+
+def said(version: bytes, kind: Kind) -> bytes:
+    """Return a first frame of some version and kind."""
+    text = b"".join(frame.segments(TEXT, "there", kind))
+    return HEAD.pack(len(text), 0) + version + text[1:]
+
+
+@remote
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [
+        pytest.param(b"GET / HTTP/1.1\r\n\r\n", "1024 B is the largest", id="another"),
+        pytest.param(HEAD.pack(1025, 0), "1025 B; 1024 B is the largest", id="large"),
+        pytest.param(HEAD.pack(8, 0) + bytes(8), "cut short", id="short"),
+        pytest.param(said(b"\x07", Kind.WELCOME), "version 7", id="newer"),
+        pytest.param(said(bytes([VERSION]), Kind.MESSAGE), "MESSAGE", id="kind"),
+    ],
+)
+def test_nonsense_is_told_and_logged_and_harms_nobody(
+    wire: Wire, data: bytes, why: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    wire.server().open("echo", Receiver())
+    with come(wire) as stranger:
+        stranger.sendall(data)
+        told = frame.parse(everything(stranger)[HEAD.size :])
+    assert told.kind is Kind.ERROR
+    assert why in told.value(TEXT)
+    assert "a connection from 127.0.0.1 is refused" in caplog.text
+    assert wire.channel().request(call("ab"), LIMIT).value(TEXT) == "ba"
+
+
+@remote
+def test_a_name_may_come_in_pieces(wire: Wire) -> None:
+    wire.server().open("echo", Receiver())
+    name = b"".join(frame.segments(TEXT, "there", Kind.WELCOME))
+    with come(wire) as guest:
+        for byte in HEAD.pack(len(name), 0) + name:
+            guest.sendall(bytes([byte]))
+        connection = Connection(guest)
+        connection.send(frame.segments(TEXT, "echo", Kind.WELCOME))
+        assert connection.receive().kind is Kind.WELCOME
+
+
+@remote
+def test_whoever_says_nothing_is_let_go(
+    wire: Wire, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gateway_module, "SAY_LIMIT", 0.02)
+    with come(wire) as silent:
+        assert everything(silent) == b""
+
+
+@remote
+def test_a_crowd_that_says_nothing_keeps_nobody_out_for_long(
+    wire: Wire, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gateway_module, "_MOST", 3)
+    monkeypatch.setattr(gateway_module, "SAY_LIMIT", 0.05)
+    wire.server().open("echo", Receiver())
+    crowd = [come(wire) for _ in range(10)]
+    assert wire.channel().request(call("ab"), LIMIT).value(TEXT) == "ba"
+    for each in crowd:
+        each.close()
+
+
+@remote
+def test_a_container_that_takes_nobody_in_keeps_nobody_waiting_for_long(
+    wire: Wire, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gateway_module, "SAY_LIMIT", 0.05)
+    path = guests_path(wire.folder, "there")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as stuck:
+        stuck.bind(str(path))
+        fill(path)
+        with pytest.raises(Unavailable):
+            wire.channel().request(call("?"), LIMIT)
+
+
+@remote
+def test_many_may_come_at_once(wire: Wire) -> None:
+    """Far more than the kernel holds for a container that has not looked yet."""
+    wire.server().open("echo", Receiver())
+    channels = [wire.channel() for _ in range(60)]
+    with ThreadPoolExecutor(60) as callers:
+        answers = callers.map(
+            lambda channel: channel.request(call("ab"), LIMIT), channels
+        )
+        assert {answer.value(TEXT) for answer in answers} == {"ba"}
+
+
+def fill(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+        sender.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                sender.sendto(b"+", str(path))
+
+
+@remote
+def test_a_container_that_is_started_anew_is_reached_where_it_was(wire: Wire) -> None:
+    channel = wire.channel()
+    for _ in range(2):
+        server = wire.server()
+        server.open("echo", Receiver())
+        wait_until(channel.is_ready)
+        assert channel.request(call("ab"), LIMIT).value(TEXT) == "ba"
+        server.close()
+        wait_until(lambda: not channel.is_ready())
+
+
+@remote
+def test_what_was_handed_on_stays_when_the_door_closes(wire: Wire) -> None:
+    wire.server().open("echo", Receiver())
+    channel = wire.channel()
+    channel.request(call("a"), LIMIT)
+    wire.gateway.close()
+    assert channel.request(call("ab"), LIMIT).value(TEXT) == "ba"
+    other = wire.channel()
+    with pytest.raises(Unavailable, match=r"nobody at 127\.0\.0\.1:"):
+        other.request(call("?"), LIMIT)
+
+
+@remote
+def test_no_file_stays_open_of_those_who_came(wire: Wire) -> None:
+    def files() -> int:
+        return len([*Path("/proc/self/fd").iterdir()])
+
+    wire.server().open("echo", Receiver())
+    before = files()
+    for said in (b"\xff" * 8, b""):
+        with come(wire) as stranger:
+            stranger.sendall(said)
+    channel = wire.channel()
+    channel.request(call("a"), LIMIT)
+    channel.close()
+    wait_until(lambda: files() == before)
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    with tempfile.TemporaryDirectory() as folder:
+        yield Path(folder)
+
+
+def test_two_computers_on_one_machine_have_doors_of_their_own(folder: Path) -> None:
+    with Gateway(folder, ANYBODY) as one, Gateway(folder, ANYBODY) as other:
+        assert str(one) != str(other)
+
+
+def test_it_comes_in_by_ipv6_too(folder: Path) -> None:
+    try:
+        with socket.create_server(("::1", 0), family=socket.AF_INET6):
+            pass
+    except OSError:
+        pytest.skip("no IPv6 here")
+    server = ConnectionServer(folder, "there")
+    server.open("echo", Receiver())
+    with Gateway(folder, "::1") as there:
+        channel = ConnectionChannel("echo", Address.parse(f"{there}/there"), folder)
+        assert channel.request(call("ab"), LIMIT).value(TEXT) == "ba"
+        channel.close()
+    server.close()
+
+
+@pytest.mark.parametrize(
+    ("host", "why"), [("203.0.113.9", "Cannot assign"), (ANYBODY, "in use")]
+)
+def test_an_address_that_cannot_be_had_is_an_error(
+    folder: Path, host: str, why: str
+) -> None:
+    with socket.create_server((ANYBODY, 0)) as busy:
+        port = busy.getsockname()[1]
+        with pytest.raises(RunError, match=f"cannot listen on {host}:{port}: .*{why}"):
+            Gateway(folder, host, port)
