@@ -1,4 +1,4 @@
-"""The glossary holds every word once."""
+"""The glossary stays short, and holds every word once."""
 
 from __future__ import annotations
 
@@ -7,22 +7,16 @@ from collections import Counter
 from pathlib import Path
 
 GLOSSARY = (Path(__file__).parents[2] / "docs/glossary.md").read_text()
-
-
-def words() -> list[str]:
-    cells = re.findall(r"^\| ([^|]+?) \|", GLOSSARY, re.MULTILINE)
-    return [
-        word
-        for cell in cells
-        for word in cell.split(", ")
-        if word not in {"word", "---"}
-    ]
+WORDS = [
+    word
+    for word in re.findall(r"^\| ([^|]+?) \|", GLOSSARY, re.MULTILINE)
+    if word not in {"word", "---"}
+]
 
 
 def test_no_word_has_two_meanings() -> None:
-    assert [word for word, times in Counter(words()).items() if times > 1] == []
+    assert [word for word, times in Counter(WORDS).items() if times > 1] == []
 
 
-def test_the_words_of_the_messages_are_there() -> None:
-    """What the manager tells a container are words that people read in the journal."""
-    assert {"hold", "retire", "order", "fault", "deployment"} <= {*words()}
+def test_the_glossary_holds_only_what_an_engineer_would_not_know() -> None:
+    assert 30 <= len(WORDS) <= 45
