@@ -49,9 +49,7 @@ class Endpoint(Struct, frozen=True):
             given, fault = rest if colon else None, ""
         fault = fault or _host_fault(host) or _port_fault(given)
         if fault:
-            raise ValueError(
-                f"{quoted(text)} is no address: {fault}; it takes {_FORMS}"
-            )
+            raise ValueError(f"{quoted(text)} is no address: {fault}; write {_FORMS}")
         return cls(host, port if given is None else int(given))
 
     @property

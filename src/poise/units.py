@@ -1,7 +1,6 @@
-"""Quantities as people write them, and back: `512 MiB`, `20%`, `200 ms`, `10 Hz`.
+"""Reads and writes quantities for people: `512 MiB`, `20%`, `200 ms`, `10 Hz`.
 
-Inside Poise everything is SI: cores, bytes, seconds, 1/s, bytes/s, shares of 1. A
-plain number is SI already.
+Poise uses SI: cores, bytes, seconds, 1/s, bytes/s, shares of 1. A plain number is SI.
 """
 
 from __future__ import annotations
@@ -21,13 +20,13 @@ _DATA = re.compile(
 _CLOSE = 0.8
 """How similar a suggested unit must be; a wrong suggestion is worse than none."""
 _LONGEST = 60
-"""[characters] A longer text is no quantity; it is cut before it is shown."""
+"""[characters] A longer text is no quantity; messages show its beginning."""
 
 
 class Dimension(Struct, frozen=True):
-    """What is measured, and the units that it may be written in.
+    """A kind of quantity and its units.
 
-    `units` maps each unit to its factor; ``""`` stands for a plain number.
+    `units` maps each unit to its factor; ``""`` is a plain number.
     """
 
     name: str
@@ -105,8 +104,8 @@ def parse(text: str | float, dimension: Dimension) -> float:
     Raises
     ------
     ValueError
-        When it is no number, negative, not finite, or its unit is not one of the
-        dimension's. The message names the value and the accepted units.
+        It is not a number, is negative or not finite, or has an unknown unit. The
+        message names the value and the accepted units.
     """
     match = _QUANTITY.fullmatch(str(text)) if len(str(text)) <= _LONGEST else None
     if match is None:
@@ -115,7 +114,7 @@ def parse(text: str | float, dimension: Dimension) -> float:
     if unit not in dimension.units:
         raise ValueError(
             f"{quoted(text)} has the unknown unit '{unit}'"
-            f"{_similar(unit, dimension)}; it takes a {dimension.accepted()}"
+            f"{_similar(unit, dimension)}; write a {dimension.accepted()}"
         )
     value = number * dimension.units[unit]
     if not math.isfinite(value):
@@ -126,7 +125,7 @@ def parse(text: str | float, dimension: Dimension) -> float:
 
 
 def quoted(value: object) -> str:
-    """Return `value` in quotes on one line, cut when it is long."""
+    """Return `value` in quotes on one line, shortened if it is long."""
     text = str(value)
     text = text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
     return f"'{''.join(c if c.isprintable() else repr(c)[1:-1] for c in text)}'"
@@ -163,7 +162,7 @@ def format_ratio(ratio: float) -> str:
 
 
 def format_amount(resource: str, amount: float) -> str:
-    """Return an amount of a resource, in the unit that the resource has."""
+    """Return an amount of a resource, in its unit."""
     formats = {"cpu": format_cores, "memory": format_bytes}
     return formats.get(resource, _number)(amount)
 
@@ -200,7 +199,7 @@ def _scaled(value: float, units: Mapping[str, float]) -> str:
 
 
 def _number(value: float) -> str:
-    """Write three significant digits, and never an exponent below a million."""
+    """Write three significant digits, without an exponent below a million."""
     if abs(value) >= 1000:  # noqa: PLR2004, three digits left of the point
         return f"{value:.0f}" if abs(value) < 1e6 else f"{value:.3g}"  # noqa: PLR2004
     return f"{value:.3g}"

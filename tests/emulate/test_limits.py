@@ -62,4 +62,4 @@ def test_what_the_host_is_too_small_for_is_said() -> None:
     ]
     (sentence,) = shortages({"a": small, "b": small})
     assert "a, b share host CPU 2" in sentence
-    assert "ask for 1.2 of it, which it has not got" in sentence
+    assert "ask for 1.2 of it, which is more than it has" in sentence

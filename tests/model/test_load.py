@@ -201,7 +201,7 @@ def test_text_that_is_not_utf_8_is_told_with_its_place(tmp_path: Path) -> None:
 
 def test_a_list_is_no_robot(find: Find) -> None:
     (problem,) = find("- robot\n")
-    assert "a robot file is a mapping" in problem.message
+    assert "a robot file must be a mapping" in problem.message
 
 
 def test_links_in_a_circle_are_no_file(tmp_path: Path) -> None:
@@ -212,5 +212,5 @@ def test_links_in_a_circle_are_no_file(tmp_path: Path) -> None:
 
 
 def test_a_nul_is_in_no_file_name() -> None:
-    with pytest.raises(RobotError, match="is no file name"):
+    with pytest.raises(RobotError, match="is not a file name"):
         load("a\0b")

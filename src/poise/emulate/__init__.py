@@ -1,4 +1,4 @@
-"""Turn one Linux machine into a robot's several computers (docs/emulation.md)."""
+"""One Linux machine as a robot's several computers (docs/emulation.md)."""
 
 from poise.emulate.cleanup import sweep
 from poise.emulate.computer import EmulatedComputer

@@ -1,7 +1,7 @@
-"""What an emulation leaves on the host, written down before any of it is made.
+"""The list of what an emulation makes on the host, and its removal.
 
-A run that is killed cannot tidy up. Its list of cleanup stays behind, and the next run
-finds it, sees that its owner is dead, and removes what the list names.
+The list is written before anything is made. A killed run cannot clean up; the next run
+finds its list, sees that its owner is dead, and removes what is listed.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from poise.errors import PoiseError, RunError
 
 
 class Cleanup(Struct, frozen=True, kw_only=True):
-    """All that one emulation makes outside its processes' memory.
+    """Everything that one emulation makes on the host.
 
     Parameters
     ----------
     run
         Names the list.
     groups
-        Cgroup folders; whatever runs in them is ended.
+        Cgroup folders; processes in them are ended.
     aside
         Cgroup folders whose processes go back to the folder above.
     interfaces
@@ -37,7 +37,7 @@ class Cleanup(Struct, frozen=True, kw_only=True):
     namespaces
         Network namespaces, by name.
     folders
-        Ordinary folders, removed with all that is in them.
+        Ordinary folders, removed with their contents.
     marks
         Processes that inherited one of these are ended.
     """
@@ -57,13 +57,13 @@ class Cleanup(Struct, frozen=True, kw_only=True):
 
     def write_down(self) -> None:
         """Write the list, so that `sweep` can find it."""
-        # Whole or not at all: half a list would hide the rest for ever.
+        # Atomic: a partial list would hide the rest for ever.
         draft = self._list.with_suffix(".draft")
         draft.write_bytes(msgspec.json.encode(self))
         draft.rename(self._list)
 
     def lift_quotas(self) -> None:
-        """Let all processes have the CPU time that they need to end.
+        """Give all processes the CPU time that they need to end.
 
         Raises
         ------
@@ -96,18 +96,18 @@ class Cleanup(Struct, frozen=True, kw_only=True):
                 except (OSError, PoiseError) as error:
                     problems.append(f"{thing}: {error}")
         if problems:
-            message = "an emulation left behind: " + "; ".join(problems)
+            message = "an emulation could not remove: " + "; ".join(problems)
             raise RunError(message)
         self._list.unlink(missing_ok=True)
 
 
 def registry() -> Path:
-    """Return the folder of all lists, which nobody else may write to.
+    """Return the folder of all lists; only this user may write to it.
 
     Raises
     ------
     RunError
-        When somebody else owns it: the lists in it say what is to be removed.
+        It belongs to another user, whose lists would remove things of this one.
     """
     run = "/run" if os.access("/run", os.W_OK) else os.environ.get("XDG_RUNTIME_DIR")
     folder = Path(run) / PREFIX if run else Path(f"/tmp/{PREFIX}-{os.getuid()}")  # noqa: S108 - owner and mode are checked below
@@ -120,7 +120,7 @@ def registry() -> Path:
 
 
 def sweep() -> list[Owner]:
-    """Remove what emulations left behind whose owner is dead; return those owners.
+    """Clean up after emulations whose owner is dead; return those owners.
 
     Raises
     ------
@@ -132,17 +132,17 @@ def sweep() -> list[Owner]:
 
 
 def _sweep(file: Path) -> Owner | None:
-    """Remove what is on a list whose owner is dead; return that owner."""
+    """Clean up after a list whose owner is dead; return that owner."""
     try:
         with file.open("rb") as handle:
-            # Held while it is worked on; whoever finds it held leaves it alone.
+            # The lock is held during the work; another sweep then skips this list.
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             cleanup = msgspec.json.decode(handle.read(), type=Cleanup)
             if cleanup.owner.is_alive():
                 return None
             cleanup.remove()
             return cleanup.owner
-    except (FileNotFoundError, BlockingIOError):  # somebody else sweeps, too
+    except (FileNotFoundError, BlockingIOError):  # another process sweeps
         return None
 
 

@@ -1,4 +1,4 @@
-"""One emulated computer: start processes on it, see what it used."""
+"""One emulated computer: starts processes on it, reads its usage."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ class EmulatedComputer:
     folder
         Its private folder, which is also its ``TMPDIR``; gone when it is closed.
     limits
-        What it may have of the host.
+        Its limits on the host.
     slowdown
-        How many times faster it is than it should be, for want of a quota; else 1.
+        How many times faster than the robot's it is, without a quota; else 1.
     """
 
     def __init__(
@@ -102,15 +102,14 @@ class EmulatedComputer:
         return child
 
     def running(self) -> list[int]:
-        """Return the numbers of the processes on it, whoever started them."""
-        # Those that ended are waited for, or they stay. One that was just started may
-        # be about to enter its group and not stand there yet.
+        """Return the numbers of all processes on it."""
+        # poll() reaps ended children. A new one may not have entered its group yet.
         self._children = [child for child in self._children if child.poll() is None]
         started = {child.pid for child in self._children}
         return sorted(started.union(self._group.processes()))
 
     def usage(self) -> Usage:
-        """Return what it has used since it was made."""
+        """Return its usage since it was made."""
         usage = self._group.usage()
         if usage.starved is None:
             return usage
@@ -118,7 +117,7 @@ class EmulatedComputer:
         return msgspec.structs.replace(usage, starved=usage.starved + stolen)
 
     def was_starved(self, before: Usage, after: Usage) -> bool:
-        """Return whether the host made it slower than promised (`is_starved`)."""
+        """Return whether the host starved it (`is_starved`)."""
         return is_starved(before, after, self.limits.quota, len(self.limits.cpus))
 
     def _environment(self) -> dict[str, str]:
@@ -135,7 +134,7 @@ def _too_fast(place: ComputerLayout) -> float:
 
 
 def _prefix(place: ComputerLayout, *, pin: bool) -> list[str]:
-    """Return the command that turns into the program after entering what it must."""
+    """Return the command that enters namespace and CPU set, and becomes the program."""
     namespace, cpus = place.namespace, ",".join(map(str, place.limits.cpus))
     return [
         *(["nsenter", f"--net={NAMESPACES / namespace}"] if namespace else []),

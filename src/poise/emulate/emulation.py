@@ -1,4 +1,4 @@
-"""Turn one Linux machine into the computers of a robot."""
+"""Turns one Linux machine into the computers of a robot."""
 
 from __future__ import annotations
 
@@ -27,34 +27,34 @@ _numbers = count()
 class Emulation:
     """All computers of a robot on this machine, until it is closed.
 
-    Where the machine does not allow something, the emulation goes without it and says
-    so in `without`. What earlier runs left behind that were killed is removed first.
+    `without` lists what the machine does not allow. First it cleans up after earlier
+    runs that were killed.
 
     Parameters
     ----------
     folder
         The run's folder; each computer gets a private folder in it.
     probe
-        What the machine allows; None: look.
+        What the machine allows; None: find out.
 
     Raises
     ------
     RobotError
         When a computer cannot be emulated.
     UsageError
-        When `folder` is another run's already.
+        `folder` belongs to another run.
     RunError
-        When the machine refuses what it seemed to allow; nothing is left behind.
+        The machine refuses what it seemed to allow; everything is cleaned up.
 
     Attributes
     ----------
     computers
         By name.
     without
-        Sentences for the user: which of quota, CPU set, memory limit, namespaces and
-        shaped links there are not, and why; and where the machine is too small.
+        Sentences for the user: the missing ones of quota, CPU set, memory limit,
+        namespaces and shaped links, and why; and where the machine is too small.
     address
-        The owner's own address in the emulated network, outside every limit.
+        The owner's address in the emulated network, without limits.
     """
 
     computers: Mapping[str, EmulatedComputer]
@@ -132,14 +132,14 @@ class Emulation:
         )
 
     def _running(self) -> list[int]:
-        """Return the processes of all computers, which so are asked all at once."""
+        """Return the processes of all computers."""
         return [pid for each in self.computers.values() for pid in each.running()]
 
 
 _PINNED = "CPU set in a cgroup: taskset is used instead, which a program can undo"
 _BLIND = (
-    "void runs: the kernel does not tell a cgroup's CPU pressure, so nobody sees when "
-    "the host is too busy for the emulation"
+    "invalid runs: the kernel does not report the CPU pressure of cgroups, so Poise "
+    "cannot tell when the host is too busy for the emulation"
 )
 
 
@@ -148,7 +148,7 @@ def _is_blind(computers: Iterable[EmulatedComputer]) -> bool:
 
 
 def _prepared(groups: Groups, run: str) -> tuple[Groups, list[str]]:
-    """Return groups that can be made, and why they are not those asked for."""
+    """Return groups that can be made, and why they differ from `groups`."""
     try:
         groups.prepare(run)
     except OSError as error:
@@ -158,7 +158,7 @@ def _prepared(groups: Groups, run: str) -> tuple[Groups, list[str]]:
 
 
 def _wire(plan: NetworkPlan, host: Probe) -> list[str]:
-    """Make the network, shaped where that is possible; return what is missing."""
+    """Make the network, shaped if possible; return what is missing."""
     namespaces.build(plan)
     if "tc" not in host.tools:
         return []

@@ -1,4 +1,4 @@
-"""Everything an emulation will make, decided before any of it is made."""
+"""The layout of an emulation, decided before anything is made."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from poise.model.robot import Robot
 
 
 class ComputerLayout(Struct, frozen=True, kw_only=True):
-    """Where one computer will be.
+    """The layout of one computer.
 
     Parameters
     ----------
@@ -48,21 +48,21 @@ class EmulationLayout(Struct, frozen=True, kw_only=True):
 
 
 def lay_out(robot: Robot, folder: Path, host: Probe, number: int) -> EmulationLayout:
-    """Return where the computers of `robot` will be on `host`.
+    """Return the layout of the computers of `robot` on `host`.
 
     Parameters
     ----------
     folder
         The run's folder.
     number
-        Tells the emulations of one process apart.
+        Distinguishes the emulations of one process.
 
     Raises
     ------
     RobotError
         When a computer cannot be emulated.
     UsageError
-        When `folder` is another run's already.
+        `folder` belongs to another run.
     """
     owner = Owner.this()
     run = f"{owner}-{number}"
@@ -121,5 +121,5 @@ def _private(folder: Path, name: str) -> Path:
 
 
 def _loopback(run: int, index: int) -> str:
-    """Return an address in 127.0.0.0/8; runs at the same time get others."""
+    """Return an address in 127.0.0.0/8; concurrent runs get different ones."""
     return f"127.{1 + run % 254}.{index}.1"

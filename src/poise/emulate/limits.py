@@ -1,4 +1,4 @@
-"""What each emulated computer may have of the host."""
+"""The limits of each emulated computer on the host."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _ROUNDING = 1e-9
 
 
 class Limits(Struct, frozen=True, kw_only=True):
-    """What one emulated computer may have.
+    """The limits of one emulated computer.
 
     Parameters
     ----------
@@ -44,10 +44,9 @@ class Limits(Struct, frozen=True, kw_only=True):
 def share_out(computers: Sequence[Computer], cpus: Sequence[int]) -> list[Limits]:
     """Return the limits of each computer on a host with `cpus`.
 
-    A computer gets as many CPUs as its quota can fill and no more (then throttled
-    time is spread over all of them, which `starved_time` relies on), all its own. Where
-    CPUs are short, each gets one of its own; where there are not enough even for
-    that, they take turns.
+    A computer gets its own CPUs, as many as its quota can fill (so that throttled time
+    is spread over all of them, as `starved_time` assumes). If CPUs are short, each
+    computer gets one; if there are fewer CPUs than computers, they share them.
 
     Raises
     ------
@@ -67,7 +66,7 @@ def share_out(computers: Sequence[Computer], cpus: Sequence[int]) -> list[Limits
 
 
 def shortages(limits: Mapping[str, Limits]) -> list[str]:
-    """Return a sentence for each computer and CPU that cannot keep its promise."""
+    """Return a sentence for each computer and CPU that is too small."""
     slow = [
         f"{name!r} asks for {limit.quota:g} host cores and gets {len(limit.cpus)}: "
         "it is slower than the robot file says"
@@ -89,7 +88,7 @@ def _sharing(cpu: int, quotas: Mapping[str, float]) -> str:
     return (
         f"CPU sets of their own: {', '.join(quotas)} share host CPU {cpu}, as there "
         f"are more computers than CPUs; they ask for {asked:g} of it"
-        + (", which it has not got" if asked > 1 + _ROUNDING else "")
+        + (", which is more than it has" if asked > 1 + _ROUNDING else "")
     )
 
 

@@ -1,4 +1,4 @@
-"""Who owns what an emulation makes: a process, told from a later one of its number."""
+"""The process that owns an emulation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PREFIX = "poise"
 class Owner(Struct, frozen=True):
     """A process: its number and when it started [clock ticks since the machine booted].
 
-    Numbers are used again, so a number alone does not say whether the owner lives.
+    Process numbers are reused, so the number alone does not identify the owner.
     """
 
     pid: int
@@ -26,7 +26,7 @@ class Owner(Struct, frozen=True):
         return cls(os.getpid(), _started(os.getpid()) or 0)
 
     def is_alive(self) -> bool:
-        """Return whether this very process still runs."""
+        """Return whether this process still runs."""
         return _started(self.pid) == self.started
 
     def __str__(self) -> str:

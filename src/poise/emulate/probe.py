@@ -1,4 +1,4 @@
-"""What this host lets an emulation do."""
+"""Finds out what this host allows an emulation to do."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ _NAMES = {"cpu": "quota", "cpuset": "CPU set in a cgroup", "memory": "memory lim
 
 _NEEDED = 1 << 12 | 1 << 21
 _NOT_DELEGATED = (
-    "this user may write to no cgroup that controls it; become root, or start it with "
+    "this user may not write to a cgroup that controls it; become root, or use "
     "`systemd-run --user --scope -p Delegate=yes`"
 )
 _NOT_ROOT = (
-    "namespaces and shaped links: only root may make them; become root, or be it in a "
+    "namespaces and shaped links: only root may make them; become root, or root in a "
     "user namespace (docs/emulation.md)"
 )
 
 
 class Probe(Struct, frozen=True, kw_only=True):
-    """What a host has.
+    """The abilities of a host.
 
     Parameters
     ----------
@@ -48,14 +48,14 @@ class Probe(Struct, frozen=True, kw_only=True):
     may_make_namespaces: bool
 
     def without_groups(self) -> list[str]:
-        """Return which limits cgroups do not give here, and why, if so."""
+        """Return which limits cgroups cannot set on this host, and why."""
         missing = [
             name for key, name in _NAMES.items() if key not in self.groups.controls
         ]
         return [f"{', '.join(missing)}: {_NOT_DELEGATED}"] if missing else []
 
     def without_network(self) -> list[str]:
-        """Return why there can be no namespaces, or no shaped links, if so."""
+        """Return why there can be no namespaces, or no shaped links."""
         if missing := sorted({"ip", "nsenter"} - self.tools):
             return [f"namespaces and shaped links: {', '.join(missing)} not installed"]
         if not self.may_make_namespaces:
@@ -69,7 +69,7 @@ class Probe(Struct, frozen=True, kw_only=True):
 
 
 def look() -> Probe:
-    """Return what this host has, without changing it."""
+    """Return the abilities of this host, without changing it."""
     return Probe(
         cpus=tuple(sorted(os.sched_getaffinity(0))),
         groups=_groups(mounts()),
@@ -91,7 +91,7 @@ def _groups(found: list[Mount]) -> Groups:
 def _may_administer() -> bool:
     """Return whether this process has CAP_NET_ADMIN and CAP_SYS_ADMIN.
 
-    Root in a container often has not.
+    Root in a container often has neither.
     """
     status = Path("/proc/self/status").read_text()
     effective = int(status.partition("CapEff:")[2].split()[0], 16)

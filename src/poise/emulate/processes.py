@@ -1,4 +1,4 @@
-"""End processes in stages: ask, wait, kill, wait."""
+"""Ends processes in stages: ask, wait, kill, wait."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pathlib import Path
 from poise.errors import RunError
 
 ASK = 2.0
-"""How long processes may take to end once they are asked to [s]."""
+"""Time limit for processes to end after SIGTERM [s]."""
 KILL = 5.0
-"""How long the kernel may take to end processes that are killed [s]."""
+"""Time limit for processes to end after SIGKILL [s]."""
 _LOOK = 0.01
 
 MARK = "POISE_EMULATION"
@@ -22,12 +22,12 @@ MARK = "POISE_EMULATION"
 
 
 def stop(processes: Callable[[], Sequence[int]], ask: float = ASK) -> None:
-    """End all that `processes` returns, and what they start meanwhile.
+    """End all that `processes` returns, and the processes that they start.
 
     Parameters
     ----------
     processes
-        Returns the numbers of those that still run; called again and again.
+        Returns the numbers of the running ones; called repeatedly.
     ask
         How long they may take before they are killed [s]; 0 kills at once.
 
@@ -44,7 +44,7 @@ def stop(processes: Callable[[], Sequence[int]], ask: float = ASK) -> None:
 
 
 def marked(mark: str) -> list[int]:
-    """Return the processes whose environment says that they belong to `mark`."""
+    """Return the processes whose environment contains `mark`."""
     sought = f"{MARK}={mark}".encode()
     return [
         int(folder.name)
@@ -79,7 +79,7 @@ def _send(pids: Sequence[int], sent: signal.Signals) -> None:
 
 def _environment(folder: Path) -> list[bytes]:
     try:
-        # A process that ended but was not waited for has an empty environment.
+        # A zombie has an empty environment.
         return (folder / "environ").read_bytes().split(b"\0")
-    except OSError:  # gone meanwhile, or somebody else's
+    except OSError:  # it has ended, or belongs to another user
         return []

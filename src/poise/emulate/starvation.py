@@ -1,4 +1,4 @@
-"""Watch a run for windows in which the host starved a computer."""
+"""Watches a run for windows in which the host starved a computer."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from poise.clock import Clock
 from poise.emulate.usage import Usage
 
 WINDOW = 1.0
-"""How long a window is, at least [s]: long against a period, short against a run."""
+"""The shortest window [s]: long against a quota's period, short against a run."""
 
 
 class Watched(Protocol):
-    """What is watched: an `EmulatedComputer`."""
+    """The watched computer: an `EmulatedComputer`."""
 
     def usage(self) -> Usage:
         """Return what it has used since it was made."""
@@ -30,7 +30,7 @@ class StarvationWatch:
     Parameters
     ----------
     computers
-        By name; they are looked at as soon as the watch is made.
+        By name; the first window begins at once.
     """
 
     def __init__(self, computers: Mapping[str, Watched], clock: Clock) -> None:
@@ -41,14 +41,14 @@ class StarvationWatch:
         self._before = self._usages()
 
     def look(self) -> None:
-        """Judge the window that ended, if one did; call it more often than `WINDOW`."""
+        """Judge the window if it has ended; call it more often than every `WINDOW`."""
         if self._clock.now() - self._since >= WINDOW:
             self._judge()
 
     def end(self) -> Mapping[str, float]:
-        """Judge the last window, too; return the starved computers, and how long [s].
+        """Judge the last window; return the starved computers, and how long [s].
 
-        The run is void unless that is empty.
+        The run is invalid unless the result is empty.
         """
         self._judge()
         return dict(self._starved)

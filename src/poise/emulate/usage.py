@@ -1,4 +1,4 @@
-"""What a computer used, and whether the host kept from it what it was promised."""
+"""The usage of an emulated computer, and whether the host starved it."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from pathlib import Path
 from msgspec import Struct
 
 PERIOD = 0.01
-"""The period over which the kernel hands out a quota [s]."""
+"""The period of a CPU quota [s]."""
 TURNS = 0.05
-"""Waiting for less than this in a second [s] is a few turns of what else a machine
-does, such as the simulator's, and no busy host."""
+"""Waiting for less than this in a second [s] is normal beside other processes, such as
+the simulator."""
 TOLERANCE = 0.1
-"""The part of the promised speed that may be missing; measured noise is below it."""
+"""The share of the promised speed that may be missing; noise is below it."""
 
 
 class Usage(Struct, frozen=True, kw_only=True):
-    """What an emulated computer has used since it was started.
+    """The usage of an emulated computer since it was started.
 
     Parameters
     ----------
@@ -25,14 +25,14 @@ class Usage(Struct, frozen=True, kw_only=True):
         CPU time [s], summed over its processes and CPUs. Without cgroups: of those
         processes that still run.
     throttled
-        Time in which its quota was used up and it had to stand still [s].
+        Time in which it did not run because its quota was used up [s].
     periods, throttled_periods
         Periods of its quota in which it ran at all, and in which it was throttled.
     memory
-        The most that it ever held [bytes]; None when nobody counts it.
+        Peak [bytes]; None when it is not counted.
     starved
-        Time in which it wanted CPU, had quota left, and the host gave the CPU to
-        others [s]; None when the kernel does not tell.
+        Time in which it wanted CPU, had quota left, and other processes ran [s]; None
+        when the kernel does not count it.
     """
 
     used: float
@@ -46,19 +46,18 @@ class Usage(Struct, frozen=True, kw_only=True):
 def is_starved(before: Usage, after: Usage, quota: float, cpus: int = 1) -> bool:
     """Return whether the host made the computer slower than promised between the two.
 
-    A computer with `quota` cores on `cpus` host CPUs was promised that, while it wants
-    CPU and is not throttled, it advances at ``quota / cpus`` of a host CPU's speed or
-    faster. It did advance at ``used / (used + starved)``. A run in which that is less,
-    by more than `TOLERANCE`, says something about the host and nothing about the
-    robot. Waiting for less than `TURNS` is never held against the host: it matters
-    only beside next to no work, and the emulation promises nothing finer.
+    The emulation promises that a computer with `quota` cores on `cpus` host CPUs, while
+    it wants CPU and is not throttled, advances at ``quota / cpus`` of a host CPU's
+    speed or faster. It advanced at ``used / (used + starved)``. If that is less by more
+    than `TOLERANCE`, the measurement describes the host and not the robot. Waiting for
+    less than `TURNS` is ignored.
 
     Short starvation vanishes in a long mean: compare windows of a second or less.
 
     Parameters
     ----------
     quota
-        What the computer was promised [host cores]; > 0.
+        The promised CPU [host cores]; > 0.
     cpus
         How many host CPUs it may run on; >= 1.
     """
@@ -74,9 +73,9 @@ def starved_time(pressure: str, throttled: float, cpus: int) -> float:
     """Return how long a cgroup was runnable, not throttled, and not running [s].
 
     The kernel's ``full`` CPU pressure of a cgroup is the time in which some of its
-    processes could have run and none did, as a mean over the CPUs that it uses. It
-    counts throttling, too, which therefore goes off again. Exact for one CPU; an
-    upper bound for several, as not all of them need be in use.
+    processes were runnable and none ran, as a mean over its CPUs. It includes throttled
+    time, which is subtracted. The result is exact for one CPU and an upper bound for
+    several, because not all of them need be in use.
 
     Parameters
     ----------
@@ -91,9 +90,9 @@ def starved_time(pressure: str, throttled: float, cpus: int) -> float:
 
 
 def stolen_time(cpus: Sequence[int]) -> float:
-    """Return what a hypervisor kept from `cpus` since the machine booted [s].
+    """Return the time that a hypervisor stole from `cpus` since boot [s].
 
-    Pressure does not see it: to this kernel, the stolen time looks like running.
+    Pressure does not include it: to this kernel, stolen time looks like running.
     """
     names = {f"cpu{number}" for number in cpus}
     lines = [line.split() for line in Path("/proc/stat").read_text().splitlines()]

@@ -1,10 +1,10 @@
-"""How far another computer's clock is ahead, from round trips, and how sure that is.
+"""The offset of another computer's clock and its error, from round trips.
 
-A message leaves here at t0, arrives there at t1, its answer leaves there at t2 and
-arrives here at t3: the four time stamps of NTP. Whatever the ways there and back took,
-the offset of the other clock lies between t2 - t3 and t1 - t0. Quick round trips bound
-it tightly; as two clocks run apart, an older bound is widened by its age. All bounds
-hold at once, so their intersection does (Marzullo).
+A message leaves here at t0 and arrives there at t1; its answer leaves there at t2 and
+arrives here at t3: the four time stamps of NTP. The offset of the other clock is
+between t2 - t3 and t1 - t0, for any delays. Short round trips give tight bounds. Clocks
+drift, so older bounds widen with age. The offset is in the intersection of all bounds
+(Marzullo).
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ _KEPT = 64
 
 
 class RoundTrip(Struct, frozen=True):
-    """When a message left here, came there, left there and came back here [s].
+    """The four times of a round trip: sent, received, answered, returned [s].
 
-    The first and the last are read on this computer's clock, the others on the other's.
+    `sent` and `returned` are on this computer's clock, the others on the other's.
     """
 
     sent: float
@@ -31,7 +31,7 @@ class RoundTrip(Struct, frozen=True):
 
 
 class Offset(Struct, frozen=True):
-    """The other clock minus this one: surely within `error` of `value` [s]."""
+    """The other clock minus this one [s]; it is within `error` of `value`."""
 
     value: float
     error: float
@@ -44,7 +44,7 @@ class ClockOffset:
         self._bounds: deque[tuple[float, float, float]] = deque(maxlen=_KEPT)
 
     def add(self, trip: RoundTrip) -> None:
-        """Take a round trip; one whose times contradict each other is passed over."""
+        """Add a round trip; inconsistent times are ignored."""
         low, high = trip.answered - trip.returned, trip.received - trip.sent
         if low > high or trip.answered < trip.received:
             return
@@ -53,7 +53,7 @@ class ClockOffset:
     def at(self, now: float) -> Offset | None:
         """Return the offset at `now` [s, on this clock]; None before any round trip.
 
-        When the bounds contradict each other a clock was set: the older ones go.
+        When bounds contradict each other a clock was set: older bounds are dropped.
         """
         low, high = float("-inf"), float("inf")
         for returned, least, most in reversed(self._bounds):
@@ -67,14 +67,14 @@ class ClockOffset:
         return Offset((low + high) / 2, (high - low) / 2)
 
     def delay(self, there: float, here: float) -> Elapsed | None:
-        """Return how long something took that left there and came here [s].
+        """Return the time from leaving there to arriving here [s].
 
         Parameters
         ----------
         there
-            When it left, on the other computer's clock [s].
+            Time of leaving, on the other computer's clock [s].
         here
-            When it came, on this computer's clock [s].
+            Time of arrival, on this computer's clock [s].
         """
         offset = self.at(here)
         if offset is None:

@@ -1,10 +1,10 @@
-"""What a component needs, estimated while it runs.
+"""Estimates the demand of a running component.
 
-The estimate is over the last `SPAN` seconds, and starts anew when the demand has
-shifted. The CPU time of a component that was kept from running is not its demand, and
-neither is that of one that works off what was left: jobs that came are then counted at
-what a job costs (`poise.estimate.demand`). Windows that tell only a lower bound count
-only when they raise the estimate.
+The estimate covers the last `SPAN` seconds, and restarts when the demand has changed.
+The CPU time of a starved component is not its demand, nor is that of one that works off
+a backlog: the demand is then arriving jobs x CPU time per job
+(`poise.estimate.demand`). Windows that give only a lower bound count only if they raise
+the estimate.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from poise.estimate.profile.spread import error_of_mean, quantile
 from poise.estimate.window import Reading, Window, window_between
 
 SPAN = 30.0
-"""An estimate looks back so far [s]."""
+"""An estimate covers this time [s]."""
 LEAST_SHARE = 0.25
 LEAST_CORES = 0.01
-"""A demand that differs by less than this share, or so many cores, has not shifted."""
+"""A demand that differs by less than this share, or by fewer cores, is unchanged."""
 
 
 class Drift(Struct, frozen=True):
-    """A demand that has shifted: when [s], and from what to what [cores].
+    """A changed demand: the time [s], the demand before and after [cores].
 
-    `after` comes from the windows since the shift, two seconds or more, and is rough.
+    `after` covers the windows since the change, two seconds or more, and is rough.
     """
 
     at: float
@@ -37,7 +37,7 @@ class Drift(Struct, frozen=True):
 
 
 class Estimate(Struct, frozen=True, kw_only=True):
-    """What a component needs now [cores].
+    """The present demand of a component [cores].
 
     Parameters
     ----------
@@ -45,12 +45,12 @@ class Estimate(Struct, frozen=True, kw_only=True):
         Over the windows of the last `SPAN` seconds, `p95` of single windows.
     error
         Half the width of the mean's 95 % confidence interval; None: too few windows, or
-        too few jobs ended since it is starved to tell what one costs.
+        too few jobs ended to know the CPU time of one.
     starved
-        The share of its jobs, or of its windows when it has no jobs, that went undone
-        or tell only a lower bound; in [0, 1].
+        The share of its jobs that were not done or, without jobs, of its windows that
+        give only a lower bound; in [0, 1].
     drift
-        The last shift within the span; None: there was none.
+        The last change within the span; None: there was none.
     """
 
     mean: float
@@ -66,11 +66,11 @@ class RunningEstimate:
     Parameters
     ----------
     expected
-        Its mean demand by the profile [cores]: what drift is measured against. None:
-        against what it needs at first.
+        Its mean demand in the profile [cores], with which drift is detected. None: the
+        first windows are used instead.
     repeat
-        How far repeated measurements for the profile lay apart [cores]: by so much it
-        may differ, too, and not have shifted.
+        Largest difference between repeated measurements of the profile [cores]; smaller
+        changes are no drift.
     """
 
     def __init__(self, expected: float | None = None, repeat: float = 0.0) -> None:
@@ -84,12 +84,12 @@ class RunningEstimate:
         self._cost = ChangePointDetector()
         self._asked = ChangePointDetector()
 
-    def begin_anew(self) -> None:
-        """Let the next reading count from itself on; what is known stays."""
+    def skip_to_next(self) -> None:
+        """Ignore the time until the next reading; keep the estimate."""
         self._last = None
 
     def update(self, reading: Reading) -> Drift | None:
-        """Take a reading; return the drift that it made certain, if it did."""
+        """Add a reading; return the drift that it confirms, if any."""
         before, self._last = self._last, reading
         window = window_between(before, reading) if before else None
         if window is None or self._is_useless(window):
@@ -102,12 +102,12 @@ class RunningEstimate:
         if drift is not None:
             self._start_again(drift, since)
             return drift
-        # dearer jobs or more of them, but no more is needed than was expected
+        # jobs are costlier or more frequent, but the demand is as expected
         self._cost, self._asked = ChangePointDetector(), ChangePointDetector()
         return None
 
     def estimate(self) -> Estimate | None:
-        """Return what it needs; None before the second reading."""
+        """Return the estimate; None before the second reading."""
         if not self._windows:
             return None
         demand = demand_in(list(self._windows))
@@ -127,7 +127,7 @@ class RunningEstimate:
         )
 
     def _is_useless(self, window: Window) -> bool:
-        """Whether it tells only a lower bound, and one that is known already."""
+        """Whether it gives only a lower bound that is known already."""
         return (
             window.is_cut
             and not self._has_jobs
@@ -143,12 +143,11 @@ class RunningEstimate:
             self._sums.add(self._windows.popleft(), -1)
 
     def _changed_since(self, window: Window) -> int:
-        """Return how many windows ago it seems to have shifted; 0: it has not.
+        """Return how many windows ago the demand seems to have changed; 0: it has not.
 
-        Watched are the load and, where there are jobs, cost per job and jobs per
-        second. A job's CPU time is steadier than the load, whose windows hold now one
-        job and now none; and under overload a job still costs what it costs, while the
-        load says nothing then.
+        Detectors watch the load and, if there are jobs, CPU time per job and jobs per
+        second. CPU time per job is steadier than the load, whose windows contain one
+        job or none, and it is still right under overload, when the load is not.
         """
         since = 0
         keeps_up = not window.is_cut and self._sums.is_in_step
@@ -162,15 +161,15 @@ class RunningEstimate:
         return since
 
     def _drift_since(self, since: int, at: float) -> Drift | None:
-        """Return how the last windows differ from what was expected; None: too little.
+        """Return how the last windows differ from the expected; None: too little.
 
-        They must do so without the second in which they differ most, too: that may have
-        been a outlier, such as a machine that stood still.
+        They must also differ without their worst second, which may be an outlier, such
+        as a machine that was suspended.
         """
         windows = list(self._windows)
         recent = windows[-since:]
         before = self._load.reference
-        if before is None:  # it was starved from the start
+        if before is None:  # starved from the start
             before = demand_in(windows[: max(1, len(windows) - since)]).cores
         least = max(LEAST_SHARE * before, LEAST_CORES, self._repeat)
         parts = (
@@ -182,7 +181,7 @@ class RunningEstimate:
         return Drift(at, before, demand_in(recent).cores)
 
     def _start_again(self, drift: Drift, since: int) -> None:
-        """Forget what was before the shift."""
+        """Forget the windows before the change."""
         kept = list(self._windows)[-since:]
         self._windows, self._sums = deque(), Sums()
         for each in kept:

@@ -1,17 +1,16 @@
-"""What it costs that the ends of a connector are on different computers.
+"""The cost of a connector whose ends are on different computers.
 
 ::
 
     overhead = 100 * (load(remote) - load(together))           [hundredths of a core]
     load(kind) = call * calls/s + message * messages/s + byte * bytes/s       [cores]
 
-`call` and `message` [s] and `byte` [s/byte] are CPU time of both ends, measured for
-each kind of connector on these computers (`poise calibrate`). `together` is the kind
-that the connector has when both ends are on one computer: direct within a container,
-local between two. So the matrix of overheads (paper, section III) is one of CPU that
-could be saved.
+`call` and `message` [s] and `byte` [s/byte] are CPU times of both ends, measured for
+each kind of connector on these computers (`poise calibrate`). `together` is the
+connector's kind when both ends are on one computer: direct within a container, local
+between two. So the overhead matrix (paper, section III) is CPU that could be saved.
 
-Without measured costs there is only the traffic: overheads are then MB/s.
+Without measured costs the overhead is the traffic [MB/s].
 """
 
 from __future__ import annotations
@@ -27,8 +26,8 @@ _HUNDREDTHS = 100
 _MEGABYTE = 1e6
 
 
-class Ends(Struct, frozen=True):
-    """What source and target of a connector use more when they are apart [cores]."""
+class EndLoads(Struct, frozen=True):
+    """Additional CPU of source and target when they are apart [cores]."""
 
     source: float
     target: float
@@ -37,14 +36,14 @@ class Ends(Struct, frozen=True):
 def overhead_of(
     connector: ConnectorProfile, together: str, costs: Mapping[str, KindCosts]
 ) -> float:
-    """Return the relative overhead of a connector, as said above; >= 0.
+    """Return the relative overhead of a connector; >= 0.
 
     Parameters
     ----------
     together
         Its kind when both ends are on one computer: ``direct`` or ``local``.
     costs
-        Kind -> what it costs; without ``remote``: the traffic [MB/s].
+        Kind -> its costs; without ``remote`` the result is the traffic [MB/s].
     """
     if "remote" not in costs:
         return connector.traffic / _MEGABYTE
@@ -54,17 +53,17 @@ def overhead_of(
 
 def apart(
     connector: ConnectorProfile, together: str, costs: Mapping[str, KindCosts]
-) -> Ends:
-    """Return what each end uses more than together; the sum is what was measured.
+) -> EndLoads:
+    """Return the additional CPU of each end when they are apart.
 
-    Nobody sees from outside which end of a direct connector uses what, so the surplus
-    is divided as a remote one's use is.
+    Only the sum of both ends of a direct connector can be measured, so the difference
+    is divided in the ratio of a remote connector's ends.
     """
     remote = costs.get("remote", KindCosts())
     used = remote.load(connector)
     surplus = max(0.0, used - costs.get(together, KindCosts()).load(connector))
     share = remote.source.load(connector) / used if used else 0.0
-    return Ends(surplus * share, surplus * (1 - share))
+    return EndLoads(surplus * share, surplus * (1 - share))
 
 
 def kinds_together(robot: Robot) -> dict[str, str]:
@@ -83,7 +82,7 @@ def kinds_together(robot: Robot) -> dict[str, str]:
 
 
 def declared(connector: Connector) -> ConnectorProfile:
-    """Return what the robot file says of a connector; it does not tell calls apart."""
+    """Return the traffic in the robot file, which does not distinguish calls."""
     return ConnectorProfile(messages=connector.rate, size=connector.message)
 
 

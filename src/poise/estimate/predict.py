@@ -1,4 +1,4 @@
-"""What each computer will use under a placement."""
+"""Predicts the CPU of each computer under a placement."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ Placement = Mapping[str, str]
 def predicted_cpu(
     robot: Robot, placement: Placement, profile: Profile
 ) -> dict[str, float]:
-    """Return what each computer is expected to use [cores of the reference computer].
+    """Return the predicted CPU of each computer [cores of the reference computer].
 
-    The means of its components and their parts of their containers, its agent, and what
-    its ends of connectors use more because the other end is elsewhere.
+    It is the sum of its components' means, their parts of containers, its agent, and
+    the additional CPU of connectors to other computers.
 
     Parameters
     ----------
     placement
-        Component -> computer; components that the profile does not know count nothing.
+        Component -> computer; components without a profile count as 0.
     """
     used = {computer.name: profile.agent for computer in robot.computers}
     for component, computer in placement.items():
@@ -41,7 +41,7 @@ def predicted_cpu(
 
 
 def overheads(robot: Robot, profile: Profile) -> dict[str, float]:
-    """Return the relative overhead of each connector that was measured (`overhead`)."""
+    """Return the relative overhead of each measured connector."""
     kinds = kinds_together(robot)
     return {
         name: overhead_of(each, kinds[name], profile.costs)

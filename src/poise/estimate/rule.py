@@ -1,10 +1,9 @@
-"""From a profile to the demands that the planner reads.
+"""Turns a profile into the demands that the planner reads.
 
-The rule: a component demands what it needs over two seconds in 95 of 100 cases, plus
-its part of its container, plus a twentieth; of memory the most that it ever held, plus
-its part of its container, plus a tenth. A connector's overhead is what being apart
-costs, once that was measured (`poise.estimate.overhead`). What the robot file says
-itself always wins: a person may know more than a measurement.
+CPU demand is the 95th percentile over two seconds plus its part of the container, plus
+5 %. Memory demand is the peak plus its part of the container, plus 10 %. The overhead
+of a connector is the measured cost of being apart (`poise.estimate.overhead`). Values
+in the robot file win over measured ones.
 """
 
 from __future__ import annotations
@@ -23,28 +22,28 @@ MEMORY_HEADROOM = 0.10
 
 
 def cpu_demand(profile: ComponentProfile) -> float:
-    """Return the CPU that the planner should count with [cores]."""
+    """Return the CPU demand for the planner [cores]."""
     return (profile.cpu.sustained + profile.share) * (1 + CPU_HEADROOM)
 
 
 def memory_demand(profile: ComponentProfile) -> float:
-    """Return the memory that the planner should count with [bytes]."""
+    """Return the memory demand for the planner [bytes]."""
     return (profile.memory + profile.base) * (1 + MEMORY_HEADROOM)
 
 
 def shifted_cpu_demand(
     demand: float, expected: float | None, estimate: Estimate
 ) -> float:
-    """Return the CPU to count with, now that a component needs other than it did.
+    """Return the CPU demand for the planner after a drift [cores].
 
     Parameters
     ----------
     demand
-        What was counted with so far [cores].
+        The demand so far [cores].
     expected
-        Mean CPU by the profile that `demand` is from [cores]; the demand then shifts
-        by the same ratio as the mean. None, or 0: there is none; the estimate and its
-        error are then counted with, plus the headroom.
+        Mean CPU in the profile of `demand` [cores]; the demand changes by the same
+        ratio as the mean. None or 0: without a profile, the demand is the estimate plus
+        its error and the headroom.
     """
     if expected:
         return demand * estimate.mean / expected
@@ -52,7 +51,7 @@ def shifted_cpu_demand(
 
 
 def with_profile(robot: Robot, profile: Profile) -> Robot:
-    """Return `robot` with the demands and traffic that its file leaves open."""
+    """Return `robot` with measured demands and traffic where its file has none."""
     kinds = kinds_together(robot)
 
     def filled(connectors: Iterable[Connector]) -> tuple[Connector, ...]:

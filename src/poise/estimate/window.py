@@ -1,13 +1,13 @@
-"""What a component's counters say, and the windows between two readings."""
+"""Readings of a component's counters, and the windows between them."""
 
 from __future__ import annotations
 
 from msgspec import Struct
 
 _SATURATED = 0.9
-"""Who wanted to run for this share of a window may have wanted more than it got."""
+"""A component that is runnable for this share of a window may need more than it got."""
 _STARVED = 0.1
-"""Who waited for this share of the time it wanted to run was kept from running."""
+"""A component that waits for this share of its runnable time is starved."""
 
 
 class Reading(Struct, frozen=True):
@@ -20,10 +20,10 @@ class Reading(Struct, frozen=True):
     cpu
         CPU time used [s].
     wait
-        Time in which it could have run and did not: other processes ran, or its
-        computer was throttled [s].
+        Time in which it was runnable and did not run, because other processes ran or
+        its computer was throttled [s].
     asked, done
-        Jobs (releases of timers, messages, calls) that came, and that were ended.
+        Jobs (releases of timers, messages, calls) that arrived, and that ended.
     """
 
     at: float
@@ -34,20 +34,20 @@ class Reading(Struct, frozen=True):
 
 
 class Window(Struct, frozen=True):
-    """What a component did between two readings.
+    """The work of a component between two readings.
 
     Parameters
     ----------
     seconds
         Length [s]; > 0.
     cpu
-        CPU time used [s]. What a call used counts for its caller until it ends, then
-        for its callee: a window in which a long call ends may be below zero.
+        CPU time used [s]. A call counts for its caller until it ends, then for its
+        callee: a window in which a long call ends may be below zero.
     asked, done
-        Jobs that came and that were ended.
+        Jobs that arrived, and that ended.
     is_cut
-        Whether it wanted to run nearly all the time and was often kept from it, so
-        that its CPU time is only a lower bound of its demand.
+        Whether it was runnable nearly all the time and waited often, so that its CPU
+        time is only a lower bound of its demand.
     """
 
     seconds: float
@@ -60,8 +60,8 @@ class Window(Struct, frozen=True):
 def window_between(before: Reading, after: Reading) -> Window | None:
     """Return the window between two readings; None when there is none.
 
-    There is none when no time passed, or when the component was started anew: then it
-    has done less than before, or has used no more than there was time for since.
+    There is none when no time passed, or when the component restarted: its counters
+    are then lower, or its CPU time is no more than the time since.
     """
     seconds = after.at - before.at
     cpu, wait = after.cpu - before.cpu, after.wait - before.wait

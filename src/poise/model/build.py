@@ -1,4 +1,4 @@
-"""The robot file's sections -> the records that everything else reads."""
+"""Turns the sections of a robot file into the records of a robot."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from poise.model import robot, sections
 
 
 def build(source: sections.RobotSection, folder: str) -> robot.Robot:
-    """Return the robot that a valid file describes; `folder` is where it lies."""
+    """Return the robot of a valid file in `folder`."""
     return robot.Robot(
         name=source.robot,
         computers=tuple(_computer(n, c) for n, c in source.computers.items()),

@@ -1,4 +1,4 @@
-"""A robot file -> a `Robot`, or every problem at once."""
+"""Reads a robot file into a `Robot`, or reports every problem at once."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from poise.units import quoted
 
 
 class Source(Struct, frozen=True):
-    """A robot and where its parts stand in its files."""
+    """A robot and the locations of its parts in its files."""
 
     robot: Robot
     positions: Positions
@@ -31,7 +31,7 @@ def load(path: str | Path) -> Robot:
     Raises
     ------
     RobotError
-        With every problem of the file and of those that it includes.
+        It contains every problem of the file and its included files.
     """
     return load_source(path).robot
 
@@ -41,11 +41,11 @@ def load_source(path: str | Path) -> Source:
     problems: list[Problem] = []
     path = Path(path)
     if "\0" in str(path):
-        raise RobotError(f"{quoted(path)} is no file name")
+        raise RobotError(f"{quoted(path)} is not a file name")
     root = read_tree(path, problems)
     if root is None:
         raise RobotError(problems=problems)
-    # A file that could not be included would make its names look unknown.
+    # Names of a file that could not be included would seem unknown.
     is_whole = not problems
     values = validate(root, msgspec.inspect.type_info(sections.RobotSection), problems)
     if values is None or not is_whole:

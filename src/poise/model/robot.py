@@ -1,9 +1,8 @@
-"""What a robot is: pure, frozen records in SI units.
+"""The records of a robot: pure, frozen, in SI units.
 
-A robot file is read into these by `poise.model.load`. All names are unique within
-their kind, components even robot-wide, so that a name alone says which one is meant.
-Resources are named freely; ``cpu`` [cores of the reference computer] and ``memory``
-[bytes] always exist.
+`poise.model.load` reads them from a robot file. Names are unique within their kind;
+names of components are unique in the whole robot. Resources have any names; ``cpu``
+[cores of the reference computer] and ``memory`` [bytes] always exist.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ class Computer(Struct, frozen=True, kw_only=True):
     address: str | None = None
 
     def usable(self, resource: str) -> float:
-        """Return what placements may use of `resource`: capacity x speed - reserve."""
+        """Return the usable amount of `resource`: capacity x speed - reserve."""
         speed = self.speed if resource == "cpu" else 1.0
         return (
             self.capacity.get(resource, 0.0)
@@ -55,7 +54,7 @@ class Computer(Struct, frozen=True, kw_only=True):
 class Device(Struct, frozen=True, kw_only=True):
     """A sensor or actuator, fixed to one computer.
 
-    `path` is handed to the components that need the device: a device node, a socket.
+    `path` is passed to the components that need the device: a device node, a socket.
     """
 
     name: str
@@ -103,8 +102,8 @@ class Component(Struct, frozen=True, kw_only=True):
     command
         The command line of a component that is any executable.
     demand
-        Resource -> amount on the reference computer [cores, bytes, ...]. What the robot
-        file does not give is not in it, and counts nothing unless a profile fills it.
+        Resource -> amount on the reference computer [cores, bytes, ...]. A resource
+        that neither the robot file nor a profile gives counts as 0.
     devices
         Names of the devices it needs; it runs where all of them are.
     only
@@ -116,7 +115,7 @@ class Component(Struct, frozen=True, kw_only=True):
     state
         Size of its snapshot [bytes].
     parameters
-        Handed to the component as it is configured.
+        Passed to the component when it is configured.
     """
 
     name: str
@@ -148,9 +147,9 @@ class Connector(Struct, frozen=True, kw_only=True):
     Parameters
     ----------
     overhead
-        Relative overhead when its ends are on different computers; a profile with
-        costs fills it (`poise.estimate.overhead`). None: take the traffic in MB/s
-        (the paper's "system-dependent value").
+        Relative overhead when its ends are on different computers; a calibrated profile
+        provides it (`poise.estimate.overhead`). None: the traffic [MB/s] (the paper's
+        "system-dependent value").
     message
         Size of one message or call, both ways together [bytes].
     rate
@@ -158,8 +157,8 @@ class Connector(Struct, frozen=True, kw_only=True):
     limit
         Time limit of a call [s]; > 0.
     record
-        A file for the calls that come; empty: they are not written down. No robot file
-        says so, but `poise run --record`.
+        A file in which incoming calls are recorded; empty: none. Set by
+        `poise run --record`, not by the robot file.
     """
 
     between: tuple[End, End]
@@ -171,7 +170,7 @@ class Connector(Struct, frozen=True, kw_only=True):
 
     @property
     def traffic(self) -> float:
-        """What it sends over a link when its ends are apart [bytes/s]."""
+        """Its traffic over a link when its ends are apart [bytes/s]."""
         return self.message * self.rate
 
     @property
@@ -193,7 +192,7 @@ class Architecture(Struct, frozen=True, kw_only=True):
     layer
         Only components of the sequencing layer move (paper, section II-A).
     priority
-        The higher, the later it is put aside when not all fits.
+        The architecture with the lowest priority is dropped first when not all fit.
     quality
         How well it provides its function, in (0, 1].
     home
@@ -270,7 +269,7 @@ class Simulator(Struct, frozen=True, kw_only=True):
 
 
 class Generated(Struct, frozen=True, kw_only=True):
-    """Messages that are made up for a subscribed port.
+    """Messages that are generated for a subscribed port.
 
     Parameters
     ----------
@@ -281,7 +280,7 @@ class Generated(Struct, frozen=True, kw_only=True):
     size
         Mean encoded size [bytes]; 0: as small as can be.
     variation
-        Sizes lie evenly within this share of `size`, in [0, 1).
+        Sizes vary evenly within this share of `size`, in [0, 1).
     message
         ``package.module:function`` that makes one; empty: fields are filled at random.
     """
@@ -296,14 +295,14 @@ class Generated(Struct, frozen=True, kw_only=True):
 
 
 class Workload(Struct, frozen=True, kw_only=True):
-    """What components work on while they are measured.
+    """The input of components while they are measured.
 
     Parameters
     ----------
     command
         Runs instead of the simulator; empty: the simulator does.
     recording
-        A recording's file, relative to the robot's folder; empty: there is none.
+        File of a recording, relative to the robot's folder; empty: none.
     """
 
     command: tuple[str, ...] = ()
@@ -321,12 +320,12 @@ class Robot(Struct, frozen=True, kw_only=True):
     together, apart
         Sets of components that must share a computer, or must not.
     workload
-        What components work on while they are profiled; None: what the simulator
-        and the other components give them.
+        Input of components while they are profiled; None: from the simulator and the
+        other components.
     profile
         The profile's file, relative to `folder`; empty when there is none.
     folder
-        Where the robot file lies; implementations are imported from there too.
+        Folder of the robot file, from which implementations are imported.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""The robot file as people write it: the single source of what it may say.
+"""The sections of a robot file as people write them: the source of its schema.
 
 The validator (`poise.model.yaml.validate`), the published JSON Schema
 (`poise.model.schema`) and the records that `poise.model.build` reads all come from
@@ -20,7 +20,7 @@ _NAME_SAYS = "a letter, then up to 62 letters, digits, '_' or '-'"
 
 
 def _quantity(dimension: units.Dimension) -> Meta:
-    """Say which dimension a number has, to the validator and to the schema."""
+    """Return the dimension of a number, for the validator and the schema."""
     return Meta(
         extra={"dimension": dimension.name},
         extra_json_schema={
@@ -35,7 +35,9 @@ def _command_line(text: str) -> None:
     try:
         words = shlex.split(text)
     except ValueError as error:
-        raise ValueError(f"{units.quoted(text)} is no command line: {error}") from None
+        raise ValueError(
+            f"{units.quoted(text)} is not a command line: {error}"
+        ) from None
     if not words:
         raise ValueError("is empty")
 
@@ -95,7 +97,7 @@ class Section(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class ComputerSection(Section, frozen=True, kw_only=True):
-    """A computer of the robot and what it has."""
+    """A computer of the robot and its capacity."""
 
     cpu: Annotated[Cores, Meta(gt=0), _says("Its cores: 4, or 150%.")]
     memory: Annotated[Bytes, Meta(gt=0), _says("Its memory for components: 1 GiB.")]
@@ -114,7 +116,7 @@ class ComputerSection(Section, frozen=True, kw_only=True):
     ] = 0.0
     address: Annotated[
         Address | None,
-        _says("Host or host:port of its agent; without it, it is emulated."),
+        _says("Host or host:port of its agent. Without it the computer is emulated."),
     ] = None
 
 
@@ -124,7 +126,7 @@ class DeviceSection(Section, frozen=True, kw_only=True):
     computer: Annotated[Name, _says("The computer that it is plugged into.")]
     path: Annotated[
         str,
-        _says("What its components open: a device node, or a socket of the simulator."),
+        _says("A device node, or a socket of the simulator, for its components."),
     ] = ""
 
 
@@ -138,7 +140,7 @@ class LinkSection(Section, frozen=True, kw_only=True):
     ] = None
     latency: Annotated[Seconds, _says("One way: 0.2 ms.")] = 0.0
     distance: Annotated[
-        Amount, _says("What a unit of overhead costs over it in the objective.")
+        Amount, _says("Cost of a unit of overhead over it in the objective.")
     ] = 1.0
 
 
@@ -155,15 +157,15 @@ class ComponentSection(Section, frozen=True, kw_only=True):
     cpu: Annotated[
         Cores | None,
         _says(
-            "What it needs on the reference computer: 20%, 1.5 cores. Without it, what "
-            "the profile says; without a profile, nothing."
+            "Its demand on the reference computer: 20%, 1.5 cores. Default: from the "
+            "profile, else 0."
         ),
     ] = None
     memory: Annotated[
-        Bytes | None, _says("What it needs: 512 MiB. Without it, as for cpu.")
+        Bytes | None, _says("Its demand: 512 MiB. Default: as for cpu.")
     ] = None
     resources: Annotated[
-        dict[Resource, Amount], _says("What it needs of other resources: {gpu: 1}.")
+        dict[Resource, Amount], _says("Its demand of other resources: {gpu: 1}.")
     ] = {}
     devices: Annotated[
         list[Name], _says("Devices it needs; it runs where they are.")
@@ -173,7 +175,9 @@ class ComponentSection(Section, frozen=True, kw_only=True):
     ] = []
     movable: Annotated[bool, _says("Whether it may be moved while it runs.")] = True
     isolated: Annotated[bool, _says("Whether it gets a container of its own.")] = False
-    state: Annotated[Bytes, _says("The size of what it takes along in a move.")] = 0.0
+    state: Annotated[Bytes, _says("The size of its state, which a move transfers.")] = (
+        0.0
+    )
     ports: Annotated[
         dict[
             Annotated[str, Meta(pattern=r"^\w{1,63}$")],
@@ -186,10 +190,10 @@ class ComponentSection(Section, frozen=True, kw_only=True):
                 ),
             ],
         ],
-        _says("Its ports, where no Python class declares them."),
+        _says("Its ports, if no Python class declares them."),
     ] = {}
     parameters: Annotated[
-        dict[str, Any], _says("Handed to it as it is configured.")
+        dict[str, Any], _says("Passed to it when it is configured.")
     ] = {}
 
 
@@ -203,8 +207,8 @@ class ConnectorSection(Section, frozen=True, kw_only=True):
     overhead: Annotated[
         Amount | None,
         _says(
-            "Relative overhead when its ends are apart. Without it: hundredths of a "
-            "core that being apart costs, once `poise calibrate` was run, else MB/s."
+            "Relative overhead when its ends are apart, in hundredths of a core. "
+            "Default: from `poise calibrate`, else MB/s."
         ),
     ] = None
     message: Annotated[
@@ -225,7 +229,7 @@ class ArchitectureSection(Section, frozen=True, kw_only=True):
     )
     priority: Annotated[
         Annotated[int, Meta(ge=-1000, le=1000)],
-        _says("The higher, the later it is put aside when not all fits."),
+        _says("The lowest is dropped first when not all fit."),
     ] = 0
     quality: Annotated[
         Annotated[Share, Meta(gt=0, le=1)],
@@ -265,10 +269,10 @@ class TaskSection(Section, frozen=True, kw_only=True):
 
 
 class ObjectiveSection(Section, frozen=True, kw_only=True):
-    """What a good placement is."""
+    """The weights of a good placement."""
 
     communication: Annotated[
-        Amount, _says("Weight of what crosses between computers.")
+        Amount, _says("Weight of the communication between computers.")
     ] = 0.5
     balance: Annotated[
         Amount, _says("Weight of how unevenly the free capacity is spread.")
@@ -294,7 +298,7 @@ class SimulatorSection(Section, frozen=True, kw_only=True):
 
 
 class GeneratedSection(Section, frozen=True, kw_only=True):
-    """Messages that are made up for a port while components are measured."""
+    """Messages that are generated for a port while components are measured."""
 
     rate: Annotated[Annotated[Rate, Meta(gt=0)], _says("On average: 10 Hz.")]
     arrivals: Annotated[
@@ -305,7 +309,7 @@ class GeneratedSection(Section, frozen=True, kw_only=True):
     ] = 0.0
     variation: Annotated[
         Annotated[Share, Meta(lt=1)],
-        _says("Sizes lie evenly within this share of the mean: 20%."),
+        _says("Sizes vary evenly within this share of the mean: 20%."),
     ] = 0.0
     message: Annotated[
         Reference | None,
@@ -321,7 +325,7 @@ class WorkloadSection(Section, frozen=True, kw_only=True):
     """What components work on while `poise profile` measures them."""
 
     command: Annotated[
-        Command | None, _says("The command line of what runs instead of the simulator.")
+        Command | None, _says("A command line that runs instead of the simulator.")
     ] = None
     recording: Annotated[
         str | None,
@@ -332,12 +336,12 @@ class WorkloadSection(Section, frozen=True, kw_only=True):
     ] = None
     generate: Annotated[
         dict[End, GeneratedSection],
-        _says("component.port that subscribes -> messages that are made up for it."),
+        _says("Subscribed component.port -> messages that are generated for it."),
     ] = {}
 
 
 class RobotSection(Section, frozen=True, kw_only=True):
-    """A robot: its computers, its software, and what it is asked to do."""
+    """A robot: its computers, its software and its tasks."""
 
     robot: Annotated[Name, _says("The robot's name.")]
     include: Annotated[
@@ -355,12 +359,10 @@ class RobotSection(Section, frozen=True, kw_only=True):
         list[ConnectorSection], _says("Connectors between architectures.")
     ] = []
     chains: Annotated[dict[Name, ChainSection], _says("End-to-end deadlines.")] = {}
-    tasks: Annotated[
-        dict[Name, TaskSection], _says("What the robot is asked to do.")
-    ] = {}
-    objective: Annotated[ObjectiveSection, _says("What a good placement is.")] = (
-        ObjectiveSection()
-    )
+    tasks: Annotated[dict[Name, TaskSection], _says("The tasks of the robot.")] = {}
+    objective: Annotated[
+        ObjectiveSection, _says("The weights of a good placement.")
+    ] = ObjectiveSection()
     together: Annotated[
         list[Annotated[list[Name], Meta(min_length=2)]],
         _says("Sets of components that share a computer."),

@@ -1,4 +1,4 @@
-"""What to say beside an unknown name: the close one, and the choices."""
+"""Suggestions for unknown names: the most similar one, and the choices."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def did_you_mean(word: str, choices: Iterable[str]) -> str:
 
 
 def listed(choices: Iterable[str]) -> str:
-    """Return the choices as a list for people, cut when it is long."""
+    """Return the choices as a list for people, shortened if it is long."""
     names = [f"'{choice}'" for choice in choices]
     if len(names) > _MOST:
         names = [*names[:_MOST], f"and {len(names) - _MOST} more"]
@@ -28,7 +28,7 @@ def listed(choices: Iterable[str]) -> str:
 
 
 def unknown(kind: str, word: str, choices: Iterable[str]) -> str:
-    """Return what is wrong with a name that is none of `choices`."""
+    """Return the message for a name that is not in `choices`."""
     choices = tuple(dict.fromkeys(choices))
     return (
         f"there is no {kind} '{word}'{did_you_mean(word, choices)}; "

@@ -27,7 +27,11 @@ architectures:
     [
         (
             "devices: [laser, camera]",
-            ["'a' can run nowhere", "'laser' is on 'main'", "'camera' is on 'vision'"],
+            [
+                "'a' cannot run on any computer",
+                "'laser' is on 'main'",
+                "'camera' is on 'vision'",
+            ],
         ),
         (
             "devices: [laser], only: [vision]",

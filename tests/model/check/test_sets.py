@@ -28,7 +28,7 @@ architectures:
         ("together: [▸[a, c]]", ["no computer", "'a' on 'main'; 'c' on 'vision'"]),
         ("together: [[a, d], [e, c], ▸[d, e]]", ["'a' on 'main'", "'c' on 'vision'"]),
         ("apart: [▸[a, b]]", ["'a' and 'b'", "both can run only on 'main'"]),
-        ("together: [[d, e]]\napart: [▸[d, e]]", ["`together` wants them"]),
+        ("together: [[d, e]]\napart: [▸[d, e]]", ["`together` puts them"]),
         ("together: [[a, d], [d, e]]\napart: [▸[a, e]]", ["'a' and 'e'"]),
         ("apart: [▸[a, d, c]]", ["3 components", "only 2"]),
     ],

@@ -82,7 +82,7 @@ def test_a_circle_is_told_with_the_files_on_it(tmp_path: Path) -> None:
     [
         ("missing.yaml", "include: 'missing.yaml' does not exist"),
         (".", "is a folder"),
-        ("[x]", "wants file names"),
+        ("[x]", "must be file names"),
         ('"a\\nb.yaml"', "does not exist"),
         ("x" * 5000, "cannot be read: File name too long"),
     ],
@@ -105,9 +105,9 @@ def test_what_is_given_twice_is_told_with_the_first_place(tmp_path: Path) -> Non
     found = problems(path)
     first, second = found[:2]
     assert (first.line, first.column) == (1, 1)
-    assert f"robot is given twice, first at {path}:1:1" in first.message
+    assert f"robot is defined twice, first at {path}:1:1" in first.message
     assert (second.line, second.column) == (2, 13)
-    assert "computers.main is given twice" in second.message
+    assert "computers.main is defined twice" in second.message
 
 
 def test_the_number_of_files_has_a_limit(tmp_path: Path) -> None:

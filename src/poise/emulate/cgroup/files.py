@@ -1,4 +1,4 @@
-"""What both versions of cgroups share: where they are, and their files."""
+"""Mounts and files of cgroups, for both versions."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class Mount(Struct, frozen=True):
 
 
 class Files:
-    """The few things one does to cgroup files; tests put a fake kernel in its place."""
+    """Operations on cgroup files; tests replace it by a fake kernel."""
 
     def make(self, folder: Path) -> None:
-        """Make a cgroup; nothing happens when it is there."""
+        """Make a cgroup if it does not exist."""
         folder.mkdir(exist_ok=True)
 
     def write(self, file: Path, value: object) -> None:
@@ -47,7 +47,7 @@ def mounts(
 
 
 def pids(folder: Path) -> list[int]:
-    """Return the processes in a cgroup; none when it is gone."""
+    """Return the processes in a cgroup; none if it does not exist."""
     try:
         return [int(pid) for pid in (folder / "cgroup.procs").read_text().split()]
     except OSError:
@@ -60,7 +60,7 @@ def table(text: str) -> dict[str, int]:
 
 
 def lift(folder: Path) -> None:
-    """Lift a cgroup's quota, if it has one: who gets no CPU does not end, even killed.
+    """Lift a cgroup's quota: even a killed process needs CPU to end.
 
     OSError when the kernel refuses.
     """
@@ -70,7 +70,7 @@ def lift(folder: Path) -> None:
 
 
 def remove(folder: Path) -> None:
-    """End every process in a cgroup and remove it; nothing happens when it is gone."""
+    """End every process in a cgroup and remove it, if it exists."""
     lift(folder)
     stop(lambda: pids(folder), ask=0.0)
     with suppress(FileNotFoundError):
@@ -78,7 +78,7 @@ def remove(folder: Path) -> None:
 
 
 def bring_back(folder: Path) -> None:
-    """Move processes that were put aside back to the cgroup above; remove `folder`."""
+    """Move processes from `folder` back to the cgroup above; remove `folder`."""
     if not folder.exists():
         return
     control = folder.parent / "cgroup.subtree_control"

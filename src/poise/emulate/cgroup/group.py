@@ -1,4 +1,4 @@
-"""The seam to the kernel's grouping of processes, and the group where it has none."""
+"""The interface of process groups, and groups without the kernel's help."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ class Group(Protocol):
         ...
 
     def usage(self) -> Usage:
-        """Return what it has used since it was made."""
+        """Return its usage since it was made."""
         ...
 
 
 class Groups(Protocol):
-    """Makes groups; one for each way in which a host can limit processes."""
+    """Makes groups; one implementation for each way to limit processes."""
 
     controls: frozenset[str]
-    """Which of ``cpu``, ``cpuset`` and ``memory`` its groups really limit."""
+    """Which of ``cpu``, ``cpuset`` and ``memory`` its groups limit."""
 
     def folders(self, name: str) -> tuple[Path, ...]:
         """Return the folders that a group called `name` will have."""
         ...
 
     def aside(self, name: str) -> tuple[Path, ...]:
-        """Return where `prepare` puts processes that stand in the way."""
+        """Return where `prepare` moves processes that are in the way."""
         ...
 
     def prepare(self, name: str) -> None:
-        """Do what has to be done once before the first group of run `name`."""
+        """Prepare the first group of run `name`; called once."""
         ...
 
     def make(self, name: str, limits: Limits) -> Group:
@@ -51,7 +51,7 @@ class Groups(Protocol):
 
 
 class MarkedGroups:
-    """Groups without limits, whose processes are told by a mark they inherit."""
+    """Groups without limits; processes belong to one by an inherited mark."""
 
     controls: frozenset[str] = frozenset()
 
@@ -90,7 +90,7 @@ class MarkedGroup:
         """Return the CPU time of those processes that still run."""
         used = 0.0
         for pid in self.processes():
-            with suppress(OSError):  # ended meanwhile
+            with suppress(OSError):  # it has ended
                 # Linux's name for "the CPU-time clock of process pid".
                 used += time.clock_gettime((~pid << 3) | 2)
         return Usage(used=used)

@@ -12,20 +12,19 @@ from poise.emulate.limits import Limits
 from poise.emulate.usage import Usage, starved_time
 
 _SHARES = 262144
-"""The most that the kernel takes: other processes on the CPU hardly count then."""
+"""The kernel's maximum: other processes on the CPU hardly count."""
 _REAL_TIME = 0.2
-"""The share of each CPU that a group's real-time threads may use. They carry orders,
-and do not stand still with the group when its quota is used up: on a computer of its
-own they would not wait for components either."""
+"""The share of each CPU that a group's real-time threads may use beside its quota. On
+the robot these control threads would not wait for components either."""
 _REAL_TIME_PERIOD = 0.1
-"""The period over which the kernel hands that out [s]."""
+"""The period of this share [s]."""
 
 
 class V1:
     """Makes a group in each version 1 hierarchy that it may write to.
 
-    A version 2 hierarchy often is mounted beside them, without controllers. It is
-    joined, too, as only there the kernel tells a cgroup's CPU pressure.
+    A version 2 hierarchy is often mounted beside them, without controllers. Groups are
+    made there too, because only there the kernel reports CPU pressure.
     """
 
     def __init__(self, mounts: Iterable[Mount], files: Files | None = None) -> None:
@@ -43,7 +42,7 @@ class V1:
         return tuple(dict.fromkeys(base / name for base in self._bases.values()))
 
     def aside(self, name: str) -> tuple[Path, ...]:
-        """Return none: here processes and groups may share a folder."""
+        """Return none: in version 1 processes and groups may share a folder."""
         del name
         return ()
 
@@ -61,14 +60,14 @@ class V1:
         return V1Group(homes, len(limits.cpus), self._files)
 
     def _allow_real_time(self, cpu: Path) -> None:
-        """Let real-time threads run in a group, where kernels ration them and can.
+        """Allow real-time threads in a group, if the kernel limits them.
 
-        Without, all threads of the group share its quota.
+        Otherwise all threads of the group share its quota.
         """
         file = cpu / "cpu.rt_runtime_us"
         if file.exists():
             period = round(_REAL_TIME_PERIOD * 1e6)
-            with suppress(OSError):  # other groups have all there is
+            with suppress(OSError):  # other groups use all of it
                 self._files.write(file.with_name("cpu.rt_period_us"), period)
                 self._files.write(file, round(_REAL_TIME * period))
 
@@ -76,7 +75,7 @@ class V1:
         self, homes: Mapping[str, Path], limits: Limits
     ) -> Iterable[tuple[Path, object]]:
         if cpu := homes.get("cpu"):
-            # A quota that fills its CPUs needs no throttling, which would only disturb.
+            # A quota that fills its CPUs needs no throttling.
             throttles = limits.quota < len(limits.cpus)
             period = round(limits.period * 1e6)
             yield cpu / "cpu.cfs_period_us", period
@@ -110,7 +109,7 @@ class V1Group:
         return sorted({pid for file in self.joins for pid in pids(file.parent)})
 
     def usage(self) -> Usage:
-        """Return what it has used since it was made."""
+        """Return its usage since it was made."""
         stat = table(self._read("cpu", "cpu.stat"))
         throttled = stat.get("throttled_time", 0) / 1e9
         pressure = self._read("pressure", "cpu.pressure")
@@ -124,6 +123,6 @@ class V1Group:
         )
 
     def _read(self, which: str, name: str) -> str:
-        """Return the content of a file, or "" where the host has not got it."""
+        """Return the content of a file, or "" if it does not exist."""
         file = self._homes.get(which, Path()) / name
         return self._files.read(file) if which in self._homes and file.exists() else ""

@@ -1,9 +1,9 @@
 """Cgroups version 2: one hierarchy, in which controllers are enabled folder by folder.
 
-Two rules of the kernel shape this file. A folder hands a controller to its children
-only when that stands in its ``cgroup.subtree_control``. And a folder that does so may
-hold no processes of its own (save the topmost), so those that are there, this one
-among them, are put aside into a child until the run is over.
+Two rules of the kernel shape this file. A folder gives its children only the
+controllers in its ``cgroup.subtree_control``. And such a folder (except the topmost)
+may not contain processes, so its processes, including this one, move aside into a child
+folder until the run ends.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from poise.emulate.limits import Limits
 from poise.emulate.usage import Usage, starved_time
 
 _WEIGHT = 10000
-"""The most that the kernel takes: other processes on the CPU hardly count then."""
+"""The kernel's maximum: other processes on the CPU hardly count."""
 _TRIES = 5
-"""Processes put aside may start others meanwhile; so often are those moved, too."""
+"""How often processes are moved aside, because they may start others meanwhile."""
 
 
 class V2:
@@ -38,17 +38,17 @@ class V2:
         return (self._base / name,)
 
     def aside(self, name: str) -> tuple[Path, ...]:
-        """Return where `prepare` puts processes that stand in the way."""
+        """Return where `prepare` moves processes that are in the way."""
         return (self._base / f"{name}-aside",)
 
     def prepare(self, name: str) -> None:
-        """Hand the controllers on to the groups to come.
+        """Enable the controllers for the future groups.
 
         Raises
         ------
         OSError
-            When the kernel refuses, for instance as somebody else's processes are in
-            the way.
+            The kernel refuses, for instance because another user's processes are in the
+            way.
         """
         control = self._base / "cgroup.subtree_control"
         missing = self.controls - set(self._files.read(control).split())
@@ -81,7 +81,7 @@ class V2:
 
     def _settings(self, limits: Limits) -> Iterable[tuple[str, object]]:
         if "cpu" in self.controls:
-            # A quota that fills its CPUs needs no throttling, which would only disturb.
+            # A quota that fills its CPUs needs no throttling.
             throttles = limits.quota < len(limits.cpus)
             period = round(limits.period * 1e6)
             quota = round(limits.quota * period) if throttles else "max"
@@ -108,7 +108,7 @@ class V2Group:
         return pids(self._folder)
 
     def usage(self) -> Usage:
-        """Return what it has used since it was made."""
+        """Return its usage since it was made."""
         stat = table(self._read("cpu.stat"))
         throttled = stat.get("throttled_usec", 0) / 1e6
         pressure = self._read("cpu.pressure")
@@ -124,7 +124,7 @@ class V2Group:
         )
 
     def _read(self, name: str) -> str:
-        """Return the content of a file, or "" where the kernel has not got it."""
+        """Return the content of a file, or "" if the kernel does not provide it."""
         try:
             return self._files.read(self._folder / name)
         except OSError:  # ENOENT, or EOPNOTSUPP where pressure is switched off

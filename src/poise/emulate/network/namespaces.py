@@ -97,7 +97,7 @@ def can_delay(namespace: str) -> bool:
 
 def unplug(interface: str) -> None:
     """Remove the owner's end of a cable; nothing happens when it is gone."""
-    # It would go with the switch's namespace, but only some time later.
+    # It is also removed with the switch's namespace, but only some time later.
     if Path("/sys/class/net", interface).exists():
         _run("ip", "", [f"link del {interface}"])
 
@@ -148,8 +148,8 @@ def _run(tool: str, namespace: str, commands: Sequence[str]) -> None:
 
 
 def _rate(bandwidth: float) -> str:
-    # A bucket of 1 ms holds several packets even on a slow link and does not let a
-    # quick one starve between two refills.
+    # A bucket of 1 ms holds several packets even on a slow link, and lasts between two
+    # refills on a fast one.
     burst = max(16 * 1024, int(bandwidth * 0.001))
     bits = int(bandwidth * 8)
     return f"tbf rate {bits}bit burst {burst} latency {_LONGEST_QUEUE}"

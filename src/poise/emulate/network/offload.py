@@ -1,8 +1,7 @@
-"""Switch off what makes a virtual link carry more than its wire would.
+"""Switches off segmentation offload, which a virtual link would abuse.
 
-With segmentation offload a "packet" of 64 KB crosses a virtual link as one, and the
-shaped rate comes in lumps. `ethtool` may not be installed; the kernel's call behind it
-is always there.
+With it, a "packet" of 64 KB crosses a virtual link as one, and traffic comes in bursts.
+This is the system call behind `ethtool`, which may not be installed.
 """
 
 from __future__ import annotations
@@ -30,8 +29,7 @@ def offload_off(namespace: Path, interfaces: Sequence[str]) -> None:
     OSError
         When the namespace cannot be entered or the kernel refuses.
     """
-    # A namespace is entered by a thread, not by the process: one that ends at once
-    # leaves nothing behind.
+    # Only a thread enters the namespace, and it ends at once.
     with ThreadPoolExecutor(1) as thread:
         thread.submit(_off, namespace, interfaces).result()
 

@@ -60,7 +60,7 @@ def plan_network(
 ) -> NetworkPlan:
     """Return the network for `computers` joined by `links`.
 
-    `number` tells the emulations of one owner apart.
+    `number` distinguishes the emulations of one owner.
 
     A computer has one cable for all its links, with the highest bandwidth and the
     highest latency of them. Where links differ, the narrower ones get more than the
@@ -109,11 +109,11 @@ def _free_subnet(start: int) -> ipaddress.IPv4Network:
 
 
 def _routes() -> list[ipaddress.IPv4Network]:
-    """Return the networks that this host has routes to, save the default route's."""
+    """Return the networks that this host has routes to, without the default route."""
     found = []
     for line in Path("/proc/net/route").read_text().splitlines()[1:]:
         fields = line.split()
-        # Addresses stand there as numbers in the machine's own byte order.
+        # Addresses are numbers in the machine's byte order.
         target, mask = (
             socket.inet_ntoa(struct.pack("=L", int(fields[i], 16))) for i in (1, 7)
         )

@@ -1,4 +1,4 @@
-"""A profile as a file that people can read and keep beside the robot file."""
+"""A profile as a YAML file beside the robot file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from poise.errors import RobotError
 from poise.estimate.profile import Profile
 
 _HEAD = """\
-# Measured by `poise profile`, which writes this file anew; do not edit it.
+# Written by `poise profile`; do not edit it.
 # CPU in cores of the reference computer, memory and sizes in bytes, times in seconds.
 """
 _DIGITS = 4
@@ -29,7 +29,7 @@ def from_text(text: str, file: str) -> Profile:
     Raises
     ------
     RobotError
-        It is none; the message names `file` and what is wrong.
+        It is not a profile; the message names `file` and the problem.
     """
     try:
         return msgspec.convert(yaml.safe_load(text), Profile)
@@ -37,7 +37,7 @@ def from_text(text: str, file: str) -> Profile:
         raise RobotError(f"{file}: not YAML: {error}") from error
     except msgspec.ValidationError as error:
         raise RobotError(
-            f"{file}: not a profile: {error}. Let `poise profile` write it anew"
+            f"{file}: not a profile: {error}. Write it again with `poise profile`"
         ) from error
 
 

@@ -1,7 +1,7 @@
-"""What was measured of components and connectors, as records; and the file for it.
+"""The records of a profile: measurements of components and connectors.
 
-A profile belongs to one robot, one kind of computer and one version of the code. All
-CPU is in cores of the reference computer.
+A profile belongs to one robot, one kind of computer and one version of the code. CPU is
+in cores of the reference computer.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class TimerProfile(Struct, frozen=True, kw_only=True):
 
 
 class ComponentProfile(Struct, frozen=True, kw_only=True):
-    """What one component needed when its architecture ran alone.
+    """Measurements of a component whose architecture ran alone.
 
     Parameters
     ----------
@@ -33,18 +33,18 @@ class ComponentProfile(Struct, frozen=True, kw_only=True):
     cpu
         Its own CPU [cores].
     share
-        Its part of what its container used beyond its components: transports, status,
-        the interpreter's own threads; in equal parts [cores].
+        Its equal part of the container's own CPU: transports, status, the interpreter's
+        threads [cores].
     memory
-        What it added to a container's memory, at most [bytes].
+        Peak of the memory that it adds to a container [bytes].
     base
-        Its part of an empty container's memory, in equal parts [bytes].
+        Its equal part of an empty container's memory [bytes].
     state
         Size of its snapshot [bytes].
     start
-        From the wish to start its container until it was ready [s].
+        Time from the request to start its container until it is ready [s].
     repeat
-        How far the means of repeated measurements lay apart [cores].
+        Largest difference between the means of repeated measurements [cores].
     stable
         Whether repeated measurements agree.
     """
@@ -62,7 +62,7 @@ class ComponentProfile(Struct, frozen=True, kw_only=True):
 
 
 class ConnectorProfile(Struct, frozen=True, kw_only=True):
-    """What went over a connector.
+    """Traffic of a connector.
 
     Parameters
     ----------
@@ -88,12 +88,12 @@ class ConnectorProfile(Struct, frozen=True, kw_only=True):
 
     @property
     def traffic(self) -> float:
-        """What it sends when its ends are apart [bytes/s]."""
+        """Its traffic when its ends are apart [bytes/s]."""
         return self.rate * self.size
 
 
 class Costs(Struct, frozen=True, kw_only=True):
-    """What one end of a connector costs its computer.
+    """CPU time that one end of a connector costs its computer.
 
     `call` and `message` in CPU time each [s], `byte` in CPU time per byte [s/byte].
     """
@@ -103,7 +103,7 @@ class Costs(Struct, frozen=True, kw_only=True):
     byte: float = 0.0
 
     def load(self, connector: ConnectorProfile) -> float:
-        """Return what this end uses for what goes over the connector [cores]."""
+        """Return the CPU of this end for a connector's traffic [cores]."""
         return (
             self.call * connector.calls
             + self.message * connector.messages
@@ -112,21 +112,21 @@ class Costs(Struct, frozen=True, kw_only=True):
 
 
 class KindCosts(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What connectors of one kind cost, at the source's end and at the target's.
+    """Costs of connectors of one kind, at the source and at the target.
 
-    Both ends of a direct one are in one process: all counts for its source.
+    Both ends of a direct connector are in one process: all counts for its source.
     """
 
     source: Costs = Costs()
     target: Costs = Costs()
 
     def load(self, connector: ConnectorProfile) -> float:
-        """Return what both ends use together [cores]."""
+        """Return the CPU of both ends [cores]."""
         return self.source.load(connector) + self.target.load(connector)
 
 
 class Profile(Struct, frozen=True, kw_only=True):
-    """All that was measured of a robot's software on one kind of computer.
+    """Measurements of a robot's software on one kind of computer.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How a measurement is spread over windows: mean, quantiles, peak, and how sure."""
+"""The distribution of a measurement over windows: mean, error, quantiles, peak."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from msgspec import Struct
 WINDOW = 0.1
 """CPU is measured over windows of this length [s]."""
 SUSTAINED = 2.0
-"""[s] What is asked for over windows of this length must really be there: shorter
-bursts of components that share a computer pass each other by."""
+"""[s] A computer must provide the demand over windows of this length. Shorter bursts of
+components on one computer rarely coincide."""
 BATCHES = 10
 # Student's t for a two-sided 95 % interval and 1, 2, ... degrees of freedom
 _T95 = (12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26)
@@ -25,8 +25,7 @@ class Spread(Struct, frozen=True, kw_only=True):
     sustained
         The 95th percentile over windows of `SUSTAINED`.
     error
-        Half the width of the mean's 95 % confidence interval; None when there are too
-        few windows to tell.
+        Half the width of the mean's 95 % confidence interval; None for too few windows.
     windows
         How many there were.
     """
@@ -59,9 +58,9 @@ def quantile(values: Sequence[float], share: float) -> float:
 def error_of_mean(values: Sequence[float]) -> float | None:
     """Return half the width of the 95 % confidence interval of a series' mean.
 
-    Windows that follow each other are alike, so the series is cut into `BATCHES`
-    batches, whose means are nearly independent (method of batch means). None for fewer
-    than four values.
+    Neighbouring windows are correlated, so the series is cut into `BATCHES` batches,
+    whose means are nearly independent (method of batch means). None for fewer than four
+    values.
     """
     num = min(BATCHES, len(values) // 2)
     if num <= 1:

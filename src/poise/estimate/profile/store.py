@@ -1,4 +1,4 @@
-"""All that was ever measured of a robot, in an SQLite file beside the robot file."""
+"""All measurements of a robot, in an SQLite file beside the robot file."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ class Store:
     Parameters
     ----------
     path
-        The file; it and its folder are made when they are not there.
+        The file; it and its folder are created if missing.
 
     Raises
     ------
     UsageError
-        It cannot be had there, or is something else.
+        It cannot be created, or is no SQLite file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -52,7 +52,7 @@ class Store:
             self._database = sqlite3.connect(path, isolation_level=None, timeout=1.0)
             self._database.executescript(_SCHEMA)
         except (OSError, sqlite3.Error) as error:
-            raise UsageError(f"{path} cannot keep profiles: {error}") from error
+            raise UsageError(f"{path} cannot store profiles: {error}") from error
 
     def __enter__(self) -> Self:
         return self
@@ -61,7 +61,7 @@ class Store:
         self._database.close()
 
     def add(self, profile: Profile) -> None:
-        """Keep a profile; older ones stay."""
+        """Add a profile; older ones remain."""
         self._database.execute(
             "INSERT INTO profiles (robot, computer, poise, version, at, profile)"
             " VALUES (?, ?, ?, ?, ?, ?)",
@@ -83,14 +83,14 @@ class Store:
         return [msgspec.json.decode(text, type=Profile) for (text,) in rows]
 
     def latest(self, robot: str, computer: str | None = None) -> Profile | None:
-        """Return the newest profile of a robot, on `computer` if that is given."""
+        """Return the newest profile of a robot (on `computer`, if given)."""
         for profile in self.all(robot):
             if computer in (None, profile.computer):
                 return profile
         return None
 
     def add_costs(self, robot: str, costs: Mapping[str, KindCosts]) -> None:
-        """Keep what connectors cost on a robot's computers; older ones stay."""
+        """Add the costs of connectors on a robot's computers; older ones remain."""
         self._database.execute(
             "INSERT INTO calibrations (robot, at, costs)"
             " VALUES (?, datetime('now'), ?)",
@@ -98,7 +98,7 @@ class Store:
         )
 
     def latest_costs(self, robot: str) -> dict[str, KindCosts]:
-        """Return what connectors cost by the last calibration; empty: there is none."""
+        """Return the costs of connectors by the last calibration; empty without one."""
         row = self._database.execute(
             "SELECT costs FROM calibrations WHERE robot = ? ORDER BY id DESC LIMIT 1",
             (robot,),
@@ -107,6 +107,6 @@ class Store:
 
 
 def version_of_all(profile: Profile) -> str:
-    """Return one fingerprint of all implementations that were measured."""
+    """Return one fingerprint of all measured implementations."""
     versions = sorted((n, c.version) for n, c in profile.components.items())
     return hashlib.sha256(msgspec.json.encode(versions)).hexdigest()[:16]

@@ -1,4 +1,4 @@
-"""Which version of a component was measured: a fingerprint of what it is made of."""
+"""The version of a component's code, as a fingerprint."""
 
 from __future__ import annotations
 
@@ -19,10 +19,9 @@ _MOST_FILES = 2000
 def version_of(component: Component, folder: str) -> str:
     """Return a fingerprint that changes when the component's code does.
 
-    It covers the module of the implementation and every module that it imports, as far
-    as they lie in the robot's folder, and the component's parameters; of a command, the
-    program and those of its arguments that are files. Installed packages and comments
-    in the robot file are not covered.
+    It covers the parameters, the implementation's module and all modules that it
+    imports from the robot's folder; of a command, the program and its arguments that
+    are files. Installed packages are not covered.
     """
     digest = hashlib.sha256()
     digest.update(component.implementation.encode())
@@ -57,13 +56,13 @@ def _sources(module: str, folder: Path) -> Iterator[Path]:
 
 
 def _imports(file: Path, folder: Path) -> Iterator[str]:
-    """Yield the modules that a file may import; what cannot be parsed imports none."""
+    """Yield the modules that a file may import; none if it cannot be parsed."""
     for node in _import_statements(file, file.stat().st_mtime_ns):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             base = _base(node, file, folder)
-            # what is imported from a package may be a module of it
+            # a name imported from a package may be a module
             yield from (f"{base}.{alias.name}".strip(".") for alias in node.names)
 
 

@@ -111,7 +111,7 @@ class Estimates:
                 self._expected(name), self._repeat(name)
             )
         elif component.epoch != self._epochs[name]:
-            running.begin_anew()  # the counters are another incarnation's
+            running.skip_to_next()  # the counters are another incarnation's
         self._epochs[name] = component.epoch
         return running.update(
             Reading(

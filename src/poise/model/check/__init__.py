@@ -1,4 +1,4 @@
-"""What can be wrong with a robot whose file is well formed; pure."""
+"""Checks of a robot whose file is well formed; pure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from poise.model.yaml.positions import Finding
 
 
 def check(robot: Robot) -> Iterator[Finding]:
-    """Yield everything that is wrong with `robot`, without a look at its code."""
+    """Yield every problem of `robot` that shows without its code."""
     yield from check_names(robot)
     yield from check_addresses(robot)
     yield from check_hosts(robot)

@@ -1,4 +1,4 @@
-"""Addresses: each is one, all computers have one or none has, and no two share one."""
+"""Addresses: they are well formed and unique, and all computers have one or none."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Connectors and chains: their components exist and belong where they are named."""
+"""Connectors and chains: their components exist and are in the right section."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from poise.model.yaml.positions import Finding, Path
 
 
 def check_connectors(robot: Robot) -> Iterator[Finding]:
-    """Yield connectors to nowhere, to themselves, doubled, or in the wrong section."""
+    """Yield connectors that are misplaced, duplicate, or join wrong components."""
     names = component_names(robot)
     seen: set[str] = set()
     for path, architecture, connector in connectors(robot):
@@ -25,7 +25,7 @@ def check_connectors(robot: Robot) -> Iterator[Finding]:
             yield from _foreign_ends(path, architecture, connector, names)
         yield from _same_ends(path, connector)
         if str(connector) in seen:
-            yield Finding(path, f"the connector {connector} is there twice")
+            yield Finding(path, f"the connector {connector} is defined twice")
         seen.add(str(connector))
 
 
@@ -38,7 +38,7 @@ def _foreign_ends(
             yield Finding(
                 (*path, "between", index),
                 f"component '{end.component}' is not in architecture "
-                f"'{architecture.name}': name this connector in the robot's own "
+                f"'{architecture.name}': move this connector to the top-level "
                 "`connectors`",
             )
 

@@ -1,4 +1,4 @@
-"""Calls that go round: two chains that cross there would lock each other up.
+"""Cycles of calls: two call chains in one would deadlock.
 
 A topic whose subscriber makes its publisher wait counts as a call.
 """
@@ -21,15 +21,15 @@ def check_cycles(
 ) -> Iterator[Finding]:
     """Yield the connectors that close a cycle of calls.
 
-    A chain of calls keeps the turn of every component that it is in, but for the
-    re-entrant ones: so there is no lock-up when each cycle goes through one of those.
+    A call chain excludes other chains from all its components except re-entrant ones.
+    So a cycle through a re-entrant component cannot deadlock.
 
     Parameters
     ----------
     ports
-        What is known of them; a port that is not known is not looked at.
+        The known ports; others are not checked.
     reentrant
-        Names of the components that let others in while they wait.
+        Names of the re-entrant components.
     """
     graph = _calls(robot, ports, reentrant)
     done: set[str] = set()
@@ -76,9 +76,9 @@ def _message(cycle: list[Connector]) -> str:
     closing = cycle[-1]
     callers = [connector.between[0].component for connector in cycle]
     return (
-        f"calls go round: {', '.join(map(str, cycle))}. Two that cross there wait for "
-        f"each other. Make the methods called over {closing} one-way (`@oneway`), or "
-        "publish a topic that keeps the last (`subscribed(keep=n)`); or let one of "
-        "these components be re-entrant (`reentrant = True` in its class): "
+        f"calls form a cycle: {', '.join(map(str, cycle))}. Two calls in it deadlock. "
+        f"Make the methods called over {closing} one-way (`@oneway`), or "
+        "publish a topic that keeps the last (`subscribed(keep=n)`); or make one of "
+        "these components re-entrant (`reentrant = True` in its class): "
         f"{', '.join(callers)}"
     )

@@ -11,7 +11,7 @@ from poise.model.yaml.positions import Finding, Path
 from poise.units import format_amount
 
 SLACK = 1e-9
-"""A demand may exceed a capacity by this, as a share of it: rounding."""
+"""Rounding: a demand may exceed a capacity by this share of it."""
 
 
 def check_demands(robot: Robot) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""Where each component may run; a component that may run nowhere is a problem."""
+"""Where each component may run; it must be somewhere."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ def check_hosts(robot: Robot) -> Iterator[Finding]:
         if limits and not frozenset.intersection(*limits.values()):
             reasons = "; ".join(f"{r} {listed(sorted(h))}" for r, h in limits.items())
             yield Finding(
-                path, f"component '{component.name}' can run nowhere: {reasons}"
+                path,
+                f"component '{component.name}' cannot run on any computer: {reasons}",
             )
 
 

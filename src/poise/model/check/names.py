@@ -1,4 +1,4 @@
-"""Names: every one that is used exists, and none is given twice."""
+"""Names: each used name exists, and no name is defined twice."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from poise.model.yaml.positions import Finding, Path
 
 
 def check_names(robot: Robot) -> Iterator[Finding]:
-    """Yield the unknown and the doubled names of a robot."""
-    yield from _doubled_components(robot)
+    """Yield the unknown and the duplicate names of a robot."""
+    yield from _duplicate_components(robot)
     yield from _devices(robot)
     yield from _links(robot)
     yield from _architectures(robot)
@@ -21,7 +21,7 @@ def check_names(robot: Robot) -> Iterator[Finding]:
     yield from _resources(robot)
 
 
-def _doubled_components(robot: Robot) -> Iterator[Finding]:
+def _duplicate_components(robot: Robot) -> Iterator[Finding]:
     first: dict[str, str] = {}
     for path, architecture, component in components(robot):
         if component.name in first:
@@ -63,7 +63,7 @@ def _architectures(robot: Robot) -> Iterator[Finding]:
             yield Finding(
                 path,
                 f"architecture '{architecture.name}' is in the {architecture.layer} "
-                "layer, which stays where it is: it needs a `home` computer",
+                "layer, which does not move: it needs a `home` computer",
             )
 
 
@@ -82,7 +82,7 @@ def _one_way_to_run(path: Path, component: Component) -> Iterator[Finding]:
         yield Finding(
             (*path, "command"),
             f"component '{component.name}' has an implementation and a command; "
-            "it takes one of them",
+            "remove one of them",
         )
     if component.implementation and component.ports:
         yield Finding(
@@ -120,7 +120,7 @@ def _computers(robot: Robot) -> list[str]:
 def _each_known(
     path: Path, kind: str, names: Iterable[str], choices: Iterable[str]
 ) -> Iterator[Finding]:
-    """Yield a finding at its own index for every name that is unknown or doubled."""
+    """Yield a finding at its own index for every unknown or duplicate name."""
     choices, seen = tuple(choices), set()
     for index, name in enumerate(names):
         yield from _known((*path, index), kind, [name], choices)
@@ -142,5 +142,5 @@ def _known(
 def check_components_known(
     robot: Robot, path: Path, names: Iterable[str]
 ) -> Iterator[Finding]:
-    """Yield a finding for every name that is no component, or is there twice."""
+    """Yield a finding for every name that is no component, or is listed twice."""
     yield from _each_known(path, "component", names, component_names(robot))

@@ -1,7 +1,7 @@
-"""Ports: what each end of a connector must be, whoever says what it is.
+"""Ports: the two ends of a connector must fit.
 
-The robot file says it for components without a class (`declared_ports`), the code for
-the others; both are held against the same rules.
+The code declares the ports of its components, the robot file those of components
+without a class (`declared_ports`). The same rules check both.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from poise.model.yaml.positions import Finding, Path
 
 
 class KnownPort(Struct, frozen=True):
-    """A port of which the kind and type are known.
+    """A port whose kind and type are known.
 
-    `type` is for people; two ports fit when their `meaning` is equal. `waits`: a caller
-    waits there for answers, or whoever publishes to it for room.
+    `type` is for people; two ports fit when their `meaning` is equal. `waits`: callers
+    wait there for answers, or publishers for space in its queue.
     """
 
     name: str

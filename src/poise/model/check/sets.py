@@ -39,7 +39,7 @@ def _nowhere_together(robot: Robot, hosts: Mapping[str, Hosts]) -> Iterator[Find
                 f"'{n}' on {listed(sorted(h))}" for n, h in limits.items()
             )
             yield Finding(
-                ("together", index), f"no computer can take them all: {where}"
+                ("together", index), f"no computer may run all of them: {where}"
             )
 
 
@@ -57,7 +57,7 @@ def _not_apart(robot: Robot, hosts: Mapping[str, Hosts]) -> Iterator[Finding]:
         for pair in combinations(distinct, 2):
             reason = _why_not_apart(pair, hosts, groups)
             if reason:
-                both = f"'{pair[0]}' and '{pair[1]}' are to be apart, but {reason}"
+                both = f"'{pair[0]}' and '{pair[1]}' must be apart, but {reason}"
                 yield Finding(("apart", index), both)
 
 
@@ -66,9 +66,9 @@ def _why_not_apart(
     hosts: Mapping[str, Hosts],
     groups: tuple[frozenset[str], ...],
 ) -> str:
-    """Return what contradicts that the two are apart, or nothing."""
+    """Return why the two cannot be apart, or nothing."""
     if any(group.issuperset(pair) for group in groups):
-        return "`together` wants them on one computer"
+        return "`together` puts them on one computer"
     common = frozenset.union(*(hosts.get(name, frozenset()) for name in pair))
     if len(common) == 1 and all(hosts.get(name) for name in pair):
         return f"both can run only on '{next(iter(common))}'"

@@ -1,4 +1,4 @@
-"""The workload: its ports are there, and it says something."""
+"""The workload: its ports exist, and it is not empty."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from poise.model.yaml.positions import Finding
 
 
 def check_workload(robot: Robot) -> Iterator[Finding]:
-    """Yield ports of components that are not there, and a workload of nothing."""
+    """Yield ports of unknown components, and an empty workload."""
     workload = robot.workload
     if workload is None:
         return
@@ -32,11 +32,11 @@ def check_workload(robot: Robot) -> Iterator[Finding]:
 def check_generated(
     robot: Robot, known: Mapping[str, Mapping[str, KnownPort]]
 ) -> Iterator[Finding]:
-    """Yield generated messages for ports that subscribe to nothing."""
+    """Yield generated messages for ports that do not subscribe."""
     for each in robot.workload.generate if robot.workload else ():
         ports = known.get(each.port.component)
         if ports is None:
-            continue  # its code is wrong, which is told already
+            continue  # its code is faulty, which is reported already
         subscribing = [
             name for name, port in ports.items() if port.kind == "subscribes"
         ]

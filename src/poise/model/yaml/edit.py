@@ -1,4 +1,4 @@
-"""Puts values into a robot file and leaves all else in it as people wrote it. Pure."""
+"""Writes values into a robot file and keeps its comments and layout. Pure."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ def with_values(
 ) -> dict[str, str]:
     """Return the files' texts with `values` under the mapping at `path`.
 
-    A key that is there gets the new value where it stands; the others are put before
-    the first key of the mapping, in the way in which that is written.
+    An existing key gets the new value in place. New keys are inserted before the first
+    key of the mapping, in the same style.
 
     Parameters
     ----------
     texts
         Name of each file, as in `positions`, -> its text.
     path
-        A mapping that has a key at least.
+        A mapping with at least one key.
     values
-        Key -> value as it shall stand there.
+        Key -> value as text.
 
     Raises
     ------
     KeyError
-        There is no such mapping, or it has no key.
+        There is no such mapping, or it is empty.
     """
     lines = {file: text.splitlines(keepends=True) for file, text in texts.items()}
     first = positions.first_key(path)
     here = positions.at(path)
     new = {k: v for k, v in values.items() if not positions.has((*path, k))}
-    # from the right to the left, so that the places that are left stay right
+    # from right to left, so that the remaining locations stay valid
     kept = [(positions.at((*path, key)), key) for key in values if key not in new]
     for place, key in sorted(kept, key=lambda each: -each[0].column):
         _replace(lines, place, key, values[key])

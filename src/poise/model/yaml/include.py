@@ -10,7 +10,7 @@ from poise.model.yaml.tree import Location, Node, Scalar, parse
 from poise.units import quoted
 
 LARGEST = 1_000_000
-"""[bytes] A larger file is no robot file."""
+"""[bytes] A larger file is an error."""
 MOST_FILES = 100
 """More included files than this are an error."""
 
@@ -18,8 +18,8 @@ MOST_FILES = 100
 def read_tree(path: Path, problems: list[Problem]) -> Node | None:
     """Return the merged tree of a robot file; every problem is added to `problems`.
 
-    Mappings are merged key by key and lists are joined; a single value may be given
-    only once. A file that is included from two places is read once.
+    Mappings are merged key by key and lists are joined. A single value that is defined
+    twice is a problem. A file that is included twice is read once.
     """
     reader = _Reader(problems)
     reader.read(path, None, ())
@@ -41,7 +41,7 @@ class _Reader:
         if root is None:
             return
         if not isinstance(root.value, dict):
-            problem = "a robot file is a mapping that starts like `robot: name`"
+            problem = "a robot file must be a mapping that starts with `robot: name`"
             self._problems.append(root.place.problem(problem))
             return
         include = root.value.get("include")
@@ -58,16 +58,18 @@ class _Reader:
         if isinstance(item.value, Scalar) and "\0" not in item.value.text:
             self.read(path.parent / item.value.text, item.place, (*above, path))
         else:
-            self._problems.append(item.place.problem("include: wants file names"))
+            self._problems.append(item.place.problem("include: must be file names"))
 
     def _is_new(
         self, path: Path, asked: Location | None, above: tuple[Path, ...]
     ) -> bool:
-        # Unlike Path.resolve, it does not raise for links that go in a circle.
+        # Unlike Path.resolve, it does not raise for cyclic symbolic links.
         real = realpath(path)
         if asked and real in [realpath(p) for p in above]:
             circle = " -> ".join(p.name for p in (*above, path))
-            self._problems.append(asked.problem(f"include: goes in a circle: {circle}"))
+            self._problems.append(
+                asked.problem(f"include: the files include each other: {circle}")
+            )
         elif asked and len(self._done) == MOST_FILES and real not in self._done:
             text = f"include: more than {MOST_FILES} files"
             self._problems.append(asked.problem(text))
@@ -93,7 +95,7 @@ def _read_text(
         elif not path.is_file():
             wrong("is not an ordinary file")
         elif path.stat().st_size > LARGEST:
-            wrong(f"is larger than {LARGEST} bytes: no robot file")
+            wrong(f"is larger than {LARGEST} bytes, the limit for a robot file")
         else:
             return path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -120,7 +122,7 @@ def _merge(into: Node, other: Node, name: str, problems: list[Problem]) -> None:
                 _merge(present, node, f"{name}.{key}".removeprefix("."), problems)
     else:
         problems.append(
-            other.place.problem(f"{name} is given twice, first at {into.place}")
+            other.place.problem(f"{name} is defined twice, first at {into.place}")
         )
 
 

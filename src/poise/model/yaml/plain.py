@@ -1,4 +1,4 @@
-"""Free data in a robot file (`parameters`): what an untyped scalar means."""
+"""Values without a declared type in a robot file (`parameters`)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _DIGITS = 19
 def plain_value(node: Node) -> Any:  # noqa: ANN401, any value of YAML
     """Return the node as dicts, lists, text, numbers, truth values and None.
 
-    Scalars mean what they mean in YAML 1.2: ``yes`` is a text, ``1e3`` a number.
+    Scalars follow YAML 1.2: ``yes`` is a text, ``1e3`` a number.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Where the things of a robot stand in its files."""
+"""The locations of a robot's parts in its files."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ Path = tuple[str | int, ...]
 
 
 class Finding(Struct, frozen=True):
-    """Something wrong with a robot; `path` says with which part of it."""
+    """A problem of a robot; `path` is the faulty part."""
 
     path: Path
     message: str
 
 
 class Positions:
-    """Finds ``file:line:column`` of any part of a robot again."""
+    """Maps parts of a robot to ``file:line:column``."""
 
     def __init__(self, root: Node) -> None:
         self._places: Mapping[Path, Location] = dict(_walk(root, ()))
 
     def at(self, path: Path) -> Location:
-        """Return the place of `path`, or of the nearest part above it."""
+        """Return the location of `path`, or of its nearest parent in the file."""
         while path not in self._places:
             path = path[:-1]
         return self._places[path]
 
     def has(self, path: Path) -> bool:
-        """Return whether the file has `path`."""
+        """Return whether the file contains `path`."""
         return path in self._places
 
     def first_key(self, path: Path) -> Location:
-        """Return where the first key or item under `path` stands.
+        """Return the location of the first key or item under `path`.
 
         Raises
         ------
@@ -53,7 +53,7 @@ class Positions:
         )
 
     def problem(self, finding: Finding) -> Problem:
-        """Return the finding with its place in the file."""
+        """Return the finding with its location in the file."""
         return self.at(finding.path).problem(finding.message)
 
 

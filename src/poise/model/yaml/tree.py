@@ -1,7 +1,7 @@
-"""YAML text -> a tree of nodes, each of which knows where it stands in the file.
+"""Parses YAML text into a tree of nodes, each with its location in the file.
 
-Nothing is constructed: a scalar stays text until the type of its field says what it
-means, so that `address: 10.0` or a computer called `on` is what it looks like.
+A scalar stays text until the type of its field gives it a meaning, so that
+`address: 10.0` and a computer called `on` stay texts.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _YAML = "tag:yaml.org,2002:"
 
 
 class Location(Struct, frozen=True):
-    """Where something stands in a file; `line` and `column` count from 1."""
+    """A location in a file; `line` and `column` count from 1."""
 
     file: str
     line: int
@@ -50,7 +50,7 @@ class Scalar(Struct, frozen=True):
 class Node(Struct):
     """A value in the file: a mapping, a list or a scalar.
 
-    `place` is that of its key, or of itself when it has none.
+    `place` is the location of its key, or of the value when it has no key.
     """
 
     place: Location
@@ -66,9 +66,9 @@ class _Bad(Exception):
 
 
 def parse(text: str, file: str, problems: list[Problem]) -> Node | None:
-    """Return the tree of a YAML text, or None when it is no YAML at all.
+    """Return the tree of a YAML text, or None when it cannot be parsed.
 
-    Everything wrong is added to `problems`: syntax, duplicate keys, tags, nesting
+    Every problem is added to `problems`: syntax, duplicate keys, tags, nesting
     deeper than `DEEPEST`, and more than `MOST` values.
     """
     try:
@@ -91,7 +91,7 @@ def _compose(text: str, file: str) -> yaml.Node:
     except yaml.MarkedYAMLError as error:
         raise _Bad(_syntax_problem(error, file)) from error
     except (ValueError, OverflowError) as error:
-        # PyYAML lets these out for some escapes, such as "\UFFFFFFFF".
+        # PyYAML raises these for some escapes, such as "\UFFFFFFFF".
         place = _place(file, loader.get_mark())
         raise _Bad(place.problem(f"not YAML: {error}")) from error
     if root is None:
@@ -100,7 +100,7 @@ def _compose(text: str, file: str) -> yaml.Node:
 
 
 class _Loader(yaml.SafeLoader):
-    """A safe loader that is only ever asked for nodes, and refuses deep ones."""
+    """A safe loader that returns nodes only, and rejects deep nesting."""
 
     def __init__(self, text: str, file: str) -> None:
         super().__init__(text)
@@ -145,13 +145,15 @@ class _Converter:
         for key, value in source.value:
             place = _place(self._file, key.start_mark)
             if not isinstance(key, yaml.ScalarNode):
-                self._problems.append(place.problem("a key is a word, not a list"))
+                self._problems.append(
+                    place.problem("a key must be a word, not a list or mapping")
+                )
                 continue
             self._check_scalar(key, place)
             if key.value in first:
                 self._problems.append(
                     place.problem(
-                        f"the key {quoted(key.value)} is there twice, "
+                        f"the key {quoted(key.value)} is defined twice, "
                         f"first at {first[key.value]}"
                     )
                 )
@@ -162,10 +164,12 @@ class _Converter:
     def _check_scalar(self, source: yaml.Node, place: Location) -> None:
         if _NO_TEXT.search(source.value):
             text = quoted(source.value)
-            self._problems.append(place.problem(f"{text} holds what no text may hold"))
+            self._problems.append(
+                place.problem(f"{text} contains a character that is not allowed")
+            )
         if source.tag.removeprefix(_YAML) not in _TAGS:
             tag = quoted(source.tag)
-            self._problems.append(place.problem(f"tags are not used here: {tag}"))
+            self._problems.append(place.problem(f"YAML tags are not supported: {tag}"))
 
 
 def _place(file: str, mark: yaml.Mark) -> Location:

@@ -20,20 +20,20 @@ from poise.model.yaml.tree import Location, Node, Scalar
 from poise.units import DIMENSIONS, NUMBER, parse, quoted
 
 Value: TypeAlias = Any
-"""A plain value as the type says, or `_INVALID`."""
+"""A plain value of the right type, or `_INVALID`."""
 _INVALID: Any = object()
 """Stands for a value that has a problem."""
 
 
 class Where(Struct, frozen=True):
-    """What is being looked at.
+    """The value under validation.
 
     Parameters
     ----------
     name
         Its keys from the top, with dots.
     extra
-        What `file` notes beside its type.
+        Notes that `sections` attaches to its type.
     """
 
     name: str
@@ -48,22 +48,22 @@ class Where(Struct, frozen=True):
         return Where(name, node.place, self.problems)
 
     def noted(self, extra: Mapping[str, Any]) -> Where:
-        """Return the same with further notes."""
+        """Return a copy with further notes."""
         return Where(self.name, self.place, self.problems, {**self.extra, **extra})
 
     def wrong(self, text: str) -> Value:
-        """Add a problem that names the thing; there is no value then."""
+        """Add a problem that names the key; return no value."""
         message = f"{self.name}: {text}" if self.name else text
         self.problems.append(self.place.problem(message))
         return _INVALID
 
 
 def validate(node: Node, kind: types.Type, problems: list[Problem]) -> Value:
-    """Return the plain, SI value of `node`, of which `kind` is the type.
+    """Return the plain SI value of `node`, whose type is `kind`.
 
     Every problem is added to `problems`. A wrong single value of an optional key is
-    left out, so that what else is wrong can be looked for; None is returned when
-    something wrong cannot be left out.
+    dropped, so that later checks find further problems. None is returned when
+    something wrong cannot be dropped.
     """
     value = _value(node, kind, Where("", node.place, problems))
     return None if value is _INVALID else value
@@ -78,7 +78,9 @@ def _value(node: Node, kind: types.Type, where: Where) -> Value:
 def _struct(node: Node, kind: types.StructType, where: Where) -> Value:
     fields = {field.encode_name: field for field in kind.fields}
     if not isinstance(node.value, dict):
-        return where.wrong(f"wants a mapping with {listed(fields)}, not {_kind(node)}")
+        return where.wrong(
+            f"must be a mapping with {listed(fields)}, not {_kind(node)}"
+        )
     _refuse_unknown(node.value, kind, where)
     values = {}
     for key, field in fields.items():
@@ -113,7 +115,7 @@ def _noun(kind: types.StructType) -> str:
 
 def _dict(node: Node, kind: types.DictType, where: Where) -> Value:
     if not isinstance(node.value, dict):
-        return where.wrong(f"wants a mapping, as in {{a: ...}}, not {_kind(node)}")
+        return where.wrong(f"must be a mapping, as in {{a: ...}}, not {_kind(node)}")
     right = _has_length(len(node.value), kind, where)
     values = {}
     for key, entry in node.value.items():
@@ -126,7 +128,7 @@ def _dict(node: Node, kind: types.DictType, where: Where) -> Value:
 
 def _list(node: Node, kind: types.ListType, where: Where) -> Value:
     if not isinstance(node.value, list):
-        return where.wrong(f"wants a list, as in [a, b], not {_kind(node)}")
+        return where.wrong(f"must be a list, as in [a, b], not {_kind(node)}")
     right = _has_length(len(node.value), kind, where)
     values = [
         _value(item, kind.item_type, where.inner(i, item))
@@ -138,7 +140,9 @@ def _list(node: Node, kind: types.ListType, where: Where) -> Value:
 def _tuple(node: Node, kind: types.TupleType, where: Where) -> Value:
     wanted = len(kind.item_types)
     if not isinstance(node.value, list) or len(node.value) != wanted:
-        return where.wrong(f"wants a list of {wanted}, as in [a, b], not {_kind(node)}")
+        return where.wrong(
+            f"must be a list of {wanted}, as in [a, b], not {_kind(node)}"
+        )
     pairs = zip(node.value, kind.item_types, strict=True)
     values = [
         _value(item, item_kind, where.inner(i, item))
@@ -166,7 +170,7 @@ def _text(node: Node, kind: types.StrType, where: Where) -> Value:
         return where.wrong("is empty")
     if kind.pattern is not None and not re.fullmatch(kind.pattern, text):
         wanted = where.extra.get("expected", kind.pattern)
-        return where.wrong(f"{quoted(text)} is not what it takes: {wanted}")
+        return where.wrong(f"{quoted(text)} is not allowed; write {wanted}")
     try:
         where.extra.get("parse", str)(text)
     except ValueError as error:
@@ -208,7 +212,7 @@ def _choice(node: Node, kind: types.LiteralType, where: Where) -> Value:
     if text is None or text in choices:
         return _INVALID if text is None else text
     return where.wrong(
-        f"{quoted(text)} is none of {listed(choices)}{did_you_mean(text, choices)}"
+        f"{quoted(text)} is not one of {listed(choices)}{did_you_mean(text, choices)}"
     )
 
 
@@ -223,7 +227,7 @@ def _scalar(node: Node, where: Where) -> str | None:
     """Return the text of a single value, or add a problem and return None."""
     if isinstance(node.value, Scalar) and (node.value.text or not node.value.plain):
         return node.value.text
-    where.wrong(f"wants a single value, not {_kind(node)}")
+    where.wrong(f"must be a single value, not {_kind(node)}")
     return None
 
 
