@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from poise.endpoint import Endpoint
 from poise.wire.address import Address
 from poise.wire.codec import WireError
 
@@ -13,8 +14,8 @@ from poise.wire.codec import WireError
     [
         ("navigator", Address("navigator")),
         ("mind.heavy", Address("mind.heavy")),
-        ("10.0.0.2:40123/mind", Address("mind", "10.0.0.2", 40123)),
-        ("fd00::2:40123/mind", Address("mind", "fd00::2", 40123)),
+        ("10.0.0.2:40123/mind", Address("mind", Endpoint("10.0.0.2", 40123))),
+        ("[fd00::2]:40123/mind", Address("mind", Endpoint("fd00::2", 40123))),
     ],
 )
 def test_an_address_comes_back_from_its_text(text: str, address: Address) -> None:
@@ -32,6 +33,7 @@ def test_an_address_comes_back_from_its_text(text: str, address: Address) -> Non
         "robot.example:80/mind",  # it would have to be looked up
         "10.0.0.2:80/",
         "../mind",
+        "fd00::2:40123/mind",  # the port could be a part of the address
         "None/mind",
     ],
 )

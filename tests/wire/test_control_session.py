@@ -6,8 +6,9 @@ import socket
 
 import pytest
 
+from poise.endpoint import Endpoint
 from poise.errors import RunError
-from poise.wire.control_session import open_session
+from poise.wire.control_session import locator, open_session
 
 
 @pytest.mark.parametrize(
@@ -19,3 +20,7 @@ def test_an_address_that_cannot_be_had_is_an_error(address: str, why: str) -> No
         endpoint = "tcp/" + address.format(busy=busy.getsockname()[1])
         with pytest.raises(RunError, match=f"cannot listen on {endpoint}: .*{why}"):
             open_session(listen=[endpoint])
+
+
+def test_the_last_part_of_an_ipv6_address_is_no_port() -> None:
+    assert locator(Endpoint.parse("fd00::2")) == "tcp/[fd00::2]:7447"

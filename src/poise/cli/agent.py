@@ -10,11 +10,12 @@ from typing import Annotated
 import typer
 
 from poise.cli.options import parse_option
+from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import UsageError
 from poise.runtime.agent.agent import Agent, AgentSetup
 from poise.session.temporary_folders import scratch_folder
 from poise.units import SECONDS
-from poise.wire.control_session import PORT, endpoint
+from poise.wire.control_session import locator
 
 _PORTS = 1 << 16
 
@@ -25,7 +26,7 @@ def agent_command(
     address: Annotated[
         str, typer.Option(help="IP address by which the others reach this computer.")
     ],
-    port: Annotated[int, typer.Option(help="TCP port.")] = PORT,
+    port: Annotated[int, typer.Option(help="TCP port.")] = AGENT_PORT,
     peer: Annotated[
         list[str] | None,
         typer.Option(help="ADDRESS or ADDRESS:PORT of another computer's agent."),
@@ -51,7 +52,8 @@ def agent_command(
     if not 0 < port < _PORTS:
         raise UsageError(f"--port {port}: a port lies between 1 and {_PORTS - 1}")
     if not 0 <= gateway < _PORTS:
-        raise UsageError(f"--door {gateway}: a port lies between 0 and {_PORTS - 1}")
+        raise UsageError(f"--gateway {gateway}: a port lies between 0 and {_PORTS - 1}")
+    _check_ip(address)
     logging.basicConfig(
         format=f"%(asctime)s {computer} %(levelname)s %(name)s: %(message)s",
         level="WARNING",
@@ -66,9 +68,26 @@ def agent_command(
                 address=address,
                 port=port,
                 gateway=gateway,
-                peers=tuple(endpoint(each) for each in peer or ()),
+                peers=tuple(locator(_endpoint("--peer", each)) for each in peer or ()),
                 folder=str(place),
                 lifeline=lifeline,
                 sample_every=parse_option("--sample-every", sample_every, SECONDS),
             )
         ).run()
+
+
+def _endpoint(option: str, text: str) -> Endpoint:
+    try:
+        return Endpoint.parse(text)
+    except ValueError as error:
+        raise UsageError(f"{option}: {error}") from None
+
+
+def _check_ip(address: str) -> None:
+    """Raise UsageError unless it is an IP address without a port."""
+    found = _endpoint("--address", address)
+    if not found.is_ip or found.host != address:
+        raise UsageError(
+            f"--address {address}: give an IP address of this computer, without "
+            "brackets or port, as in 10.0.0.1 or fd00::1; --port gives the port"
+        )

@@ -11,9 +11,10 @@ from pathlib import Path
 
 from poise.clock import SystemClock
 from poise.emulate import Emulation, StarvationWatch
-from poise.errors import RobotError, RunError
+from poise.endpoint import AGENT_PORT, Endpoint
+from poise.errors import RunError
 from poise.model.robot import Robot
-from poise.wire.control_session import endpoint
+from poise.wire.control_session import locator
 from poise.wire.records.samples import SAMPLE_EVERY
 
 Say = Callable[[str], None]
@@ -112,24 +113,13 @@ def computers_of(
     sample_every
         How often emulated computers tell what they use [s]; real ones were told by
         ``poise agent``.
-
-    Raises
-    ------
-    RobotError
-        Some computers have an address and some have none.
     """
     addresses = {c.name: c.address for c in robot.computers if c.address}
-    without = [c.name for c in robot.computers if not c.address]
     if not addresses:
         with _emulated(robot, folder, say, sample_every) as computers:
             yield computers
         return
-    if without:
-        raise RobotError(
-            f"computers without an address: {', '.join(without)}. Give all an address "
-            "to use real ones, or none to emulate them"
-        )
-    yield Computers({n: endpoint(a) for n, a in addresses.items()})
+    yield Computers({n: locator(Endpoint.parse(a)) for n, a in addresses.items()})
 
 
 @contextlib.contextmanager
@@ -144,10 +134,13 @@ def _emulated(
             for sentence in emulation.without:
                 say(f"  without {sentence}")
             computers = emulation.computers
-            endpoints = {n: endpoint(c.address) for n, c in computers.items()}
+            agents_at = {
+                name: Endpoint(computer.address, AGENT_PORT)
+                for name, computer in computers.items()
+            }
             agents = {}
             for name in computers:
-                argv = _agent(robot.name, emulation, name, endpoints)
+                argv = _agent(robot.name, emulation, name, agents_at)
                 argv += ["--lifeline", str(lifeline)]
                 argv += ["--sample-every", str(sample_every)]
                 agents[name] = computers[name].popen(
@@ -158,7 +151,7 @@ def _emulated(
                     pass_fds=[lifeline],
                 )
             yield Computers(
-                endpoints,
+                {name: locator(agent) for name, agent in agents_at.items()},
                 emulation.without,
                 lambda: StarvationWatch(computers, SystemClock()),
                 agents,
@@ -170,13 +163,13 @@ def _emulated(
 
 
 def _agent(
-    robot: str, emulation: Emulation, name: str, endpoints: Mapping[str, str]
+    robot: str, emulation: Emulation, name: str, agents_at: Mapping[str, Endpoint]
 ) -> list[str]:
     """Return the command line of a computer's agent."""
     computer = emulation.computers[name]
     argv = [sys.executable, "-m", "poise", "agent", name, "--robot", robot]
     argv += ["--address", computer.address, "--folder", str(computer.folder)]
-    for other, at in endpoints.items():
+    for other, agent in agents_at.items():
         if other != name:
-            argv += ["--peer", at.removeprefix("tcp/")]
+            argv += ["--peer", str(agent)]
     return argv

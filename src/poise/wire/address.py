@@ -1,69 +1,62 @@
-"""Where a container is reached: on this computer, or at the door of another."""
+"""The address of a container: on this computer, or behind the gateway of another."""
 
 from __future__ import annotations
 
 import re
 import socket
-from ipaddress import ip_address
 from typing import Self
 
 from msgspec import Struct
 
+from poise.endpoint import Endpoint
 from poise.wire.codec import WireError
 
 LOST_AFTER = 3.0
-"""A computer that says nothing for so long is gone: its connections end [s]."""
+"""A computer that is silent for this time is lost: its connections end [s]."""
 _PROBE_EVERY = 1
-_LAST_PORT = (1 << 16) - 1
-_FORM = re.compile(r"(?:(?P<host>[^/]+):(?P<port>\d{1,5})/)?(?P<container>[\w.-]+)")
+_CONTAINER = re.compile(r"[\w.-]+")
 
 
 class Address(Struct, frozen=True):
-    """Where a container is reached.
+    """The address of a container.
 
     Parameters
     ----------
     container
         Its name.
-    host, port
-        The IP address and TCP port of its computer's door; empty and 0: it is on this
-        computer.
+    gateway
+        The gateway of its computer; None: it is on this computer.
     """
 
     container: str
-    host: str = ""
-    port: int = 0
+    gateway: Endpoint | None = None
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Return what `str` made a text of.
+        """Return the address that `str` gives as `text`.
 
         Raises
         ------
         WireError
-            It is no address.
+            It is not an address.
         """
-        found = _FORM.fullmatch(text)
-        if found is not None:
-            host, port = found["host"] or "", int(found["port"] or 0)
-            if port <= _LAST_PORT and (not host or _is_ip(host)):
-                return cls(found["container"], host, port)
+        before, slash, container = text.rpartition("/")
+        if _CONTAINER.fullmatch(container):
+            if not slash:
+                return cls(container)
+            try:
+                gateway = Endpoint.parse(before, port=0)
+            except ValueError:
+                gateway = Endpoint("", 0)
+            if gateway.is_ip and gateway.port:
+                return cls(container, gateway)
         raise WireError(
             f"'{text}' is no address of a container: CONTAINER or "
             "IP-ADDRESS:PORT/CONTAINER"
         )
 
     def __str__(self) -> str:
-        gateway = f"{self.host}:{self.port}/" if self.host else ""
-        return f"{gateway}{self.container}"
-
-
-def _is_ip(host: str) -> bool:
-    try:
-        ip_address(host)
-    except ValueError:
-        return False
-    return True
+        return f"{self.gateway}/{self.container}" if self.gateway else self.container
 
 
 def family_of(host: str) -> socket.AddressFamily:
@@ -72,13 +65,12 @@ def family_of(host: str) -> socket.AddressFamily:
 
 
 def tune(connection: socket.socket) -> None:
-    """Let a TCP connection send at once, and end when its other end goes silent.
+    """Make a TCP connection send at once, and end when its other end is silent.
 
-    That takes `LOST_AFTER`, and a second at most, while nothing was sent; else who uses
-    the connection looks (`connection`). TCP's own limit for that would also end a
-    connection to a process that only takes nothing for a while, and what was sent to it
-    would be lost. What a listening socket is told holds for the connections that it
-    accepts.
+    An idle connection ends after `LOST_AFTER`, a second later at most; a busy one is
+    watched by its user (`poise.wire.connections.connection`). TCP's own limit would
+    also end a connection to a process that pauses reading, and lose what was sent. The
+    settings of a listening socket hold for the connections that it accepts.
     """
     seconds = int(LOST_AFTER)
     for level, option, value in (

@@ -8,10 +8,8 @@ from collections.abc import Sequence
 
 import zenoh
 
+from poise.endpoint import Endpoint
 from poise.errors import RunError
-
-PORT = 7447
-"""Where agents listen when no port is named."""
 
 
 def open_session(
@@ -75,9 +73,6 @@ def open_session(
         raise RunError(f"cannot listen on {', '.join(listen)}: {why}") from None
 
 
-def endpoint(address: str) -> str:
-    """Return the zenoh endpoint of ``ADDRESS`` or ``ADDRESS:PORT``."""
-    host, colon, port = address.rpartition(":")
-    if not colon or not port.isdigit():
-        return f"tcp/{address}:{PORT}"
-    return f"tcp/{host}:{port}"
+def locator(agent: Endpoint) -> str:
+    """Return zenoh's name of an agent's address."""
+    return f"tcp/{agent}"

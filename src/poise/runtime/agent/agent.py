@@ -23,6 +23,7 @@ import zenoh
 from msgspec import Struct
 
 from poise.clock import Clock, SystemClock
+from poise.endpoint import Endpoint
 from poise.errors import RunError, Unavailable, UsageError
 from poise.priority import go_first
 from poise.runtime._calls import Reader
@@ -42,7 +43,7 @@ from poise.runtime.hosting.wiring import Place
 from poise.runtime.waker import Waker, wait_readable
 from poise.wire.connections.gateway import Gateway
 from poise.wire.connections.socket_path import socket_path
-from poise.wire.control_session import open_session
+from poise.wire.control_session import locator, open_session
 from poise.wire.records.clocks import ClockStatus
 from poise.wire.records.deployment import (
     Accepted,
@@ -157,7 +158,9 @@ class Agent:
         with (
             Gateway(Path(setup.folder), setup.address, setup.gateway) as gateway,
             open_session(
-                listen=[self._endpoint()], connect=setup.peers, lease=lease
+                listen=[locator(Endpoint(setup.address, setup.port))],
+                connect=setup.peers,
+                lease=lease,
             ) as session,
         ):
             self._gateway = str(gateway)
@@ -192,9 +195,6 @@ class Agent:
 
         every = self._setup.sample_every
         return Sampler(self._setup.computer, every, containers, samples.put)
-
-    def _endpoint(self) -> str:
-        return f"tcp/{self._setup.address}:{self._setup.port}"
 
     def _on_signal(self, _signal: int, _frame: FrameType | None) -> None:
         self._stopping = True

@@ -229,7 +229,7 @@ class ConnectionChannel:
         """
         connection = self._opened(use, 0.0 if self._is_lost else deadline)
         if connection is None:
-            self._is_lost = bool(self._address.host)
+            self._is_lost = self._address.gateway is not None
             raise Unavailable(f"{self._connector}: no answer from {self._address}")
         return connection
 
@@ -241,7 +241,7 @@ class ConnectionChannel:
         ):
             return False
         try:
-            patience = 0.0 if self._address.host else _PATIENCE
+            patience = 0.0 if self._address.gateway else _PATIENCE
             connection = self._opened(self._use, time.monotonic() + patience)
             if connection is not None:
                 self._connections[self._use].give_back(connection)
@@ -265,7 +265,7 @@ class ConnectionChannel:
             self._connections[use].add(opening.connection)
             return opening.connection
         if opening.is_late() or self._is_closed:
-            self._is_lost = bool(self._address.host)
+            self._is_lost = self._address.gateway is not None
             opening.connection.close()
         else:
             self._openings[use] = opening

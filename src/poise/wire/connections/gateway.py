@@ -21,6 +21,7 @@ import time
 from pathlib import Path
 from typing import Self
 
+from poise.endpoint import Endpoint
 from poise.errors import CallError, RunError
 from poise.wire import frame
 from poise.wire.address import family_of, tune
@@ -123,8 +124,10 @@ class Gateway:
             )
         except OSError as error:
             self._handing_on.close()
-            raise RunError(f"cannot listen on {host}:{port}: {error}") from None
-        self._address = "{}:{}".format(*self._listener.getsockname())
+            raise RunError(
+                f"cannot listen on {Endpoint(host, port)}: {error}"
+            ) from None
+        self._address = str(Endpoint(*self._listener.getsockname()[:2]))
         tune(self._listener)
         self._listener.setblocking(False)
         self._thread = threading.Thread(target=self._main, name="door", daemon=True)

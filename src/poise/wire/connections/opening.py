@@ -42,15 +42,15 @@ class Opening:
         self._address = address
         self._asked = False
         self._give_up_at = time.monotonic() + ANSWER_LIMIT
-        host = address.host
-        family = family_of(host) if host else socket.AF_UNIX
+        gateway = address.gateway
+        family = family_of(gateway.host) if gateway else socket.AF_UNIX
         self._connection = socket.socket(family, socket.SOCK_STREAM)
         self.connection = Connection(self._connection)
         try:
-            if host:
+            if gateway:
                 tune(self._connection)
                 self._connection.setblocking(False)
-                self._connection.connect((host, address.port))
+                self._connection.connect((gateway.host, gateway.port))
             else:
                 stream.set_limit(self._connection, ANSWER_LIMIT)
                 path = socket_path(folder, address.container)
@@ -94,7 +94,7 @@ class Opening:
 
     def _ask(self, use: int) -> None:
         names = [(self._connector, use)]
-        if self._address.host:
+        if self._address.gateway:
             names.insert(0, (self._address.container, 0))
         for name, number in names:
             hello = frame.segments(NAME, name, Kind.WELCOME, number=number)

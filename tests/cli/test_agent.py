@@ -1,0 +1,63 @@
+"""`poise agent` on real addresses."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Poise
+from tests.command import LIMIT, POISE
+from tests.runtime.conftest import free_port
+
+HELLO = Path(__file__).parents[2] / "examples" / "hello"
+
+
+@contextlib.contextmanager
+def agents(ports: Mapping[str, int]) -> Iterator[None]:
+    """Run an agent for each computer on IPv6's loopback."""
+    processes = []
+    try:
+        for name, port in ports.items():
+            peers = [
+                f"--peer=[::1]:{other}" for other in ports.values() if other != port
+            ]
+            argv = [*POISE, "agent", name, "--robot", "hello", "--address", "::1"]
+            processes.append(subprocess.Popen([*argv, f"--port={port}", *peers]))
+        yield
+    finally:
+        for process in processes:
+            process.terminate()
+        for process in processes:
+            process.wait(LIMIT)
+
+
+@pytest.mark.slow
+def test_agents_and_connectors_use_ipv6(poise: Poise, tmp_path: Path) -> None:
+    text = (HELLO / "robot.yaml").read_text()
+    ports = {"left": free_port(), "right": free_port()}
+    for name, port in ports.items():
+        text = text.replace(f"{name}: {{", f"{name}: {{address: '[::1]:{port}', ")
+    for name, computer in (("Counter", "left"), ("Printer", "right")):
+        text = text.replace(f'hello:{name}"', f'hello:{name}", only: [{computer}]')
+    (tmp_path / "robot.yaml").write_text(text)
+    (tmp_path / "hello.py").write_bytes((HELLO / "hello.py").read_bytes())
+    words = ["run", tmp_path / "robot.yaml", "--task", "greet", "--for", "3s"]
+    with agents(ports):
+        done = poise(*words, "--json")
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert {each["kind"] for each in report["connectors"]} == {"remote"}
+    assert report["clocks"]
+
+
+@pytest.mark.parametrize("address", ["[::1]", "::1:7447:x", "10.0.0.1:7500", "myhost"])
+def test_an_address_to_listen_on_is_an_ip_address(poise: Poise, address: str) -> None:
+    done = poise("agent", "left", "--robot", "hello", "--address", address)
+    assert done.returncode == 2
+    assert f"{address}" in done.stderr
+    assert "fd00::" in done.stderr
