@@ -10,8 +10,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
+from poise.endpoint import Endpoint
 from poise.errors import Timeout, Unavailable
 from poise.wire import frame
+from poise.wire.address import Address
 from poise.wire.codec import WireError
 from poise.wire.connections import connection_channel, connection_server
 from poise.wire.connections.channel import Closed, Pieces
@@ -277,8 +279,9 @@ def newcomer(wire: Wire) -> socket.socket:
         sock = socket.socket(socket.AF_UNIX)
         sock.connect(str(socket_path(wire.folder, "there")))
     else:
-        address = wire.address()
-        sock = socket.create_connection((address.host, address.port))
+        gateway = wire.address().gateway
+        assert gateway is not None
+        sock = socket.create_connection((gateway.host, gateway.port))
         Connection(sock).send(frame.segments(TEXT, "there", Kind.WELCOME))
     sock.settimeout(LIMIT)
     return sock
@@ -541,8 +544,8 @@ def test_whoever_looks_does_not_wait_for_a_computer_that_is_silent(wire: Wire) -
     with socket.create_server(("127.0.0.1", 0), backlog=0) as silent:
         address = silent.getsockname()
         with socket.create_connection(address):
-            channel = ConnectionChannel("echo", wire.address(), wire.folder)
-            channel._address = type(channel._address)("there", *address)
+            there = Address("there", Endpoint(*address))
+            channel = ConnectionChannel("echo", there, wire.folder)
             assert not channel.is_ready()
             assert not channel.is_ready()
             (opening,) = channel._openings.values()

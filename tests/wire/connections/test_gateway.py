@@ -27,8 +27,9 @@ ANYBODY = "127.0.0.1"
 
 
 def come(wire: Wire) -> socket.socket:
-    address = wire.address()
-    return socket.create_connection((address.host, address.port), LIMIT)
+    gateway = wire.address().gateway
+    assert gateway is not None
+    return socket.create_connection((gateway.host, gateway.port), LIMIT)
 
 
 def everything(sock: socket.socket) -> bytes:
