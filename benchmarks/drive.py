@@ -45,13 +45,13 @@ def main() -> None:
         scenes.append(move_while_driving(EXAMPLES, silent))
         steps = scenes[-1].move.seconds.items()
         parts = ", ".join(f"{name} {1e3 * s:.1f}" for name, s in steps)
-        void = f"; void: {scenes[-1].void}" if scenes[-1].void else ""
+        void = f"; invalid: {scenes[-1].invalid}" if scenes[-1].invalid else ""
         sys.stderr.write(f"{told(scenes[-1])}{void}\n  [ms] {parts}\n")
     gates = [scene.move.gate_shut for scene in scenes]
     drives = Drives(
         drives=len(scenes),
         moved=sum(scene.move.committed for scene in scenes),
-        void=sum(bool(scene.void) for scene in scenes),
+        void=sum(bool(scene.invalid) for scene in scenes),
         missed=sum(scene.during[0] for scene in scenes),
         gate_shut_median_s=median(gates),
         gate_shut_max_s=max(gates),

@@ -38,10 +38,12 @@ from poise.manage.observe.profiling import Subject, figures
 from poise.manage.observe.recording import Recording
 from poise.model.robot import Robot
 from poise.runtime._calls import Account
-from poise.session.launch import Watching, decide, prepared, running
 from poise.session.measure_alone import measure_alone
+from poise.session.placement import place
 from poise.session.profiles import read_profile
 from poise.session.profiling_rig import EMPTY, stand_of
+from poise.session.robot_file import load
+from poise.session.start import Sampling, started
 from poise.wire.records.deployment import AgentStatus
 from poise.wire.records.samples import SAMPLE_EVERY, AgentSample
 
@@ -108,9 +110,9 @@ def run(
         Takes the samples; None: they are kept.
     """
     recording, journal = Recording(), Journal(":memory:")
-    watching = Watching(take or recording.add, every)
+    sampling = Sampling(take or recording.add, every)
     try:
-        with running(robot, placement, journal, _silent, watching) as up:
+        with started(robot, placement, journal, _silent, sampling) as up:
             up.run.watch(WARM_UP)
             recording.take()
             up.computers.begin()
@@ -220,12 +222,12 @@ def needs(lengths: Lengths) -> dict[str, object]:
 
 def predictions(lengths: Lengths) -> dict[str, object]:
     """Run T-Rot where Poise puts it, and compare with what its profile predicts."""
-    robot = prepared(TROT, _silent)
+    robot = load(TROT, say=_silent)
     profile = read_profile(robot)
     if profile is None:
         sys.exit(f"{TROT} has no profile: `poise profile {TROT}` makes it")
     robot = msgspec.structs.replace(robot, simulator=robot.workload)
-    placement = decide(robot, "serve", "auto").placement
+    placement = place(robot, "serve").where
     ran = run(robot, placement, lengths.trot)
     predicted = predicted_cpu(robot, placement, profile)
     errors = {n: predicted[n] / ran.cores[n] - 1 for n in predicted}

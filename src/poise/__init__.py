@@ -1,10 +1,24 @@
-"""Poise keeps a robot's software in balance over its on-board computers."""
+"""Poise keeps a robot's software in balance over its on-board computers.
+
+`load`, `place`, `run` and `up` are the application; `Component` and its ports are what
+a robot's code is written with.
+"""
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from poise.clock import Stamp as Stamp
+    from poise.errors import CalleeError as CalleeError
+    from poise.errors import CallError as CallError
+    from poise.errors import PoiseError as PoiseError
+    from poise.errors import Problem as Problem
+    from poise.errors import RobotError as RobotError
+    from poise.errors import RunError as RunError
+    from poise.errors import Timeout as Timeout
+    from poise.errors import Unavailable as Unavailable
+    from poise.errors import UsageError as UsageError
+    from poise.model.robot import Robot as Robot
     from poise.runtime.component.component import Component as Component
     from poise.runtime.component.deadline import time_left as time_left
     from poise.runtime.component.deadline import within as within
@@ -15,27 +29,63 @@ if TYPE_CHECKING:
     from poise.runtime.component.ports import every as every
     from poise.runtime.component.ports import oneway as oneway
     from poise.runtime.component.ports import subscribed as subscribed
+    from poise.session.placement import Placement as Placement
+    from poise.session.placement import place as place
+    from poise.session.report import RunReport as RunReport
+    from poise.session.robot_file import check as check
+    from poise.session.robot_file import load as load
+    from poise.session.run import run as run
+    from poise.session.running import Running as Running
+    from poise.session.running import connect as connect
+    from poise.session.up import up as up
     from poise.wire.connections.loans import loan as loan
 else:
     _HOMES = {
-        "Component": "poise.runtime.component.component",
-        "Message": "poise.runtime.component.ports",
-        "Provided": "poise.runtime.component.ports",
-        "Published": "poise.runtime.component.ports",
-        "Required": "poise.runtime.component.ports",
-        "Stamp": "poise.clock",
-        "every": "poise.runtime.component.ports",
-        "loan": "poise.wire.connections.loans",
-        "oneway": "poise.runtime.component.ports",
-        "subscribed": "poise.runtime.component.ports",
-        "time_left": "poise.runtime.component.deadline",
-        "within": "poise.runtime.component.deadline",
+        "CallError": "errors",
+        "CalleeError": "errors",
+        "Component": "runtime.component.component",
+        "Message": "runtime.component.ports",
+        "Placement": "session.placement",
+        "PoiseError": "errors",
+        "Problem": "errors",
+        "Provided": "runtime.component.ports",
+        "Published": "runtime.component.ports",
+        "Required": "runtime.component.ports",
+        "Robot": "model.robot",
+        "RobotError": "errors",
+        "RunError": "errors",
+        "RunReport": "session.report",
+        "Running": "session.running",
+        "Stamp": "clock",
+        "Timeout": "errors",
+        "Unavailable": "errors",
+        "UsageError": "errors",
+        "check": "session.robot_file",
+        "connect": "session.running",
+        "every": "runtime.component.ports",
+        "load": "session.robot_file",
+        "loan": "wire.connections.loans",
+        "oneway": "runtime.component.ports",
+        "place": "session.placement",
+        "run": "session.run",
+        "subscribed": "runtime.component.ports",
+        "time_left": "runtime.component.deadline",
+        "up": "session.up",
+        "within": "runtime.component.deadline",
     }
     __all__ = list(_HOMES)
 
+    def __dir__() -> list[str]:
+        """Return the public names, whether they are imported already or not."""
+        return sorted([*__all__, "__version__"])
+
     def __getattr__(name: str) -> object:
-        """Import a name when it is first asked for: until then Ctrl-C has no answer."""
-        if name not in _HOMES:
+        """Import a name when it is first asked for, so that `import poise` is quick."""
+        if name == "__version__":
+            found: object = import_module("importlib.metadata").version("poise")
+        elif name in _HOMES:
+            found = getattr(import_module(f"poise.{_HOMES[name]}"), name)
+        else:
             raise AttributeError(f"module 'poise' has no attribute '{name}'")
-        found = globals()[name] = getattr(import_module(_HOMES[name]), name)
+        globals()[name] = found
         return found

@@ -39,9 +39,9 @@ def test_drives_moves_and_calls() -> None:
     assert done.returncode == 1, done.stderr  # for the outcome is not the paper's
     assert done.stdout, done.stderr
     report = json.loads(done.stdout)
-    assert [drive["placement"] for drive in report["runs"]] == ["static", "auto"]
+    assert [drive["method"] for drive in report["runs"]] == ["static", "auto"]
     static, auto = report["runs"]
-    assert set(static["where"].values()) < set(auto["where"].values())
+    assert set(static["placement"].values()) < set(auto["placement"].values())
     for drive in report["runs"]:
         assert not drive["goal_reached"]
         assert drive["cpu_share"].keys() == {"main", "vision"}

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import io
 import json
 import re
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
-from poise.cli.up import Seen
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.recording import save
 from poise.model import load
+from poise.session.up import Samples
 from poise.wire.records.recorded import Recorded
 from poise.wire.records.samples import AgentSample, ComponentSample, ContainerSample
 from tests.command import Poise
@@ -49,15 +47,15 @@ def test_drifts_are_told_until_the_simulated_world_ends(
     folder: Path, *, ends: bool
 ) -> None:
     """It would need four times as much from 20 s on; the world may end there."""
-    out = io.StringIO()
+    said: list[str] = []
     estimates = Estimates(load(folder / "robot.yaml"), None, emulated=True)
-    seen = Seen(estimates, None, Console(file=out, color_system=None))
+    samples = Samples(estimates, None, said.append)
     for k in range(300):
         if ends and k == 100:
-            seen.end()
-        seen.take(told(0.2 * k))
-    assert ("'eye' needs" in out.getvalue()) is not ends
-    assert ("world has ended" in out.getvalue()) is ends
+            samples.end()
+        samples.take(told(0.2 * k))
+    assert ("'eye' needs" in "".join(said)) is not ends
+    assert ("world has ended" in "".join(said)) is ends
 
 
 @pytest.mark.slow

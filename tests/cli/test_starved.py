@@ -13,7 +13,7 @@ from poise.estimate.online import Drift, Estimate
 from poise.manage.journal import Journal
 from poise.manage.observe.estimates import Estimates
 from poise.model.robot import Architecture, Component, Computer, Robot
-from poise.session.launch import Watching, running
+from poise.session.start import Sampling, started
 from poise.wire.records.samples import AgentSample
 
 QUOTA = 0.3
@@ -63,8 +63,8 @@ def starved(component: Component, folder: Path, enough: Callable[[Seen], bool]) 
     )
     seen = Seen(Estimates(robot, None, emulated=True))
     journal = Journal(":memory:")
-    with running(
-        robot, {component.name: "small"}, journal, lambda _: None, Watching(seen.take)
+    with started(
+        robot, {component.name: "small"}, journal, lambda _: None, Sampling(seen.take)
     ) as up:
         end = time.monotonic() + LIMIT
         while not enough(seen):

@@ -20,7 +20,7 @@ from poise.manage.journal import Journal
 from poise.manage.migration.transition import plan_transition
 from poise.manage.migration.transition_run import transit
 from poise.model import load
-from poise.session.launch import running
+from poise.session.start import started
 from tests.command import robot_up, run_poise
 from tests.runtime.conftest import free_port, wait_until
 
@@ -265,7 +265,7 @@ def test_steps_taken_are_taken_back_when_one_fails(robot: Path) -> None:
     model = load(robot)
     then = {"first": "right", "second": "right", "reader": "left"}
     journal = Journal(":memory:")
-    with running(model, TOGETHER, journal, lambda _: None) as robot_up:
+    with started(model, TOGETHER, journal, lambda _: None) as robot_up:
         steps = plan_transition(model, TOGETHER, then)
         by_name = sorted(steps, key=lambda step: step.component)  # what fails goes last
         report = transit(robot_up.run, tuple(by_name))

@@ -14,9 +14,9 @@ from poise.manage.observe.recording import load as load_recording
 from poise.manage.observe.recording import save
 from poise.model import load
 from poise.model.robot import Generated, Robot, Workload
-from poise.session.check import find_problems
 from poise.session.profiling_rig import OTHERS, stand_of
 from poise.session.recorders import RECORDER, tapped
+from poise.session.robot_file import check
 from poise.session.workload_replay import PLAYER, played
 from poise.wire.records.recorded import Input, Recorded
 from tests.command import Poise
@@ -142,7 +142,7 @@ def test_check_tells_what_is_wrong_with_a_workload(
 ) -> None:
     (folder / "robot.yaml").write_text(f"{ROBOT}workload: {workload}\n")
     sys.modules.pop("hearing", None)
-    problems = find_problems(folder / "robot.yaml")
+    problems = check(folder / "robot.yaml")
     assert any(says in problem.message for problem in problems), problems
 
 

@@ -16,7 +16,7 @@ from poise.manage.journal import Journal
 from poise.model import load
 from poise.runtime.agent.clock_synchronisation import ClockSynchronisation
 from poise.runtime.clock_table import ClockTable, ComputerClock, clocks_path
-from poise.session.launch import Watching, running
+from poise.session.start import Sampling, started
 from poise.wire.control_session import open_session
 from poise.wire.records.clocks import ClockStatus
 
@@ -212,7 +212,7 @@ def test_the_age_of_a_message_from_a_computer_whose_clock_is_ahead(
         journal = Journal(":memory:")
         stack.callback(journal.close)
         up = stack.enter_context(
-            running(robot, placement, journal, lambda _: None, Watching())
+            started(robot, placement, journal, lambda _: None, Sampling())
         )
 
         def measures() -> dict[str, float]:

@@ -13,7 +13,6 @@ from rich.console import Console
 from rich.table import Table
 
 from poise.cli.options import parse_option
-from poise.cli.render.tables import table
 from poise.errors import RunError, UsageError
 from poise.estimate.profile import KindCosts
 from poise.estimate.profile import file as profile_file
@@ -22,8 +21,10 @@ from poise.manage.observe.recording import Recording
 from poise.model.robot import Computer, Robot
 from poise.session.calibration_costs import costs_of
 from poise.session.calibration_robots import pairs, yardsticks
-from poise.session.launch import Up, Watching, checked, running
 from poise.session.profiles import check_keepable, read_profile, store_of
+from poise.session.render.tables import table
+from poise.session.robot_file import load_bare
+from poise.session.start import Sampling, Started, started
 from poise.units import SECONDS
 
 _WARM_UP = 1.0
@@ -47,7 +48,7 @@ def calibrate_command(
 
     Example: poise calibrate robot.yaml
     """
-    robot = checked(file)
+    robot = load_bare(file)
     check_keepable(robot)
     seconds = parse_option("--for", for_, SECONDS)
     console = Console(highlight=False)
@@ -72,7 +73,7 @@ def _speeds(robot: Robot, reference: str, seconds: float) -> Table:
         known = ", ".join(c.name for c in robot.computers)
         raise UsageError(f"--reference {reference}: the computers are {known}")
     bare, placement = yardsticks(robot)
-    with running(bare, placement, Journal(":memory:"), _silent) as up:
+    with started(bare, placement, Journal(":memory:"), _silent) as up:
         _watch(up, _WARM_UP + seconds)
         scores = {
             computer: component.measures["score"].median
@@ -98,8 +99,8 @@ def _costs(robot: Robot, seconds: float) -> dict[str, KindCosts]:
     here, there = robot.computers[0], robot.computers[-1]
     bare, placement = pairs(robot, here.name, there.name)
     recording = Recording()
-    with running(
-        bare, placement, Journal(":memory:"), _silent, Watching(recording.add)
+    with started(
+        bare, placement, Journal(":memory:"), _silent, Sampling(recording.add)
     ) as up:
         _watch(up, _WARM_UP)
         recording.take()
@@ -129,7 +130,7 @@ def _cost_table(costs: Mapping[str, KindCosts]) -> Table:
     return rows
 
 
-def _watch(up: Up, seconds: float) -> None:
+def _watch(up: Started, seconds: float) -> None:
     end = time.monotonic() + seconds
     while (left := end - time.monotonic()) > 0:
         up.run.watch(left)

@@ -11,7 +11,7 @@ import msgspec
 import typer
 
 from poise.errors import Problem, UsageError
-from poise.session.check import find_problems
+from poise.session.robot_file import check
 
 
 def check_command(
@@ -35,7 +35,7 @@ def check_command(
         return
     if file is None:
         raise UsageError("give a robot file, as in `poise check robot.yaml`")
-    problems = find_problems(file)
+    problems = check(file)
     _print_json(problems) if as_json else _print_text(file, problems)
     if problems:
         raise typer.Exit(1)

@@ -13,10 +13,12 @@ from msgspec import Struct
 from rich.console import Console
 
 from poise.cli.demo_scene import NAVIGATOR, Scene, move_while_driving, serve, told
-from poise.cli.render.tables import table
 from poise.errors import RobotError
-from poise.manage.observe.report import RunReport
-from poise.session.launch import Kind, decide, prepared, run_task
+from poise.session.placement import place
+from poise.session.render.tables import table
+from poise.session.report import RunReport
+from poise.session.robot_file import load
+from poise.session.run import run
 from poise.units import format_seconds
 from poise.wire.records.deployment import Summary
 
@@ -40,11 +42,11 @@ class Drive(Struct, frozen=True, kw_only=True):
         Age of pose and map when the navigator used them [s].
     cpu_share
         Computer -> share of its CPU that was used.
-    void
+    invalid
         Why the drive says nothing about the robot; empty when it does.
     """
 
-    placement: str
+    method: str
     deadline_miss_share: float
     pose_age: Summary
     map_age: Summary
@@ -52,8 +54,8 @@ class Drive(Struct, frozen=True, kw_only=True):
     decision_seconds: float
     cpu_share: Mapping[str, float]
     seconds: float
-    where: Mapping[str, str]
-    void: str
+    placement: Mapping[str, str]
+    invalid: str
 
 
 class Calls(Struct, frozen=True, kw_only=True):
@@ -111,17 +113,16 @@ def demo_command(
         raise typer.Exit(1)
 
 
-def _drive(examples: Path, kind: Kind, console: Console) -> Drive:
+def _drive(examples: Path, method: str, console: Console) -> Drive:
     """Drive once; a second time when the host spoilt the first."""
     titles = {"static": "everything on Main", "auto": "where Poise puts it"}
-    console.rule(f"[bold]T-Rot, {titles[kind]}")
-    robot = prepared(examples / "trot" / "robot.yaml", console.print)
+    console.print(f"\n[bold]T-Rot, {titles[method]}")
+    robot = load(examples / "trot" / "robot.yaml", say=console.print)
     for _ in range(2):
-        decision = decide(robot, "serve", kind)
-        report = serve(robot, decision, console)
+        report = serve(robot, place(robot, "serve", method=method), console)
         drive = _read_drive(report)
         console.print(_outcome(drive))
-        if not drive.void:
+        if not drive.invalid:
             break
     return drive
 
@@ -130,7 +131,7 @@ def _read_drive(report: RunReport) -> Drive:
     navigator = report.component(NAVIGATOR)
     (cycle,) = navigator.timers
     return Drive(
-        placement=report.placement,
+        method=report.method,
         deadline_miss_share=cycle.missed / cycle.releases if cycle.releases else 1.0,
         pose_age=navigator.measures.get("pose_age", Summary()),
         map_age=navigator.measures.get("map_age", Summary()),
@@ -138,14 +139,14 @@ def _read_drive(report: RunReport) -> Drive:
         decision_seconds=report.decision_seconds,
         cpu_share=report.cpu_share,
         seconds=report.seconds,
-        where=report.where,
-        void=report.void,
+        placement=report.placement,
+        invalid=report.invalid,
     )
 
 
 def _outcome(drive: Drive) -> str:
-    if drive.void:
-        return f"[yellow]void:[/] {drive.void}"
+    if drive.invalid:
+        return f"[yellow]invalid run:[/] {drive.invalid}"
     reached = "reached its goal" if drive.goal_reached else "did not reach its goal"
     return (
         f"the robot {reached} in {drive.seconds:.1f} s; the navigator missed "
@@ -154,17 +155,16 @@ def _outcome(drive: Drive) -> str:
 
 
 def _calls(examples: Path, console: Console) -> Calls:
-    console.rule("[bold]How long calls take")
-    robot = prepared(examples / "calls" / "robot.yaml", console.print)
-    decision = decide(robot, "call", "auto")
-    report = run_task(robot, "call", decision, seconds=_CALLS, say=console.print)
+    console.print("\n[bold]How long calls take")
+    robot = load(examples / "calls" / "robot.yaml", say=console.print)
+    report = run(robot, "call", seconds=_CALLS, say=console.print)
     measures = report.component("caller").measures
     return Calls(direct=measures["near"], message=measures["far"])
 
 
 def _show(report: DemoReport, console: Console) -> None:
     """Print the numbers side by side, a column per run."""
-    rows = table("", *(_TITLES[drive.placement] for drive in report.runs))
+    rows = table("", *(_TITLES[drive.method] for drive in report.runs))
     for computer in report.runs[0].cpu_share:
         shares = [f"{drive.cpu_share.get(computer, 0):.0%}" for drive in report.runs]
         rows.add_row(f"CPU used on {computer}", *shares)
@@ -195,16 +195,16 @@ _ROWS: Mapping[str, Callable[[Drive], str]] = {
     "placement decided in": lambda d: (
         format_seconds(d.decision_seconds) if d.decision_seconds else "by hand"
     ),
-    "void": lambda d: "yes" if d.void else "no",
+    "valid run": lambda d: "no" if d.invalid else "yes",
 }
 
 
 def _trouble(report: DemoReport) -> str:
     """Return what did not come out as in the paper; empty when all did."""
-    by_placement = {drive.placement: drive for drive in report.runs}
-    static, auto = by_placement["static"], by_placement["auto"]
-    if static.void or auto.void:
-        return "a run is void: this machine was too busy for the emulation"
+    by_method = {drive.method: drive for drive in report.runs}
+    static, auto = by_method["static"], by_method["auto"]
+    if static.invalid or auto.invalid:
+        return "a run is invalid: this machine was too busy for the emulation"
     if static.goal_reached or static.deadline_miss_share < 1 - _MOST_MET:
         return "static placement did not fail as it does in the paper"
     if not auto.goal_reached or auto.deadline_miss_share >= _MOST_MISSED:

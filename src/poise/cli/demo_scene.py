@@ -9,13 +9,16 @@ from msgspec import Struct
 from rich.console import Console
 from rich.markup import escape
 
-from poise.cli.render.progress import Meanwhile, progress
+from poise.cli.render.progress import progress
 from poise.errors import RunError
 from poise.manage.migration.move import MoveReport, move
-from poise.manage.observe.report import RunReport
 from poise.manage.run import Run, components_of
 from poise.model.robot import Robot
-from poise.session.launch import Decision, decide, prepared, run_task
+from poise.session.placement import Placement, place
+from poise.session.report import RunReport
+from poise.session.robot_file import load
+from poise.session.run import Meanwhile
+from poise.session.run import run as run_task
 from poise.units import format_seconds
 
 NAVIGATOR = "motion_controller"
@@ -40,18 +43,18 @@ class Scene(Struct, frozen=True, kw_only=True):
     during: tuple[int, int]
     after: tuple[int, int]
     goal_reached: bool
-    void: str
+    invalid: str
 
 
 def move_while_driving(examples: Path, console: Console) -> Scene:
     """Let the robot drive, move its localiser in mid-drive, and tell how it went."""
-    console.rule("[bold]T-Rot's localiser moves while it drives")
-    robot = prepared(examples / "trot" / "robot.yaml", console.print)
-    decision = decide(robot, "serve", "auto")
-    there = decision.placement[_MOVED]
+    console.print("\n[bold]T-Rot's localiser moves while it drives")
+    robot = load(examples / "trot" / "robot.yaml", say=console.print)
+    placed = place(robot, "serve")
+    there = placed[_MOVED]
     target = next(c.name for c in robot.computers if c.name != there)
     mover = _Mover(target)
-    report = serve(robot, decision, console, mover.look)
+    report = serve(robot, placed, console, mover.look)
     scene = mover.scene(report)
     console.print(told(scene))
     return scene
@@ -91,7 +94,7 @@ class _Mover:
             during=during,
             after=after,
             goal_reached=bool(report.simulation.get("goal_reached")),
-            void=report.void,
+            invalid=report.invalid,
         )
 
 
@@ -121,7 +124,7 @@ def told(scene: Scene) -> str:
 
 def serve(
     robot: Robot,
-    decision: Decision,
+    placed: Placement,
     console: Console,
     meanwhile: Meanwhile | None = None,
 ) -> RunReport:
@@ -134,5 +137,10 @@ def serve(
                 meanwhile(run, now)
 
         return run_task(
-            robot, "serve", decision, seconds=_DRIVE, say=console.print, meanwhile=look
+            robot,
+            "serve",
+            seconds=_DRIVE,
+            placement=placed,
+            say=console.print,
+            meanwhile=look,
         )

@@ -1,9 +1,25 @@
-"""Options that several commands have."""
+"""Arguments and options that several commands have."""
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
 from poise.errors import UsageError
 from poise.units import Dimension, parse
+
+RobotFile = Annotated[
+    Path, typer.Argument(help="The robot file.", envvar="POISE_ROBOT")
+]
+RobotTask = Annotated[
+    str | None, typer.Option("--task", help="The task; else the file's first.")
+]
+Method = Annotated[
+    Literal["auto", "static"],
+    typer.Option("--placement", help="auto: Poise decides; static: home computers."),
+]
 
 
 def parse_option(option: str, text: str, dimension: Dimension) -> float:

@@ -18,16 +18,16 @@ from rich.console import Console
 
 from poise import plan
 from poise.cli.plan_questions import changed
-from poise.cli.render.plan import (
+from poise.errors import UsageError
+from poise.model import load
+from poise.model.robot import Robot
+from poise.session.profiles import profiled
+from poise.session.render.plan import (
     show,
     show_comparison,
     show_explanation,
     show_smallest,
 )
-from poise.errors import UsageError
-from poise.model import load
-from poise.model.robot import Robot
-from poise.session.profiles import profiled
 
 
 def plan_command(

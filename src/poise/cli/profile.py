@@ -29,10 +29,10 @@ from poise.manage.observe.profiling import (
     figures,
 )
 from poise.model.robot import Robot
-from poise.session.launch import checked
 from poise.session.measure_alone import Tick, measure_alone
 from poise.session.profiles import check_keepable, read_profile, stale, store_of
 from poise.session.profiling_rig import EMPTY, ProfilingRig, stand_of
+from poise.session.robot_file import load_bare
 from poise.session.writable import to_write
 from poise.session.write_demands import write_demands
 from poise.units import SECONDS
@@ -95,7 +95,7 @@ def profile_command(
         raise UsageError("--plot and --history are for `poise profile show`")
     if shown is not None:
         raise UsageError(f"{shown}: give one robot file, or `show` and a robot file")
-    robot = checked(file)
+    robot = load_bare(file)
     names = _chosen(robot, architecture or [])
     check_keepable(robot)
     session = _Session(
@@ -131,7 +131,7 @@ def _show(
 ) -> None:
     if file is None:
         raise UsageError("give a robot file, as in `poise profile show robot.yaml`")
-    robot = checked(file)
+    robot = load_bare(file)
     profile = read_profile(robot)
     with store_of(robot) as store:
         profile = profile or store.latest(robot.name)
@@ -243,7 +243,7 @@ class _Session:
         runs: list[Observed] = []
         for attempt in range(self._repeat + _MOST_EXTRA):
             run = self._run(stand, tick)
-            if not run.void or attempt == self._repeat + _MOST_EXTRA - 1:
+            if not run.invalid or attempt == self._repeat + _MOST_EXTRA - 1:
                 runs.append(run)
             if len(runs) >= self._repeat and not disagreeing(runs, stand.measured):
                 break
@@ -251,8 +251,8 @@ class _Session:
 
     def _run(self, stand: ProfilingRig, tick: Tick) -> Observed:
         run = measure_alone(stand, self._seconds, self._warm_up, _silent, tick)
-        if run.void:
-            self._console.print(f"[yellow]{run.void}[/]")
+        if run.invalid:
+            self._console.print(f"[yellow]{run.invalid}[/]")
         return run
 
     def _speed(self) -> float:

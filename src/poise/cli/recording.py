@@ -10,13 +10,13 @@ import msgspec
 import typer
 from rich.console import Console
 
-from poise.cli.render.tables import table
 from poise.errors import UsageError
 from poise.manage.observe.estimates import DemandEstimate, Estimates
 from poise.manage.observe.export import export
 from poise.manage.observe.recording import load, replay
-from poise.session.launch import checked
 from poise.session.profiles import read_profile
+from poise.session.render.tables import table
+from poise.session.robot_file import load_bare
 from poise.session.writable import to_write
 from poise.wire.records.samples import AgentSample
 
@@ -62,7 +62,7 @@ def recording_command(
         return
     if robot is None:
         raise UsageError("give the robot file: --robot robot.yaml")
-    found = checked(robot)
+    found = load_bare(robot)
     if found.name != recorded.robot:
         raise UsageError(
             f"{file} was recorded of robot '{recorded.robot}', not of '{found.name}'"

@@ -8,24 +8,23 @@ from typing import Annotated
 
 import msgspec
 import typer
-from rich.console import Console
+from rich.markup import escape
 
+from poise.cli.options import Method, RobotFile, RobotTask, parse_option
 from poise.cli.render.progress import progress
-from poise.cli.render.run import show_run
 from poise.errors import UsageError
-from poise.session.launch import Kind, decide, first_task, prepared, run_task
+from poise.session.placement import place
+from poise.session.render.shown import console_to
+from poise.session.robot_file import load, task_of
+from poise.session.run import run
 from poise.session.writable import to_write
-from poise.units import SECONDS, parse
+from poise.units import SECONDS
 
 
 def run_command(
-    file: Annotated[Path, typer.Argument(help="The robot file.")],
-    task: Annotated[
-        str | None, typer.Option(help="The task; else the file's first.")
-    ] = None,
-    placement: Annotated[
-        Kind, typer.Option(help="auto: Poise decides; static: home computers.")
-    ] = "auto",
+    file: RobotFile,
+    task: RobotTask = None,
+    placement: Method = "auto",
     for_: Annotated[
         str, typer.Option("--for", help="How long, such as 20s or 2 min.")
     ] = "20s",
@@ -50,22 +49,28 @@ def run_command(
 
     Example: poise run robot.yaml --task fetch --for 20s
     """
-    seconds = _seconds(for_)
-    console = Console(stderr=as_json, highlight=False)
-    robot = prepared(file, console.print)
-    chosen = task or first_task(robot)
-    decision = decide(robot, chosen, placement)
+    seconds = parse_option("--for", for_, SECONDS)
+    if not seconds > 0:
+        raise UsageError(f"--for {for_}: a run lasts longer than 0 s")
+    console = console_to(stderr=as_json)
+
+    def say(sentence: str) -> None:
+        console.print(escape(sentence))
+
+    robot = load(file, say=say)
+    chosen = task_of(robot, task)
+    placed = place(robot, chosen, method=placement)
     if report is not None:
         _make_folder(report)
     with progress(console, seconds) as show:
-        result = run_task(
+        result = run(
             robot,
             chosen,
-            decision,
             seconds=seconds,
-            say=console.print,
-            report=report,
+            placement=placed,
+            journal=report / "journal.sqlite" if report else None,
             record=record,
+            say=say,
             meanwhile=show,
         )
     text = msgspec.json.format(msgspec.json.encode(result))
@@ -74,8 +79,8 @@ def run_command(
     if as_json:
         sys.stdout.write(text.decode() + "\n")
     else:
-        show_run(result, console)
-    if result.void:
+        console.print(result)
+    if result.invalid:
         raise typer.Exit(1)
 
 
@@ -85,13 +90,3 @@ def _make_folder(path: Path) -> None:
     except OSError as error:
         raise UsageError(f"--report {path}: {error.strerror}") from error
     to_write(path / "report.json")
-
-
-def _seconds(text: str) -> float:
-    try:
-        seconds = parse(text, SECONDS)
-    except ValueError as error:
-        raise UsageError(f"--for {text}: {error}") from error
-    if not seconds > 0:
-        raise UsageError(f"--for {text}: a run lasts longer than 0 s")
-    return seconds

@@ -11,13 +11,13 @@ from rich.markup import escape
 from rich.table import Table
 
 from poise.cli.move import AsJson, Robot
-from poise.cli.render.clocks import clock_table
-from poise.cli.render.connectors import connector_tables
-from poise.cli.render.tables import table
 from poise.manage.control import AskStatus, RobotStatus, ask
 from poise.manage.observe.estimates import DemandEstimate
-from poise.manage.observe.report import clocks_of
 from poise.manage.run import connectors_of
+from poise.session.render.clocks import clock_table
+from poise.session.render.connectors import connector_tables
+from poise.session.render.tables import table
+from poise.session.report import clocks_of
 from poise.wire.records.deployment import ComponentStatus
 
 

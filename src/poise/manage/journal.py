@@ -36,7 +36,7 @@ class Entry(Struct, frozen=True):
 
 
 class Journal:
-    """Written by the manager's thread; any program may read it meanwhile.
+    """Written by one thread at a time; any program may read it meanwhile.
 
     A line that cannot be written is logged instead, for the robot goes on: its disk
     may be full, or somebody may hold the file.
@@ -54,7 +54,9 @@ class Journal:
 
     def __init__(self, path: Path | str) -> None:
         try:
-            self._database = sqlite3.connect(path, isolation_level=None, timeout=1.0)
+            self._database = sqlite3.connect(
+                path, isolation_level=None, timeout=1.0, check_same_thread=False
+            )
             self._database.execute("PRAGMA journal_mode=WAL")
             self._database.execute("PRAGMA synchronous=NORMAL")
             self._database.execute(_SCHEMA)

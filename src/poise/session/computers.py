@@ -14,14 +14,13 @@ from poise.emulate import Emulation, StarvationWatch
 from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import RunError
 from poise.model.robot import Robot
+from poise.session.say import Say
 from poise.wire.control_session import locator
 from poise.wire.records.samples import SAMPLE_EVERY
 
-Say = Callable[[str], None]
-
 _STDERR = 2
 _TOLERATED = 0.1
-"""A run is void when the host starved computers for more than this share of it."""
+"""A run is invalid when the host starved computers for more than this share of it."""
 
 
 class Computers:

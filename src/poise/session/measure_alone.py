@@ -12,9 +12,9 @@ from poise.manage.observe.measure import measure
 from poise.manage.observe.profiling import Observed
 from poise.manage.observe.recording import Recording
 from poise.manage.run import ACTIVE_LIMIT
-from poise.session.computers import Say
-from poise.session.launch import Up, Watching, running
 from poise.session.profiling_rig import ProfilingRig
+from poise.session.say import Say
+from poise.session.start import Sampling, Started, started
 
 Tick = Callable[[float], None]
 _STEP = 0.2
@@ -42,29 +42,29 @@ def measure_alone(
         A component failed, or the simulator ended before the measurement did.
     """
     recording = Recording()
-    watching = Watching(recording.add, WINDOW, weigh=True)
+    sampling = Sampling(recording.add, WINDOW, weigh=True)
     journal = Journal(":memory:")
     try:
-        with running(stand.robot, stand.placement, journal, say, watching) as up:
+        with started(stand.robot, stand.placement, journal, say, sampling) as up:
             _watch(up, warm_up, tick)
             recording.take()
             up.computers.begin()
             _watch(up, seconds, tick)
             samples = recording.take()
-            void = up.computers.end(stand.computer)
+            invalid = up.computers.end(stand.computer)
             working = up.run.agents.statuses()
             up.run.reach("inactive", ACTIVE_LIMIT)
             return Observed(
                 measured=measure(samples),
                 statuses=up.run.agents.statuses(),
                 working=working,
-                void=void,
+                invalid=invalid,
             )
     finally:
         journal.close()
 
 
-def _watch(up: Up, seconds: float, tick: Tick) -> None:
+def _watch(up: Started, seconds: float, tick: Tick) -> None:
     last, end = time.monotonic(), time.monotonic() + seconds
     while (left := end - last) > 0:
         up.run.watch(min(left, _STEP))

@@ -6,7 +6,7 @@ from io import StringIO
 
 from rich.console import Console
 
-from poise.cli.render.connectors import connector_tables
+from poise.session.render.connectors import connector_tables
 from poise.wire.records.deployment import ConnectorStatus, End, Summary
 
 NAME = "laser-of-the-robot.distances-navigator.distances"

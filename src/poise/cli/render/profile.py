@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from rich.console import Console
 from rich.table import Table
 
-from poise.cli.render.tables import NamedRows, table
 from poise.estimate.predict import overheads
 from poise.estimate.profile import ComponentProfile, ConnectorProfile, Profile
 from poise.estimate.rule import cpu_demand, memory_demand
 from poise.manage.observe.profiling import AGREE_CORES, AGREE_SHARE
 from poise.model.robot import Robot
+from poise.session.render.tables import NamedRows, table
 from poise.units import format_bytes, format_seconds
 
 _MOST_EARLIER = 2

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
 from poise.manage.run import Run, components_of
-
-Meanwhile = Callable[[Run, float], None]
-"""Takes the run and its time so far [s]; `poise.session.launch.run_task` says when."""
+from poise.session.run import Meanwhile
 
 _LINE_EVERY = 5.0
 

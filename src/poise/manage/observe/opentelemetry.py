@@ -17,12 +17,12 @@ from poise.manage.observe.prometheus import (
     GAUGES,
     SUMMARIES,
     Sample,
+    Statuses,
     counters,
     errors,
     gauges,
     summaries,
 )
-from poise.manage.observe.report import Statuses
 
 EVERY = 5.0
 """Metrics go out so often [s]."""

@@ -33,14 +33,14 @@ class Observed(Struct, frozen=True, kw_only=True):
         What the agents said last, when everything was deactivated.
     working
         What they said last before that: a command that is deactivated has ended.
-    void
+    invalid
         Why it says nothing; empty when it does.
     """
 
     measured: Measured
     statuses: Mapping[str, AgentStatus]
     working: Mapping[str, AgentStatus] = {}
-    void: str = ""
+    invalid: str = ""
 
 
 class Subject(Struct, frozen=True, kw_only=True):

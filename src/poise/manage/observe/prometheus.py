@@ -8,9 +8,10 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 from poise.errors import RunError
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.report import Statuses
-from poise.wire.records.deployment import ConnectorStatus
+from poise.wire.records.deployment import AgentStatus, ConnectorStatus
 
+Statuses = Mapping[str, AgentStatus]
+"""Computer -> what its agent said last."""
 Labels = Mapping[str, str]
 Sample = tuple[str, Labels, float]
 """A metric's name, its labels and its value."""

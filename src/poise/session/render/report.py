@@ -2,19 +2,53 @@
 
 from __future__ import annotations
 
-from rich.console import Console
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from rich.console import RenderableType
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
-from poise.cli.render.clocks import clock_table
-from poise.cli.render.connectors import connector_tables
-from poise.cli.render.tables import table
-from poise.manage.observe.report import ComponentReport, RunReport
+from poise.session.render.clocks import clock_table
+from poise.session.render.connectors import connector_tables
+from poise.session.render.tables import table
 from poise.units import format_seconds
 
+if TYPE_CHECKING:
+    from poise.session.report import ComponentReport, RunReport
 
-def show_run(report: RunReport, console: Console) -> None:
-    """Print where the components ran, what they used, and how timers kept up."""
+
+def report_parts(report: RunReport) -> Iterator[RenderableType]:
+    """Yield where the components ran, what they used, and how timers kept up."""
+    yield _component_table(report)
+    measures = _measure_table(report)
+    if measures.row_count:
+        yield measures
+    yield from connector_tables(report.connectors)
+    clocks = clock_table(report.clocks)
+    if clocks.row_count:
+        yield clocks
+    shares = ", ".join(
+        f"{name} {share:.0%}" for name, share in report.cpu_share.items()
+    )
+    yield f"ran for {report.seconds:.1f} s; CPU used: {shares}"
+    for component in report.components:
+        if component.errors:
+            many = "1 error" if component.errors == 1 else f"{component.errors} errors"
+            yield f"[red]{component.name}: {many}, the last:[/]"
+            # as it is: it may hold anything, and lines of code are not wrapped
+            yield Text(component.last_error, no_wrap=True, overflow="ignore")
+    for fault in report.faults:
+        yield f"[red]container {fault.container}[/] {escape(fault.message)}"
+    if report.simulation:
+        facts = ", ".join(f"{key} {value}" for key, value in report.simulation.items())
+        yield f"the simulated world says: {escape(facts)}"
+    if report.invalid:
+        yield f"[bold yellow]invalid run:[/] {escape(report.invalid)}"
+
+
+def _component_table(report: RunReport) -> Table:
     rows = table(
         "component", "CPU", "timer, period", "missed", "median", "p99", folds=2
     )
@@ -23,30 +57,7 @@ def show_run(report: RunReport, console: Console) -> None:
         here = (c for c in report.components if c.computer == computer)
         for component in sorted(here, key=lambda c: c.name):
             _add_component(rows, component)
-    console.print(rows)
-    _show_measures(report, console)
-    for connectors in connector_tables(report.connectors):
-        console.print(connectors)
-    clocks = clock_table(report.clocks)
-    if clocks.row_count:
-        console.print(clocks)
-    shares = ", ".join(
-        f"{name} {share:.0%}" for name, share in report.cpu_share.items()
-    )
-    console.print(f"ran for {report.seconds:.1f} s; CPU used: {shares}")
-    for component in report.components:
-        if component.errors:
-            many = "1 error" if component.errors == 1 else f"{component.errors} errors"
-            console.print(f"[red]{component.name}: {many}, the last:[/]")
-            # as it is: it may hold anything, and lines of code are not wrapped
-            console.print(component.last_error, markup=False, soft_wrap=True)
-    for fault in report.faults:
-        console.print(f"[red]container {fault.container}[/] {escape(fault.message)}")
-    if report.simulation:
-        facts = ", ".join(f"{key} {value}" for key, value in report.simulation.items())
-        console.print(f"the simulated world says: {escape(facts)}")
-    if report.void:
-        console.print(f"[bold yellow]void:[/] {report.void}")
+    return rows
 
 
 def _add_component(rows: Table, component: ComponentReport) -> None:
@@ -65,12 +76,11 @@ def _add_component(rows: Table, component: ComponentReport) -> None:
         head = ("", "")
 
 
-def _show_measures(report: RunReport, console: Console) -> None:
+def _measure_table(report: RunReport) -> Table:
     rows = table("measure", "count", "mean", "median", "p99", "maximum")
     for component in report.components:
         for name, summary in component.measures.items():
             values = summary.mean, summary.median, summary.p99, summary.maximum
             numbers = (f"{value:.4g}" for value in values)
             rows.add_row(f"{component.name} {name}", str(summary.count), *numbers)
-    if rows.row_count:
-        console.print(rows)
+    return rows

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from poise.manage.observe.report import component_reports, connector_reports, cpu_shares
 from poise.model.robot import Computer, Robot
+from poise.session.report import component_reports, connector_reports, cpu_shares
 from poise.wire.records.deployment import (
     AgentStatus,
     ComponentStatus,
@@ -46,7 +46,8 @@ def test_cpu_is_a_share_of_what_the_computer_has() -> None:
     assert cpu_shares(robot, BEGIN, END, {"left": 2.0}) == {"left": 0.25}
 
 
-def test_a_computer_that_was_not_watched_has_no_share(robot: Robot) -> None:
+def test_a_computer_that_was_not_watched_has_no_share() -> None:
+    robot = Robot(name="r", computers=(Computer(name="left", capacity={"cpu": 1.0}),))
     assert cpu_shares(robot, {}, END, {}) == {}
     assert cpu_shares(robot, END, END, {}) == {}
 

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
+import msgspec
 from msgspec import Struct
+from rich.console import RenderableType
 
 from poise.model.robot import Robot
+from poise.session.placement import Placement
+from poise.session.render.report import report_parts
+from poise.session.render.shown import Shown
+from poise.session.start import Started
 from poise.wire.records.clocks import ClockStatus
 from poise.wire.records.deployment import (
     AgentStatus,
@@ -18,7 +24,11 @@ from poise.wire.records.deployment import (
     TimerStatus,
 )
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 Statuses = Mapping[str, AgentStatus]
+Table = Literal["components", "timers", "connectors"]
 
 
 class ComponentReport(Struct, frozen=True, kw_only=True):
@@ -36,14 +46,14 @@ class ComponentReport(Struct, frozen=True, kw_only=True):
     measures: Mapping[str, Summary]
 
 
-class RunReport(Struct, frozen=True, kw_only=True):
-    """One run of a task.
+class RunReport(Shown, Struct, frozen=True, kw_only=True):
+    """One run of a task. It prints itself as tables, in a terminal and in a notebook.
 
     Parameters
     ----------
+    method
+        What decided the placement, such as ``auto`` or ``static``.
     placement
-        ``auto`` or ``static``.
-    where
         Component -> computer.
     decision_seconds
         How long the placement took to decide [s].
@@ -53,8 +63,8 @@ class RunReport(Struct, frozen=True, kw_only=True):
         Computer -> CPU that its agent and containers used, as a share of what it has.
     faults
         Containers that ended though they should have run.
-    void
-        Why the run says nothing about the robot, or empty when it does.
+    invalid
+        Why the figures say nothing about the robot; empty when they do.
     clocks
         Computer -> other computer -> how far the other's clock was ahead at the end.
     without
@@ -65,8 +75,8 @@ class RunReport(Struct, frozen=True, kw_only=True):
 
     robot: str
     task: str
-    placement: str
-    where: Mapping[str, str]
+    method: str
+    placement: Mapping[str, str]
     decision_seconds: float
     seconds: float
     cpu_share: Mapping[str, float]
@@ -74,7 +84,7 @@ class RunReport(Struct, frozen=True, kw_only=True):
     connectors: tuple[ConnectorStatus, ...]
     faults: tuple[Fault, ...] = ()
     clocks: Mapping[str, Mapping[str, ClockStatus]] = {}
-    void: str = ""
+    invalid: str = ""
     without: tuple[str, ...] = ()
     simulation: Mapping[str, Any] = {}
 
@@ -84,6 +94,67 @@ class RunReport(Struct, frozen=True, kw_only=True):
             if component.name == name:
                 return component
         raise KeyError(name)
+
+    def rows(self, of: Table = "components") -> list[dict[str, Any]]:
+        """Return components, their timers or connectors' ends, each as flat values.
+
+        Statistics have the name of what they are of, as in ``duration_p99``.
+        """
+        if of == "connectors":
+            return [_flat(each) for each in self.connectors]
+        if of == "components":
+            return [_flat(each) for each in self.components]
+        return [
+            {"component": component.name, "timer": timer.name, **_flat(timer, "name")}
+            for component in self.components
+            for timer in component.timers
+        ]
+
+    def to_pandas(self, of: Table = "components") -> pd.DataFrame:
+        """Return `rows` as a data frame; pandas must be installed."""
+        import pandas as pd
+
+        return pd.DataFrame(self.rows(of))
+
+    def parts(self) -> tuple[RenderableType, ...]:
+        """Return what is printed."""
+        return tuple(report_parts(self))
+
+
+def _flat(record: Struct, *without: str) -> dict[str, Any]:
+    """Return a record's plain values, and its summaries' ones under joined names."""
+    found: dict[str, Any] = {}
+    for name, value in msgspec.structs.asdict(record).items():
+        if isinstance(value, Summary):
+            parts = msgspec.structs.asdict(value).items()
+            found |= {f"{name}_{part}": number for part, number in parts}
+        elif name not in without and not isinstance(value, tuple | Mapping):
+            found[name] = value
+    return found
+
+
+def reported(
+    up: Started, placed: Placement, task: str, begin: Statuses, seconds: float
+) -> RunReport:
+    """Return the report of a run that is over, of which all is still there."""
+    end = up.run.agents.statuses()
+    robot = up.run.robot
+    return RunReport(
+        robot=robot.name,
+        task=task,
+        method=placed.method,
+        placement=placed.where,
+        decision_seconds=placed.result.seconds,
+        seconds=seconds,
+        cpu_share=cpu_shares(robot, begin, end, up.computers.faster),
+        components=component_reports(begin, end),
+        connectors=connector_reports(end),
+        faults=tuple(fault for status in end.values() for fault in status.faults),
+        clocks=clocks_of(end),
+        invalid=up.computers.end(),
+        without=up.computers.without,
+        simulation=up.world.result() if up.world else {},
+    )
 
 
 def cpu_shares(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from poise.cli.render.tables import NamedRows
+from poise.session.render.tables import NamedRows
 from poise.units import format_bytes, format_seconds
 from poise.wire.records.deployment import ConnectorStatus, Summary
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from rich.table import Table
 
-from poise.cli.render.tables import table
+from poise.session.render.tables import table
 from poise.units import format_seconds
 from poise.wire.records.clocks import ClockStatus
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections import defaultdict
 
-from rich.console import Console
+from rich.console import Console, RenderableType
+from rich.markup import escape
 from rich.table import Table
 
 from poise import plan, units
-from poise.cli.render.tables import table
+from poise.session.render.tables import table
 
 BAR = 10
 """Length of a full bar [characters]."""
@@ -18,11 +19,12 @@ _MOST_BARS = 3
 """Bars of so many placements fit side by side."""
 
 
-def show(problem: plan.Problem, result: plan.Result, console: Console) -> None:
-    """Print a result: placement and load by computer, then the terms of F."""
+def plan_parts(
+    problem: plan.Problem, result: plan.Result
+) -> tuple[RenderableType, ...]:
+    """Return a result: placement and load by computer, then the terms of F."""
     if result.objective is None:
-        console.print(f"[bold red]no placement[/]: {result.reason}", highlight=False)
-        return
+        return (_line("no placement", result.reason),)
     resources = problem.resources
     rows = Table("computer", "components")
     for resource in resources:
@@ -34,17 +36,24 @@ def show(problem: plan.Problem, result: plan.Result, console: Console) -> None:
     for computer in problem.computers:
         bars = [_bar(computer, r, used[computer.name, r]) for r in resources]
         rows.add_row(computer.name, _some(held[computer.name]), *bars)
-    console.print(rows)
+    parts: list[RenderableType] = [rows]
     if not result.feasible:
-        console.print(f"[bold red]not feasible[/]: {result.reason}", highlight=False)
+        parts.append(_line("not feasible", result.reason))
     if result.aside:
         why = f", as not all fits: {result.reason}" if result.feasible else ""
-        console.print(
-            f"[bold red]put aside[/]: {', '.join(result.aside)}{why}", highlight=False
-        )
-    for function, architecture in result.architectures.items():
-        console.print(f"{function}: by {architecture}", highlight=False)
-    console.print(_terms(result), highlight=False)
+        parts.append(_line("put aside", f"{', '.join(result.aside)}{why}"))
+    parts += [f"{what}: by {by}" for what, by in result.architectures.items()]
+    return (*parts, _terms(result))
+
+
+def _line(head: str, text: str) -> str:
+    return f"[bold red]{head}[/]: {escape(text)}"
+
+
+def show(problem: plan.Problem, result: plan.Result, console: Console) -> None:
+    """Print a result: placement and load by computer, then the terms of F."""
+    for part in plan_parts(problem, result):
+        console.print(part, highlight=False)
 
 
 def show_smallest(few: plan.Smallest, console: Console) -> None:

@@ -1,0 +1,123 @@
+"""Decides where the components of a task run, and says why."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from msgspec import Struct
+from rich.console import RenderableType
+
+from poise import plan
+from poise.errors import RobotError
+from poise.model.robot import Robot
+from poise.session.render.plan import plan_parts
+from poise.session.render.shown import Shown
+
+
+class Placement(Shown, Struct, frozen=True, kw_only=True):
+    """Where each component of a task runs, and why.
+
+    It prints itself as a table, in a terminal and in a notebook.
+
+    Parameters
+    ----------
+    task
+        The task; None: all functions of the robot.
+    method
+        What was asked to decide.
+    problem
+        What was decided about.
+    result
+        The placement with the terms of F, its bound, and what was put aside; or why
+        there is none.
+    """
+
+    task: str | None
+    method: str
+    problem: plan.Problem
+    result: plan.Result
+
+    @property
+    def where(self) -> Mapping[str, str]:
+        """Component -> computer; empty when there is no placement."""
+        return self.result.placement
+
+    @property
+    def feasible(self) -> bool:
+        """Whether there is a placement that keeps every limit."""
+        return self.result.feasible
+
+    @property
+    def reason(self) -> str:
+        """Why it is not feasible; empty when it is."""
+        return self.result.reason
+
+    def __getitem__(self, component: str) -> str:
+        """Return the computer of a component."""
+        return self.where[component]
+
+    def explain(self, component: str) -> plan.Explanation:
+        """Say why a component is where it is, and what each other computer costs."""
+        problem = plan.keep_components(self.problem, self.where)
+        return plan.explain(problem, self.where, component)
+
+    def parts(self) -> tuple[RenderableType, ...]:
+        """Return what is printed."""
+        return plan_parts(self.problem, self.result)
+
+
+def place(
+    robot: Robot,
+    task: str | None = None,
+    *,
+    method: str = "auto",
+    budget: float = 0.1,
+    seed: int = 0,
+    fewer: bool = False,
+) -> Placement:
+    """Decide where the components of a task run.
+
+    Parameters
+    ----------
+    task
+        Its name; None: all functions of the robot.
+    method
+        ``auto``, ``greedy``, ``exact``, ``search``, ``cpsat``, or ``static``: every
+        architecture on its home.
+    budget
+        Time to decide [s].
+    seed
+        Of the search.
+    fewer
+        Whether architectures of low priority are put aside when not all fits.
+
+    Returns
+    -------
+    The placement. When there is none, it says why: `feasible` is then false.
+
+    Raises
+    ------
+    RobotError
+        There is no such task, or an architecture has no home.
+    """
+    problem = plan.problem_of(robot, task)
+    if method == "static":
+        static = plan.static(robot, problem)
+        result = plan.evaluate(problem, static, "static")
+    else:
+        result = plan.solve(problem, budget, method, seed, fewer=fewer)
+    return Placement(task=task, method=method, problem=problem, result=result)
+
+
+def runnable(robot: Robot, task: str, placement: Placement | None) -> Placement:
+    """Return the placement of a task, decided here when none is given.
+
+    Raises
+    ------
+    RobotError
+        There is no placement; the message says why.
+    """
+    chosen = place(robot, task) if placement is None else placement
+    if not chosen.where or (not chosen.feasible and chosen.method != "static"):
+        raise RobotError(f"task '{task}' has no placement: {chosen.reason}")
+    return chosen

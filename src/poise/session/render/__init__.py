@@ -1,0 +1,1 @@
+"""Tables of placements, reports and statuses, for terminals and notebooks."""

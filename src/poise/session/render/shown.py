@@ -1,0 +1,49 @@
+"""Records that print themselves: as tables in a terminal, as HTML in a notebook."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from io import StringIO
+
+from rich.console import Console, RenderableType
+
+_WIDTH = 400
+"""Of what is not a terminal [characters]: nothing is broken over lines there."""
+
+
+class Shown:
+    """Prints what `parts` returns."""
+
+    __slots__ = ()
+
+    def parts(self) -> Sequence[RenderableType]:
+        """Return what is printed, from top to bottom."""
+        raise NotImplementedError
+
+    def __rich_console__(self, *_: object) -> Iterator[RenderableType]:
+        """Give the parts, for rich."""
+        yield from self.parts()
+
+    def __str__(self) -> str:
+        """Return the parts as text."""
+        console = Console(file=StringIO(), width=console_to().width, highlight=False)
+        with console.capture() as text:
+            console.print(self)
+        return text.get().rstrip()
+
+    def _repr_html_(self) -> str:
+        """Return the parts as HTML, for Jupyter."""
+        console = Console(file=StringIO(), width=_WIDTH, record=True, highlight=False)
+        console.print(self)
+        return console.export_html(code_format=_HTML, inline_styles=True)
+
+
+_HTML = '<pre style="line-height:normal">{code}</pre>'
+
+
+def console_to(*, stderr: bool = False) -> Console:
+    """Return a console for a command; wide where no terminal says how wide it is."""
+    console = Console(stderr=stderr, highlight=False)
+    if not console.is_terminal:
+        console.width = _WIDTH
+    return console

@@ -1,0 +1,86 @@
+"""A robot file: all its problems, and the robot that it describes."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+
+from poise import model
+from poise.errors import Problem, RobotError
+from poise.model.load import load_source
+from poise.model.robot import Robot
+from poise.runtime.isolated_check import check_code_isolated
+from poise.session.profiles import profiled
+from poise.session.say import Say, log
+
+
+def check(file: str | PathLike[str]) -> tuple[Problem, ...]:
+    """Return what is wrong with a robot file; when nothing is, what is with its code.
+
+    Parameters
+    ----------
+    file
+        The robot file.
+
+    Returns
+    -------
+    Problems, each with file, line, column and what is wrong there.
+    """
+    try:
+        source = load_source(Path(file))
+    except RobotError as error:
+        return error.problems
+    findings = check_code_isolated(source.robot)
+    return tuple(sorted(source.positions.problem(f) for f in findings))
+
+
+def load(file: str | PathLike[str], *, say: Say = log.info) -> Robot:
+    """Return the robot in a file, with the demands that its profile gives.
+
+    Parameters
+    ----------
+    file
+        The robot file.
+    say
+        Takes sentences: where demands are from, and which are missing or stale.
+
+    Raises
+    ------
+    RobotError
+        The file or its code is wrong; `problems` has all that was found.
+    """
+    found = profiled(load_bare(file))
+    for sentence in found.says:
+        say(sentence)
+    return found.robot
+
+
+def load_bare(file: str | PathLike[str]) -> Robot:
+    """Return the robot in a file, with the demands that stand there only.
+
+    Raises
+    ------
+    RobotError
+        The file or its code is wrong; `problems` has all that was found.
+    """
+    if problems := check(file):
+        raise RobotError(problems=problems)
+    return model.load(Path(file))
+
+
+def task_of(robot: Robot, task: str | None) -> str:
+    """Return the task, or the robot's first when none is named.
+
+    Raises
+    ------
+    RobotError
+        The robot has none.
+    """
+    if task is not None:
+        return task
+    if not robot.tasks:
+        raise RobotError(
+            f"robot '{robot.name}' has no task to run: add to its file, for instance, "
+            "`tasks: {work: {actions: [{name: work, functions: [...]}]}}`"
+        )
+    return robot.tasks[0].name

@@ -1,0 +1,90 @@
+"""Runs a task from nothing to a report, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from poise.manage.journal import Journal
+from poise.manage.run import Run
+from poise.model.robot import Robot
+from poise.session.placement import Placement, runnable
+from poise.session.recording import keeping
+from poise.session.report import RunReport, reported
+from poise.session.robot_file import task_of
+from poise.session.say import Say, log
+from poise.session.start import Sampling, Started, started
+
+_STEP = 0.2
+
+Meanwhile = Callable[[Run, float], object]
+"""Called a few times a second with the run and its time so far [s]; may move
+components, and may raise to end the run."""
+
+
+def run(  # noqa: PLR0913 - each is a choice of the user
+    robot: Robot,
+    task: str | None = None,
+    *,
+    seconds: float,
+    placement: Placement | None = None,
+    journal: Path | None = None,
+    record: Path | None = None,
+    say: Say = log.info,
+    meanwhile: Meanwhile | None = None,
+) -> RunReport:
+    """Run a task for some time, or until the simulated world ends, and report.
+
+    Parameters
+    ----------
+    task
+        Its name; None: the robot's first.
+    seconds
+        How long [s].
+    placement
+        What `poise.place` decided; None: it is decided here.
+    journal
+        A file for every decision (SQLite); None: it is not kept.
+    record
+        A file for what is used and what is published between architectures; None: it
+        is not kept.
+    say
+        Takes a sentence at every step.
+    meanwhile
+        Called a few times a second with the run and its time so far [s].
+
+    Raises
+    ------
+    RobotError, RunError
+        It cannot start, a component failed or a computer was lost; everything is down
+        again.
+    """
+    chosen = task_of(robot, task)
+    placed = runnable(robot, chosen, placement)
+    with contextlib.ExitStack() as stack:
+        book = Journal(journal or ":memory:")
+        stack.callback(book.close)
+        book.note("decided", f"task '{chosen}', {placed.method} placement")
+        kept = stack.enter_context(keeping(robot, placed.where, record, say))
+        sampling = Sampling(kept.samples.add) if record else None
+        up = stack.enter_context(
+            started(kept.robot, kept.placement, book, say, sampling)
+        )
+        say(f"running task '{chosen}' for up to {seconds:g} s")
+        up.computers.begin()
+        begin, began = up.run.agents.statuses(), time.monotonic()
+        _watch(up, seconds, meanwhile)
+        return reported(up, placed, chosen, begin, time.monotonic() - began)
+
+
+def _watch(up: Started, seconds: float, meanwhile: Meanwhile | None) -> None:
+    began = time.monotonic()
+    while (left := began + seconds - time.monotonic()) > 0:
+        up.run.watch(min(left, _STEP))
+        up.computers.look()
+        if meanwhile is not None:
+            meanwhile(up.run, time.monotonic() - began)
+        if up.world is not None and up.world.has_ended():
+            return
