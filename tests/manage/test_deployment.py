@@ -10,13 +10,13 @@ from poise.wire.records.deployment import ComponentSpec, Deployment
 
 from .conftest import connector_names
 
-DOORS = {"left": "10.0.0.1:4001", "right": "10.0.0.2:4002"}
+GATEWAYS = {"left": "10.0.0.1:4001", "right": "10.0.0.2:4002"}
 ALL = ("grabber", "filter", "heavy", "alone", "driver", "thinker")
 
 
 def deployments(robot: Robot, **where: str) -> dict[str, Deployment]:
     placed = [Incarnation(component=n, computer=c) for n, c in where.items()]
-    return DeploymentPlan(robot, "/run").specs(placed, 3, DOORS)
+    return DeploymentPlan(robot, "/run").specs(placed, 3, GATEWAYS)
 
 
 def everything_on(computer: str) -> dict[str, str]:
@@ -124,7 +124,7 @@ def test_while_a_component_moves_both_incarnations_are_joined(robot: Robot) -> N
         Incarnation(component="filter", computer="left"),
         Incarnation(component="filter", computer="right", epoch=1, goal="inactive"),
     ]
-    told = DeploymentPlan(robot, "/run").specs(placed, 1, DOORS)
+    told = DeploymentPlan(robot, "/run").specs(placed, 1, GATEWAYS)
     keys = {
         connector.key: connector.kind
         for connector in told["left"].containers[0].connectors

@@ -12,12 +12,12 @@ from typing import Any, NoReturn
 from poise.errors import Timeout
 from poise.runtime._calls import time_left
 from poise.runtime.component.deadline import within
-from poise.runtime.execution.exclusion import Retired, current_chain
+from poise.runtime.execution.exclusion import Redirected, current_chain
 from poise.wire.records.deployment import Summary
 
 
-class Turn:
-    """The right to run a component's code; shut until it is first opened."""
+class Exclusion:
+    """Mutual exclusion of call chains; paused until it is first resumed."""
 
     def __init__(self, what: str) -> None:
         self._what = what
@@ -28,7 +28,7 @@ class Turn:
         self._depth = 0
         self._outside = 0
         self._is_lent = False
-        self.is_retired = False
+        self.is_redirected = False
 
     def enter(self, chain: int, limit: float) -> None:
         with self._changed:
@@ -67,17 +67,17 @@ class Turn:
         self._owner = chain
         self._is_lent = bool(chain)
 
-    def open(self) -> None:
+    def resume(self) -> None:
         with self._changed:
             self._release()
 
-    def shut(self, limit: float) -> None:
+    def pause(self, limit: float) -> None:
         with self._changed:
-            self._acquire(0, limit, "did not come to rest in")
+            self._acquire(0, limit, "did not pause within")
 
-    def retire(self) -> None:
+    def redirect(self) -> None:
         with self._changed:
-            self.is_retired = True
+            self.is_redirected = True
             self._changed.notify_all()
 
     def _acquire(self, chain: int, limit: float, what: str) -> None:
@@ -88,7 +88,7 @@ class Turn:
         self._waiting.append(ticket)
 
         def is_away() -> bool:
-            return self.is_retired and not steps_in
+            return self.is_redirected and not steps_in
 
         def is_next() -> bool:
             # whoever shuts (0) waits for those that stepped out, and lets others pass
@@ -98,7 +98,7 @@ class Turn:
         try:
             came = self._changed.wait_for(lambda: is_away() or is_next(), limit)
             if is_away():
-                raise Retired(f"component '{self._what}' has moved away")
+                raise Redirected(f"component '{self._what}' has moved away")
             if not came:
                 raise Timeout(f"component '{self._what}' {what} {limit:g} s")
             self._held, self._owner = True, chain
@@ -108,7 +108,7 @@ class Turn:
 
     def _release(self) -> None:
         if not self._held:
-            raise RuntimeError("nobody has the turn")
+            raise RuntimeError("nobody is inside")
         self._held, self._owner = False, 0
         self._changed.notify_all()
 
@@ -124,13 +124,13 @@ class Counts:
 
 def direct_call(
     method: Callable[..., Any],
-    turn: Any,
+    exclusion: Any,
     limit: float,
     counts: Any,
     translate: Callable[[Exception], NoReturn],
     resend: Callable[..., Any] | None = None,
 ) -> Callable[..., Any]:
-    """Return a function that calls `method` under `turn`."""
+    """Return a function that calls `method` under `exclusion`."""
 
     def call(*args: Any, **kwargs: Any) -> Any:
         began = time.monotonic()
@@ -140,8 +140,8 @@ def direct_call(
             counts.errors += 1
             raise Timeout("no time is left")
         try:
-            turn.enter(current_chain(), left)
-        except Retired:
+            exclusion.enter(current_chain(), left)
+        except Redirected:
             if resend is None:
                 raise
             return resend(*args, **kwargs)
@@ -156,7 +156,7 @@ def direct_call(
             counts.errors += 1
             translate(error)
         finally:
-            turn.leave()
+            exclusion.leave()
             elapsed = count(began)
         if elapsed > left:
             counts.errors += 1

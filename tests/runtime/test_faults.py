@@ -66,7 +66,7 @@ def ends(pair: Pair) -> tuple[Source, Target]:
 
 
 def pipe_of(pair: Pair, connector: str) -> Channel:
-    (path,) = pair.sides["source"].sender(connector).paths().values()
+    (path,) = pair.sides["source"].sender(connector).routes().values()
     assert isinstance(path, ChannelRoute)
     return path._channel
 

@@ -54,13 +54,13 @@ def crossing(pair: Pair, target: type[Holding], limit: float) -> Iterator[list[R
 
 def begin(runner: Runner, both: threading.Barrier) -> int:
     """Begin a chain that calls the other once both have begun."""
-    runner.turn.enter(new_chain(), LIMIT)
+    runner.exclusion.enter(new_chain(), LIMIT)
     try:
         both.wait(LIMIT)
         assert isinstance(runner.component, Holding)
         return runner.component.out.ask(4)
     finally:
-        runner.turn.leave()
+        runner.exclusion.leave()
 
 
 def cross(runners: list[Runner]) -> list[int]:

@@ -12,9 +12,14 @@ from typing import Any
 import pytest
 
 from poise.errors import CalleeError, Timeout
-from poise.runtime._calls import Counts, ServedCall, away
+from poise.runtime._calls import Counts, ServedCall, call_remote
 from poise.runtime.connectors.direct import raise_callee_error
-from poise.runtime.execution.exclusion import Retired, Turn, current_chain, new_chain
+from poise.runtime.execution.exclusion import (
+    Exclusion,
+    Redirected,
+    current_chain,
+    new_chain,
+)
 from poise.wire.connections.channel import Pieces
 from poise.wire.frame import Frame, Kind
 
@@ -28,14 +33,14 @@ def others() -> Iterator[ThreadPoolExecutor]:
         yield pool
 
 
-def open_turn() -> Turn:
-    turn = Turn("callee")
-    turn.open()
-    return turn
+def open_exclusion() -> Exclusion:
+    exclusion = Exclusion("callee")
+    exclusion.resume()
+    return exclusion
 
 
 def call_frame(chain: int) -> Frame:
-    return Frame(Kind.CALL, 0, 0, chain, b"body", memoryview(b"buffers"), 0, 0.0)
+    return Frame(Kind.CALL, 0, 0, chain, b"body", memoryview(b"buffers"), 0, 0.0, 0.0)
 
 
 def come_in(
@@ -43,7 +48,7 @@ def come_in(
     limit: float,
     work: Callable[..., Any] = lambda *_: b"answer",
     *,
-    turn: Turn | None = None,
+    exclusion: Exclusion | None = None,
     counts: Counts | None = None,
 ) -> Any:
     """Let a call of a component that is not at work come in, and return the answer."""
@@ -51,7 +56,7 @@ def come_in(
         decode=lambda body, buffers: (body, bytes(buffers)),
         method=work,
         encode=lambda result: [result],
-        turn=turn or open_turn(),
+        exclusion=exclusion or open_exclusion(),
         limit=limit,
         counts=counts or Counts(),
         translate=raise_callee_error,
@@ -74,7 +79,7 @@ def go(chain: int, limit: float, meanwhile: Callable[[], Any]) -> Any:
         assert (pieces, seconds) == ([b"call"], limit)
         return meanwhile()
 
-    return away(chain, limit, "a-b", request, [b"call"])
+    return call_remote(chain, limit, "a-b", request, [b"call"])
 
 
 def test_a_call_is_decoded_run_and_encoded_in_its_chain() -> None:
@@ -85,29 +90,29 @@ def test_a_call_is_decoded_run_and_encoded_in_its_chain() -> None:
 
 
 def test_what_the_callee_raises_is_translated_and_leaves_the_way_free() -> None:
-    turn = open_turn()
+    exclusion = open_exclusion()
 
     def fail(*_: object) -> None:
         raise ValueError("no")
 
     with pytest.raises(CalleeError, match="no") as caught:
-        come_in(7, LONG, fail, turn=turn)
+        come_in(7, LONG, fail, exclusion=exclusion)
     assert "in fail" in caught.value.traceback
-    assert come_in(8, LONG, turn=turn) == [b"answer"]
+    assert come_in(8, LONG, exclusion=exclusion) == [b"answer"]
 
 
 def test_a_component_that_moved_away_is_not_called() -> None:
-    turn = open_turn()
-    turn.retire()
-    with pytest.raises(Retired):
-        come_in(7, LONG, pytest.fail, turn=turn)
+    exclusion = open_exclusion()
+    exclusion.redirect()
+    with pytest.raises(Redirected):
+        come_in(7, LONG, pytest.fail, exclusion=exclusion)
 
 
 def test_a_component_that_is_busy_is_named() -> None:
-    turn = open_turn()
-    turn.enter(new_chain(), LONG)
+    exclusion = open_exclusion()
+    exclusion.enter(new_chain(), LONG)
     with pytest.raises(Timeout, match=r"component 'callee' was busy for 0\.02 s"):
-        come_in(7, SHORT, turn=turn)
+        come_in(7, SHORT, exclusion=exclusion)
 
 
 def test_the_cpu_time_of_long_calls_is_exact() -> None:

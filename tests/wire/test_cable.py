@@ -37,8 +37,8 @@ def handle(received):
 folder = pathlib.Path(sys.argv[1])
 server = ConnectionServer(folder, "there")
 server.open("echo", handle)
-with Gateway(folder, sys.argv[2]) as door:
-    print(door, flush=True)
+with Gateway(folder, sys.argv[2]) as gateway:
+    print(gateway, flush=True)
     while not server._connections:
         threading.Event().wait(0.01)
     while server._connections:

@@ -27,8 +27,8 @@ from poise.wire.connections.connection_server import ConnectionServer
 folder = pathlib.Path(sys.argv[1])
 server = ConnectionServer(folder, "there")
 server.open("many", lambda received: print(len(received.body), flush=True))
-with Gateway(folder, "127.0.0.1") as door:
-    print(door, flush=True)
+with Gateway(folder, "127.0.0.1") as gateway:
+    print(gateway, flush=True)
     threading.Event().wait()
 """
 SMALLEST = 300_000

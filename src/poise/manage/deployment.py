@@ -93,32 +93,32 @@ class DeploymentPlan:
         return self._containers[component]
 
     def address(
-        self, target: Incarnation, computer: str, doors: Mapping[str, str]
+        self, target: Incarnation, computer: str, gateways: Mapping[str, str]
     ) -> str:
         """Return where a component's container is reached from a computer.
 
         Parameters
         ----------
-        doors
-            Computer -> IP address and port of its door.
+        gateways
+            Computer -> IP address and port of its gateway.
         """
         container = self._containers[target.component]
         if target.computer == computer:
             return container
-        return f"{doors.get(target.computer)}/{container}"
+        return f"{gateways.get(target.computer)}/{container}"
 
     def specs(
         self,
         incarnations: Iterable[Incarnation],
         generation: int,
-        doors: Mapping[str, str],
+        gateways: Mapping[str, str],
     ) -> dict[str, Deployment]:
         """Return what should run on each computer, by its name.
 
         Parameters
         ----------
-        doors
-            Computer -> IP address and port of its door.
+        gateways
+            Computer -> IP address and port of its gateway.
         """
         placed = tuple(incarnations)
         containers: dict[str, list[ContainerSpec]] = {
@@ -130,7 +130,7 @@ class DeploymentPlan:
                     name=container,
                     folder=self._robot.folder,
                     components=tuple(map(self._component, inside)),
-                    connectors=tuple(self._connectors(inside, placed, doors)),
+                    connectors=tuple(self._connectors(inside, placed, gateways)),
                 )
             )
         return {
@@ -160,7 +160,7 @@ class DeploymentPlan:
         connector: Connector,
         source: Incarnation,
         target: Incarnation,
-        doors: Mapping[str, str],
+        gateways: Mapping[str, str],
     ) -> ConnectorSpec:
         """Return a connector between two incarnations."""
         kind: ConnectorKind = "direct"
@@ -182,7 +182,9 @@ class DeploymentPlan:
             target_epoch=target.epoch,
             target_port=second.port,
             target_computer=target.computer,
-            address="" if is_direct else self.address(target, source.computer, doors),
+            address=""
+            if is_direct
+            else self.address(target, source.computer, gateways),
             limit=connector.limit,
             record=connector.record,
         )
@@ -218,7 +220,7 @@ class DeploymentPlan:
         self,
         inside: list[Incarnation],
         placed: tuple[Incarnation, ...],
-        doors: Mapping[str, str],
+        gateways: Mapping[str, str],
     ) -> Iterator[ConnectorSpec]:
         """Yield the connectors with an end at one of `inside`."""
         by_name: dict[str, list[Incarnation]] = {}
@@ -231,7 +233,7 @@ class DeploymentPlan:
                     if {source.goal, target.goal} == _STRANGERS:
                         continue
                     if source in inside or target in inside:
-                        yield self.joined(connector, source, target, doors)
+                        yield self.joined(connector, source, target, gateways)
 
 
 def name_of(connector: Connector) -> str:

@@ -189,7 +189,7 @@ class Run:
         # later than any that the agents ever saw, from whatever manager
         seen = [status.generation for status in self.agents.statuses().values()]
         self._generation = max(self._generation, *seen, 0) + 1
-        specs = self.layout.specs(wanted, self._generation, self.doors())
+        specs = self.layout.specs(wanted, self._generation, self.gateways())
         news = {
             computer: specs[computer]
             for computer in computers
@@ -202,7 +202,7 @@ class Run:
             self.raise_on_lost()  # which explains a silence
             raise RunError("; ".join(refusals.values()))
 
-    def doors(self) -> dict[str, str]:
+    def gateways(self) -> dict[str, str]:
         """Return where other computers reach each computer's containers."""
         return {name: each.gateway for name, each in self.agents.statuses().items()}
 

@@ -38,75 +38,76 @@ def deadline() -> int:
 def set_deadline(moment: int) -> None:
     """Let somebody wait for this thread until then."""
 
-class Turn:
-    """The right to run a component's code; shut until it is first opened.
+class Exclusion:
+    """Mutual exclusion of call chains in a component; paused until first resumed.
 
-    Those who wait get it in the order in which they came. `what` names the component
-    in errors.
+    It is ROS 2's mutually exclusive callback group, with re-entrance: the chain that is
+    inside may enter again. Chains that wait enter in the order in which they came.
+    `what` names the component in errors.
     """
 
     def __init__(self, what: str) -> None: ...
     @property
-    def is_retired(self) -> bool:
-        """Whether `retire` was called."""
+    def is_redirected(self) -> bool:
+        """Whether `redirect` was called."""
 
     def enter(self, chain: int, limit: float) -> None:
-        """Wait for the turn up to `limit` [s]; each `enter` asks for one `leave`.
+        """Wait up to `limit` [s] to enter; each `enter` needs one `leave`.
 
-        The chain that has the turn enters again at once. Chain 0 is nobody's.
+        The chain that is inside enters again at once. Chain 0 is nobody's.
 
         Raises
         ------
         Timeout
-            Another chain had it all the time, or the component is not active.
-        Retired
-            The component has moved away, before or during the wait.
+            Another chain was inside all the time, or the component is not active.
+        Redirected
+            The component has moved, before or during the wait.
         """
 
     def leave(self) -> None:
-        """Give the turn back; RuntimeError when nobody has it."""
+        """Undo one `enter`; RuntimeError when nobody is inside."""
 
     def step_out(self, chain: int) -> int:
         """Let others in while `chain` waits in a call that its component makes.
 
         Returns
         -------
-        What `step_in` needs; -1 when the chain has not the turn, or it is lent: then
-        there is nothing to step out of, and no `step_in`.
+        What `step_in` needs; -1 when the chain is not inside, or the exclusion is lent:
+        then there is nothing to step out of, and no `step_in`.
         """
 
     def step_in(self, chain: int, depth: int, limit: float) -> None:
-        """Wait for the turn again, up to `limit` [s], also when retired.
+        """Wait up to `limit` [s] to be inside again, also when redirected.
 
         Raises
         ------
         Timeout
-            Others had it all the time; the chain is still outside.
+            Others were inside all the time; the chain is still outside.
         """
 
     def lend(self, chain: int) -> None:
-        """Let one chain in while shut: that of a life-cycle hook; 0 ends that."""
+        """Let one chain in while paused: that of a life-cycle hook; 0 ends that."""
 
-    def open(self) -> None:
-        """Let chains enter, as the component is active now."""
+    def resume(self) -> None:
+        """Let chains enter: the component is active."""
 
-    def shut(self, limit: float) -> None:
+    def pause(self, limit: float) -> None:
         """Wait up to `limit` [s] until no chain is inside, and let none in.
 
-        While a chain is stepped out, others come in: it may wait for them.
+        While a chain is stepped out, others may enter: it may wait for them.
 
         Raises
         ------
         Timeout
-            A chain stayed inside; the turn is as it was.
-        Retired
+            A chain stayed inside; nothing has changed.
+        Redirected
             As for `enter`.
         """
 
-    def retire(self) -> None:
-        """Send away everyone who waits, and from now on everyone who comes, for good.
+    def redirect(self) -> None:
+        """Refuse all chains that wait and all that come, for good.
 
-        A chain inside stays, and may enter again.
+        The chain that is inside stays, and may enter again.
         """
 
 class Histogram:
@@ -290,7 +291,7 @@ class Counts:
 
         Exact for calls of 10 us and more; in bursts of shorter ones every call that
         begins 10 us after the last measured one is measured, and the others count in
-        proportion to their wall time. Of calls that come over a pipe one in 1 ms is
+        proportion to their wall time. Of calls from other containers one in 1 ms is
         measured, and all that follow a measured one of 50 us or more.
         """
 
@@ -310,23 +311,23 @@ class Counts:
         """Go on counting outside; harmless when it is in no ledger."""
 
 class DirectCall:
-    """Calls `method` on the caller's thread, under `turn`, and counts that in `counts`.
+    """Calls `method` on the caller's thread, under `exclusion`, and counts it.
 
     Parameters
     ----------
     limit
-        Of the wait for the turn, and of the whole call [s]; less in a call of which
+        Of the wait to enter, and of the whole call [s]; less in a call of which
         less is left.
     translate
         Takes the exception that the method raised, and raises what the caller gets.
     resend
-        Is called instead when the turn is retired, with the same arguments; then
-        nothing is counted here. None: `Retired` is raised.
+        Is called instead when the component has moved, with the same arguments; then
+        nothing is counted here. None: `Redirected` is raised.
 
     Raises
     ------
     Timeout
-        The turn did not come in time, or the result came later than `limit`; the
+        The component was busy, or the result came later than `limit`; the
         callee itself is not interrupted.
     """
 
@@ -335,7 +336,7 @@ class DirectCall:
     def __init__(
         self,
         method: Callable[..., Any],
-        turn: Turn,
+        exclusion: Exclusion,
         limit: float,
         counts: Counts,
         translate: Callable[[Exception], NoReturn],
@@ -344,32 +345,34 @@ class DirectCall:
     def __call__(self, *args: Any, **kwargs: Any) -> Any: ...
 
 class ServedCall:
-    """Answers the calls of one method that come over pipes.
+    """Answers the calls of one method from other containers.
 
-    It runs `method` under `turn`, on the thread that brought the call, and counts the
-    CPU time in `counts`. A call chain runs on one thread of a process at a time: one
-    that is here already comes in again when its thread waits in `away`.
+    It runs `method` under `exclusion`, on the thread that received the call, and counts
+    the CPU time in `counts`. A call chain runs on one thread of a process at a time: a
+    call back enters when the chain's first thread waits in `call_remote`.
 
     Parameters
     ----------
     decode
         Turns a frame's body and buffers into the tuple of arguments.
     encode
-        Turns a result into an answer, under the turn: the result may be state.
+        Turns a result into an answer, under the exclusion: the result may be state.
     limit
-        Of the wait for the chain, and of that for the turn [s]; less when the frame
-        says that its caller waits for less.
+        Of the wait for chain and exclusion [s]; less when the caller waits for less.
     translate
         As `DirectCall`'s.
     is_over
         Returns whether the caller is gone. Then a call that had to wait is not run.
 
+    Calling it takes a frame, and how far the caller's clock is ahead at most [s]; NaN
+    when nobody knows. Then the time on the wire does not count.
+
     Raises
     ------
     Timeout
-        Another thread ran the chain, or another chain had the turn, all the time; or
-        the caller is gone.
-    Retired
+        The caller's limit has passed, another thread ran the chain or another chain
+        was inside all the time, or the caller is gone. The method was not called.
+    Redirected
         The component has moved away; its method was not called.
     WireError
         What `decode` raised.
@@ -380,22 +383,22 @@ class ServedCall:
         decode: Callable[[Bytes, memoryview], tuple[Any, ...]],
         method: Callable[..., Any],
         encode: Callable[[Any], list[Bytes]],
-        turn: Turn,
+        exclusion: Exclusion,
         limit: float,
         counts: Counts,
         translate: Callable[[Exception], NoReturn],
         is_over: Callable[[], bool],
     ) -> None: ...
-    def __call__(self, frame: Frame) -> list[Bytes]: ...
+    def __call__(self, frame: Frame, ahead: float = 0.0) -> list[Bytes]: ...
 
-def away(
+def call_remote(
     chain: int,
     limit: float,
     what: str,
     request: Callable[[list[Bytes], float], Frame],
     pieces: list[Bytes],
 ) -> Frame:
-    """Return ``request(pieces, limit)``; meanwhile the chain may come back here.
+    """Return ``request(pieces, limit)``; meanwhile the chain may be called back.
 
     Parameters
     ----------
@@ -405,5 +408,5 @@ def away(
     Raises
     ------
     Timeout
-        Who was called back still ran `limit` [s] after the call was over; it runs on.
+        A call back still ran `limit` [s] after the call was over; it runs on.
     """

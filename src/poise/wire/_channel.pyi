@@ -1,4 +1,4 @@
-"""Frames between containers of one computer; the code is in ``wire/native``."""
+"""Frames over stream sockets; the code is in ``wire/native``."""
 
 from mmap import mmap
 from typing import Any
@@ -7,13 +7,14 @@ from poise.wire.codec import Bytes, Codec
 from poise.wire.frame import Frame
 
 class Channel:
-    """Frames over a connected stream socket, each behind the head of a link.
+    """Frames over a connected stream socket, each behind its head.
 
     It waits without Python's lock. One thread at a time may use it in each direction,
     and none once the socket was closed. `file` is the socket's descriptor; over TCP the
-    other end is gone when its computer confirms nothing for `lost_after` [s]. Deadlines
-    are moments of the monotonic clock [s], and infinity is none; a frame has at most
-    `largest` bytes.
+    other end is gone when its computer confirms nothing for `lost_after` [s]. Without
+    `reads_ahead`, no byte of the next frame is read, so `poll` reports each frame.
+    Deadlines are moments of the monotonic clock [s], and infinity is none; a frame has
+    at most `largest` bytes.
 
     All methods raise
     ----------------
@@ -25,7 +26,9 @@ class Channel:
         The frame is too large, or it is none.
     """
 
-    def __init__(self, file: int, lost_after: float) -> None: ...
+    def __init__(
+        self, file: int, lost_after: float, reads_ahead: bool = True
+    ) -> None: ...
     def is_lost(self) -> bool:
         """Return at once whether something that was sent was not confirmed in time."""
 

@@ -5,12 +5,11 @@
     version u8, kind u8, tag u16, body length u32, number u64, chain u64, sent u64,
     body, padding, buffers
 
-Little endian. `tag` says which method or message type this is, by a checksum of its
-name and types. `number` tells one mark from another, counts messages and one-way calls,
-and says of a call how long its caller waits [ns]; 0: for as long as the callee likes.
-`chain` is the call chain that a call belongs to, or the life of the path that a message
-came over (`poise.runtime.connectors.flow_control`). `sent` is the time on the sender's
-monotonic clock [ns]. The buffers may lie in shared memory instead.
+Little endian. `tag` is a checksum of the name and types of a method or message type.
+`number` identifies a marker, counts messages and one-way calls, and is the time that
+the caller of a call still waits [ns]; 0: no limit. `chain` is the call chain of a call,
+or identifies the route of a message (`poise.runtime.connectors.flow_control`). `sent`
+is the time on the sender's monotonic clock [ns]. The buffers may lie in shared memory.
 """
 
 from __future__ import annotations
@@ -25,28 +24,29 @@ from poise.wire.codec import Bytes, Codec
 
 VERSION = 2
 _HEAD = 32
-"""What comes before the body [bytes]."""
+"""The size of the head [bytes]."""
 _INLINE = 2
-"""Head and body; then come what aligns the buffers, and they."""
+"""Head and body; padding and buffers follow."""
 
 
 class Kind(IntEnum):
-    """What a frame is."""
+    """The kinds of frames."""
 
     MESSAGE = 1
     CALL = 2
     ONEWAY = 3
     RESULT = 4
     ERROR = 5
-    WELCOME = 6
+    HELLO = 6
     MOVED = 7
-    MARK = 8
-    ASK = 9
-    GRANT = 10
+    MARKER = 8
+    CREDIT_REQUEST = 9
+    CREDIT = 10
+    RECORD = 11
 
 
 FAILURE: Codec[tuple[str, str, str]] = Codec(tuple[str, str, str])
-"""What an answer of the kind ERROR holds: type, message and traceback."""
+"""The body of an ERROR: type, message and traceback."""
 
 
 class Frame(Struct, frozen=True):
@@ -55,10 +55,12 @@ class Frame(Struct, frozen=True):
     Parameters
     ----------
     size
-        What `size_of` said of it where it was sent [bytes].
+        As `size_of` returned it where it was sent [bytes].
     age
-        The time when it was parsed here less the time when it was sent there [s], each
-        on its own computer's clock: how old it was, if that is one computer.
+        The time when it was parsed, less the time when it was sent [s], each on its own
+        computer's clock.
+    came
+        When it was parsed [s, on this computer's monotonic clock].
     """
 
     kind: Kind
@@ -69,6 +71,7 @@ class Frame(Struct, frozen=True):
     buffers: memoryview
     size: int
     age: float
+    came: float
 
     def value(self, codec: Codec[Any]) -> Any:  # noqa: ANN401, what the codec decodes
         """Return the decoded value; WireError when it is not of the codec's type."""
@@ -94,7 +97,7 @@ def failure(type_name: str, message: str, traceback: str = "") -> list[Bytes]:
 
 
 def size_of(pieces: list[Bytes]) -> int:
-    """Return the size of a frame [bytes], but for what aligns its buffers."""
+    """Return the size of a frame [bytes], without padding."""
     if len(pieces) == _INLINE:
         return _HEAD + len(pieces[1])
     return sum(map(len, pieces)) - len(pieces[_INLINE])

@@ -521,7 +521,7 @@ def test_leads_back_and_says_so_when_the_component_does_not_come_to_rest(
     report = move(run, "counter", "right")
     busy.unlink()
     assert not report.committed
-    assert "component 'counter' did not come to rest" in report.reason
+    assert "component 'counter' did not pause" in report.reason
     world.works()
     assert world.told("sink")[1] == 0
 

@@ -21,7 +21,7 @@ from poise.wire.records.migration import (
 )
 
 NUMBER = 7
-DOORS = {"left": "10.0.0.1:4001", "right": "10.0.0.2:4002"}
+GATEWAYS = {"left": "10.0.0.1:4001", "right": "10.0.0.2:4002"}
 
 
 def rounds_of(
@@ -37,7 +37,7 @@ def rounds_of(
     change = MigrationPlan(what="it", olds=placed(olds, 0), news=placed(news, 1))
     rest = {each.component: each for each in placed(others, 0)}
     calls = {(component.name, "calls") for component in robot.components()}
-    return Rounds(DeploymentPlan(robot, "/run"), change, rest, calls, NUMBER, DOORS)
+    return Rounds(DeploymentPlan(robot, "/run"), change, rest, calls, NUMBER, GATEWAYS)
 
 
 def steps(round_: list[tuple[Incarnation, Step]]) -> list[tuple[str, Step]]:

@@ -132,12 +132,12 @@ def test_without_time_no_call_is_made(pair: Pair, seconds: float) -> None:
 @every_kind
 def test_who_waits_for_a_busy_callee_waits_no_longer_than_that(pair: Pair) -> None:
     with joined(pair) as (source, target, _):
-        turn = pair.runners["target", 0].turn
-        turn.enter(new_chain(), LIMIT)
+        exclusion = pair.runners["target", 0].exclusion
+        exclusion.enter(new_chain(), LIMIT)
         _calls.join_chain(0)
         with within(SHORT), pytest.raises(Timeout):
             source.out.count()
-        turn.leave()
+        exclusion.leave()
         assert source.out.count() == target.num_calls == 1
 
 
@@ -210,15 +210,15 @@ def test_a_callee_knows_that_its_caller_was_killed(pair: Pair) -> None:
 def test_a_call_that_waits_is_not_run_when_its_caller_was_killed(pair: Pair) -> None:
     """Nobody tells when it has begun to wait; when it comes later, it is run."""
     with joined(pair) as (source, target, spec):
-        turn = pair.runners["target", 0].turn
+        exclusion = pair.runners["target", 0].exclusion
         patience = 0.02
         while patience < LIMIT:
             before = target.num_calls
-            turn.enter(new_chain(), LIMIT)
+            exclusion.enter(new_chain(), LIMIT)
             _calls.join_chain(0)
             begin(pair, spec, "count").close()
             time.sleep(patience)
-            turn.leave()
+            exclusion.leave()
             time.sleep(patience)
             if source.out.count() == before + 1:
                 return

@@ -15,7 +15,12 @@ from poise.errors import CalleeError, Timeout
 from poise.runtime import _calls
 from poise.runtime.connectors.direct import direct_call
 from poise.runtime.execution.connector_counters import Counts
-from poise.runtime.execution.exclusion import Retired, Turn, join_chain, new_chain
+from poise.runtime.execution.exclusion import (
+    Exclusion,
+    Redirected,
+    join_chain,
+    new_chain,
+)
 from tests.runtime import reference
 
 LONG = 20.0
@@ -49,9 +54,9 @@ def translate(error: Exception) -> NoReturn:
 
 
 @pytest.fixture
-def turn() -> Turn:
-    made = Turn("callee")
-    made.open()
+def exclusion() -> Exclusion:
+    made = Exclusion("callee")
+    made.resume()
     return made
 
 
@@ -60,8 +65,8 @@ def counts() -> Counts:
     return Counts()
 
 
-def test_calls_with_positions_and_names(turn: Turn, counts: Counts) -> None:
-    call = direct_call(Callee().add, turn, 1.0, counts)
+def test_calls_with_positions_and_names(exclusion: Exclusion, counts: Counts) -> None:
+    call = direct_call(Callee().add, exclusion, 1.0, counts)
     assert call(1) == 2
     assert call(1, 2) == 3
     assert call(one=3, other=4) == 7
@@ -69,91 +74,97 @@ def test_calls_with_positions_and_names(turn: Turn, counts: Counts) -> None:
     assert counts.delay.summary().count == 3
 
 
-def test_wraps_what_the_callee_raised(turn: Turn, counts: Counts) -> None:
-    call = direct_call(Callee().fail, turn, 1.0, counts)
+def test_wraps_what_the_callee_raised(exclusion: Exclusion, counts: Counts) -> None:
+    call = direct_call(Callee().fail, exclusion, 1.0, counts)
     with pytest.raises(CalleeError, match="ValueError: no such wall") as caught:
         call()
     assert isinstance(caught.value.__cause__, ValueError)
     assert "in fail" in caught.value.traceback
     assert (counts.calls, counts.errors) == (1, 1)
-    turn.enter(new_chain(), 0)  # it was given back
+    exclusion.enter(new_chain(), 0)  # it was given back
 
 
-def test_wraps_a_wrong_argument_too(turn: Turn, counts: Counts) -> None:
-    call = direct_call(Callee().add, turn, 1.0, counts)
+def test_wraps_a_wrong_argument_too(exclusion: Exclusion, counts: Counts) -> None:
+    call = direct_call(Callee().add, exclusion, 1.0, counts)
     with pytest.raises(CalleeError, match="TypeError"):
         call()
 
 
-def test_lets_an_interrupt_through(turn: Turn, counts: Counts) -> None:
-    call = direct_call(Callee().stop, turn, 1.0, counts)
+def test_lets_an_interrupt_through(exclusion: Exclusion, counts: Counts) -> None:
+    call = direct_call(Callee().stop, exclusion, 1.0, counts)
     with pytest.raises(KeyboardInterrupt):
         call()
-    turn.enter(new_chain(), 0)
+    exclusion.enter(new_chain(), 0)
 
 
-def test_gives_up_when_the_callee_is_busy(turn: Turn, counts: Counts) -> None:
-    turn.enter(1, 0)
+def test_gives_up_when_the_callee_is_busy(exclusion: Exclusion, counts: Counts) -> None:
+    exclusion.enter(1, 0)
     join_chain(2)
     with pytest.raises(Timeout, match=r"'callee' was busy for 0\.01 s"):
-        direct_call(Callee().add, turn, 0.01, counts)(1)
+        direct_call(Callee().add, exclusion, 0.01, counts)(1)
     assert (counts.calls, counts.errors) == (1, 1)
 
 
-def test_gives_up_a_result_that_comes_too_late(turn: Turn, counts: Counts) -> None:
+def test_gives_up_a_result_that_comes_too_late(
+    exclusion: Exclusion, counts: Counts
+) -> None:
     def slow() -> None:
         until = time.monotonic() + 0.002
         while time.monotonic() < until:
             pass
 
     with pytest.raises(Timeout, match=r"slow took \d+\.\d+ s, limit 0\.001 s"):
-        direct_call(slow, turn, 0.001, counts)()
+        direct_call(slow, exclusion, 0.001, counts)()
     assert (counts.calls, counts.errors) == (1, 1)
 
 
-def test_lets_a_chain_come_back(turn: Turn, counts: Counts) -> None:
+def test_lets_a_chain_come_back(exclusion: Exclusion, counts: Counts) -> None:
     callee = Callee()
-    callee.facade = direct_call(callee.again, turn, 1.0, counts)
+    callee.facade = direct_call(callee.again, exclusion, 1.0, counts)
     assert callee.facade(20) == 20
     assert counts.calls == 21
 
 
-def test_sends_a_call_on_when_the_callee_has_moved(turn: Turn, counts: Counts) -> None:
-    turn.retire()
+def test_sends_a_call_on_when_the_callee_has_moved(
+    exclusion: Exclusion, counts: Counts
+) -> None:
+    exclusion.redirect()
     call = direct_call(
-        Callee().add, turn, 1.0, counts, lambda one, other=1: ("there", one, other)
+        Callee().add, exclusion, 1.0, counts, lambda one, other=1: ("there", one, other)
     )
     assert call(1, other=5) == ("there", 1, 5)
     assert counts.calls == 0
 
 
 def test_sends_on_a_call_that_waits_while_the_callee_moves(
-    turn: Turn, counts: Counts
+    exclusion: Exclusion, counts: Counts
 ) -> None:
-    turn.enter(1, 0)
-    call = direct_call(Callee().add, turn, LONG, counts, lambda _one: "there")
+    exclusion.enter(1, 0)
+    call = direct_call(Callee().add, exclusion, LONG, counts, lambda _one: "there")
     with ThreadPoolExecutor(1) as pool:
         answer = pool.submit(call, 1)
-        turn.retire()
+        exclusion.redirect()
         assert answer.result(LONG) == "there"
 
 
 def test_says_that_the_callee_moved_when_nobody_sends_on(
-    turn: Turn, counts: Counts
+    exclusion: Exclusion, counts: Counts
 ) -> None:
-    turn.retire()
-    with pytest.raises(Retired):
-        direct_call(Callee().add, turn, 1.0, counts)(1)
+    exclusion.redirect()
+    with pytest.raises(Redirected):
+        direct_call(Callee().add, exclusion, 1.0, counts)(1)
 
 
-def test_refuses_what_is_no_turn(counts: Counts) -> None:
-    with pytest.raises(TypeError, match="a Turn and a Counts"):
+def test_refuses_what_is_no_exclusion(counts: Counts) -> None:
+    with pytest.raises(TypeError, match="an Exclusion and a Counts"):
         _calls.DirectCall(len, object(), 1.0, counts, translate)  # type: ignore[arg-type]
 
 
-def test_is_freed_with_the_component_that_it_calls(turn: Turn, counts: Counts) -> None:
+def test_is_freed_with_the_component_that_it_calls(
+    exclusion: Exclusion, counts: Counts
+) -> None:
     callee = Callee()
-    callee.facade = direct_call(callee.again, turn, 1.0, counts)
+    callee.facade = direct_call(callee.again, exclusion, 1.0, counts)
     gone = weakref.ref(callee)
     del callee
     gc.collect()
@@ -180,8 +191,8 @@ def test_counts_every_call_of_many_threads() -> None:
 
 def hammered(counts: Any, make: Any) -> Any:
     """Return a call to a callee that calls itself once, and fails now and then."""
-    turn = Turn("callee")
-    turn.open()
+    exclusion = Exclusion("callee")
+    exclusion.resume()
 
     def method(number: int, depth: int) -> int:
         if depth:
@@ -190,12 +201,12 @@ def hammered(counts: Any, make: Any) -> Any:
             raise ValueError(number)
         return number
 
-    call = make(method, turn, LONG, counts)
+    call = make(method, exclusion, LONG, counts)
     return call
 
 
-def reference_call(method: Any, turn: Any, limit: float, counts: Any) -> Any:
-    return reference.direct_call(method, turn, limit, counts, translate)
+def reference_call(method: Any, exclusion: Any, limit: float, counts: Any) -> Any:
+    return reference.direct_call(method, exclusion, limit, counts, translate)
 
 
 def hammer(call: Any) -> int:
@@ -217,8 +228,8 @@ def busy(seconds: float) -> None:
         pass
 
 
-def test_knows_the_cpu_time_of_long_calls(turn: Turn, counts: Counts) -> None:
-    call = direct_call(busy, turn, LONG, counts)
+def test_knows_the_cpu_time_of_long_calls(exclusion: Exclusion, counts: Counts) -> None:
+    call = direct_call(busy, exclusion, LONG, counts)
     began = time.thread_time()
     for _ in range(20):
         call(0.002)
@@ -226,8 +237,10 @@ def test_knows_the_cpu_time_of_long_calls(turn: Turn, counts: Counts) -> None:
     assert counts.cpu == pytest.approx(used, rel=0.1)
 
 
-def test_knows_about_the_cpu_time_of_bursts(turn: Turn, counts: Counts) -> None:
-    call = direct_call(sum, turn, LONG, counts)
+def test_knows_about_the_cpu_time_of_bursts(
+    exclusion: Exclusion, counts: Counts
+) -> None:
+    call = direct_call(sum, exclusion, LONG, counts)
     numbers = list(range(100))
     began, wall_began = time.thread_time(), time.monotonic()
     for _ in range(200_000):
@@ -239,6 +252,8 @@ def test_knows_about_the_cpu_time_of_bursts(turn: Turn, counts: Counts) -> None:
     assert 0.05 * used < counts.cpu < wall
 
 
-def test_does_not_take_waiting_for_cpu_time(turn: Turn, counts: Counts) -> None:
-    direct_call(time.sleep, turn, LONG, counts)(0.05)
+def test_does_not_take_waiting_for_cpu_time(
+    exclusion: Exclusion, counts: Counts
+) -> None:
+    direct_call(time.sleep, exclusion, LONG, counts)(0.05)
     assert counts.cpu < 0.02

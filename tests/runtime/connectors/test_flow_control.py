@@ -1,4 +1,4 @@
-"""Grants are totals: lost, doubled, late or meant for another, they do no harm."""
+"""Credits are totals: lost, doubled, late or for another route, they do no harm."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from poise.errors import Unavailable
 from poise.runtime._calls import Account
 from poise.runtime.component.ports import Policy, Queue
-from poise.runtime.connectors.flow_control import Credits, Grants
+from poise.runtime.connectors.flow_control import CreditIssuer, Credits
 from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.execution.mailbox import Feed, Inbox, Mailbox
 from poise.wire import frame
@@ -57,10 +57,10 @@ class Joined:
         self.inbox = Inbox("notes", Queue(policy, size))
         self.counts = Counts()
         self.feed = Feed(Mailbox(Account()), self.inbox, self.counts)
-        self.grants = Grants("a.b", self.feed, self.counts, lambda _: self.way)
+        self.issuer = CreditIssuer("a.b", self.feed, self.counts, lambda _: self.way)
 
     def ask(self) -> None:
-        self.grants.asked(frame.parse(b"".join(self.credit.question())))
+        self.issuer.asked(frame.parse(b"".join(self.credit.question())))
 
     def send(self, *, arrives: bool = True) -> None:
         assert self.credit.has_room()
@@ -76,7 +76,7 @@ class Joined:
             pieces = frame.segments(
                 NOTHING, None, Kind.MESSAGE, number=number, chain=life
             )
-            self.grants.came(frame.parse(b"".join(pieces)))
+            self.issuer.came(frame.parse(b"".join(pieces)))
             self.feed.put((0, number))
 
     def send_all(self) -> int:
@@ -214,16 +214,16 @@ def test_a_queue_that_keeps_the_last_grants_without_end_once() -> None:
 
 
 def test_a_question_without_an_address_is_refused(joined: Joined) -> None:
-    pieces = frame.segments(NOTHING, None, Kind.ASK)
+    pieces = frame.segments(NOTHING, None, Kind.CREDIT_REQUEST)
     with pytest.raises(WireError, match="not a str"):
-        joined.grants.asked(frame.parse(b"".join(pieces)))
+        joined.issuer.asked(frame.parse(b"".join(pieces)))
 
 
 def test_a_grant_for_a_path_that_is_gone_says_nothing() -> None:
     credits_ = Credits()
     gone = credits_.open("here").life  # nobody keeps it
     other = credits_.open("here")
-    pieces = frame.segments(NOTHING, None, Kind.GRANT, number=9, chain=gone)
+    pieces = frame.segments(NOTHING, None, Kind.CREDIT, number=9, chain=gone)
     credits_.handle(frame.parse(b"".join(pieces)))
     other.sent = 1
     assert not other.has_room()

@@ -15,7 +15,7 @@ from poise.errors import RunError, Timeout, Unavailable
 from poise.runtime.component.ports import Port
 from poise.runtime.connectors.interface import Method
 from poise.runtime.connectors.sender import Facade, Sender
-from poise.runtime.execution.exclusion import Turn, new_chain
+from poise.runtime.execution.exclusion import Exclusion, new_chain
 from poise.wire.codec import WireError
 
 LONG = 20.0
@@ -29,7 +29,7 @@ class Sums(Protocol):
     def add(self, one: int) -> int: ...
 
 
-class FakePath:
+class FakeRoute:
     """Remembers what goes over it."""
 
     UNFIT = object()
@@ -70,7 +70,7 @@ class FakePath:
         if not self.ready:
             raise Unavailable("nobody there")
 
-    def mark(self, number: int) -> None:
+    def send_marker(self, number: int) -> None:
         self.went.append(f"mark {number}")
 
     def close(self) -> None:
@@ -83,71 +83,71 @@ def sender() -> Sender:
 
 
 @pytest.fixture
-def old(sender: Sender) -> FakePath:
-    path = FakePath()
+def old(sender: Sender) -> FakeRoute:
+    path = FakeRoute()
     sender.add("old", path)
     return path
 
 
 @pytest.fixture
-def new(sender: Sender, old: FakePath) -> FakePath:  # noqa: ARG001, the first is old
-    path = FakePath()
+def new(sender: Sender, old: FakeRoute) -> FakeRoute:  # noqa: ARG001, the first is old
+    path = FakeRoute()
     sender.add("new", path)
     return path
 
 
-def test_uses_the_first_path(sender: Sender, old: FakePath, new: FakePath) -> None:
+def test_uses_the_first_path(sender: Sender, old: FakeRoute, new: FakeRoute) -> None:
     sender.send(1)
     assert (old.went, new.went) == ([1], [])
 
 
-def test_a_mark_goes_behind_all_that_went(sender: Sender, old: FakePath) -> None:
+def test_a_marker_goes_behind_all_that_went(sender: Sender, old: FakeRoute) -> None:
     sender.send(1)
-    sender.mark(7)
+    sender.send_marker(7)
     assert old.went == [1, "mark 7"]
 
 
 def test_no_mark_goes_to_nobody(sender: Sender) -> None:
     with pytest.raises(Unavailable, match="nobody at its other end"):
-        sender.mark(7)
-    sender.add("old", FakePath(ready=False))
+        sender.send_marker(7)
+    sender.add("old", FakeRoute(ready=False))
     with pytest.raises(Unavailable, match="nobody at its other end"):
-        sender.mark(7)
+        sender.send_marker(7)
 
 
 def test_what_is_kept_back_goes_when_its_source_works(
-    sender: Sender, old: FakePath
+    sender: Sender, old: FakeRoute
 ) -> None:
-    sender.keep_back()
+    sender.buffer_until_active()
     sender.send(1)
     assert old.went == []
-    sender.let_go()
+    sender.send_buffered()
     sender.send(2)
     assert old.went == [1, 2]
 
 
 def test_what_is_kept_back_also_waits_for_a_target_that_moves(
-    sender: Sender, old: FakePath, new: FakePath
+    sender: Sender, old: FakeRoute, new: FakeRoute
 ) -> None:
-    sender.keep_back()
-    sender.hold()
+    sender.buffer_until_active()
+    sender.buffer_for_move()
     sender.send(1)
-    sender.let_go()
+    sender.send_buffered()
     assert (old.went, new.went) == ([], [])
-    sender.release("new")
+    sender.switch("new")
     assert (old.went, new.went) == ([], [1])
 
 
 @pytest.mark.parametrize("towards", ["old", "new"])
 def test_what_was_held_goes_one_way_in_order(
-    sender: Sender, old: FakePath, new: FakePath, towards: str
+    sender: Sender, old: FakeRoute, new: FakeRoute, towards: str
 ) -> None:
     sender.send(1)
-    sender.hold()
+    sender.buffer_for_move()
     sender.send(2)
     sender.send(3)
     assert (old.went, new.went) == ([1], [])
-    sender.release(towards)
+    sender.switch(towards)
     sender.send(4)
     expected = {"old": ([1, 2, 3, 4], []), "new": ([1], [2, 3, 4])}
     assert (old.went, new.went) == expected[towards]
@@ -155,10 +155,10 @@ def test_what_was_held_goes_one_way_in_order(
 
 @pytest.mark.parametrize(("kept", "gone"), [("old", "new"), ("new", "old")])
 def test_what_was_held_goes_where_one_way_is_left(
-    sender: Sender, old: FakePath, new: FakePath, kept: str, gone: str
+    sender: Sender, old: FakeRoute, new: FakeRoute, kept: str, gone: str
 ) -> None:
     """As when the order to release was lost."""
-    sender.hold()
+    sender.buffer_for_move()
     sender.send(1)
     sender.remove(gone)
     sender.send(2)
@@ -169,28 +169,28 @@ def test_what_was_held_goes_where_one_way_is_left(
 
 
 def test_what_was_held_goes_out_before_the_next_move(
-    sender: Sender, old: FakePath, new: FakePath
+    sender: Sender, old: FakeRoute, new: FakeRoute
 ) -> None:
     """As when it begins at once, and the order to release was lost."""
-    sender.hold()
+    sender.buffer_for_move()
     sender.send(1)
-    next_one = FakePath()
+    next_one = FakeRoute()
     sender.add("next", next_one)
     sender.remove("new")
     assert (old.went, new.went, next_one.went) == ([1], [], [])
-    sender.hold()
+    sender.buffer_for_move()
     sender.send(2)
-    sender.release("next")
+    sender.switch("next")
     assert (old.went, next_one.went) == ([1], [2])
 
 
 def test_what_was_held_and_cannot_cross_hinders_nothing_else(
-    sender: Sender, old: FakePath, new: FakePath
+    sender: Sender, old: FakeRoute, new: FakeRoute
 ) -> None:
-    sender.hold()
-    for value in (1, FakePath.UNFIT, 3):
+    sender.buffer_for_move()
+    for value in (1, FakeRoute.UNFIT, 3):
         sender.send(value)
-    sender.release("new")
+    sender.switch("new")
     sender.send(4)
     assert (old.went, new.went) == ([], [1, 3, 4])
     assert sender.counts.drops == 1
@@ -199,34 +199,34 @@ def test_what_was_held_and_cannot_cross_hinders_nothing_else(
 @pytest.mark.usefixtures("old")
 def test_does_not_hold_when_no_move_goes_on(sender: Sender) -> None:
     """As when the order to hold comes after the move is over."""
-    with pytest.raises(RunError, match="nothing to hold messages for"):
-        sender.hold()
+    with pytest.raises(RunError, match="its target does not move"):
+        sender.buffer_for_move()
 
 
 def test_does_not_release_to_nowhere(
-    sender: Sender, old: FakePath, new: FakePath
+    sender: Sender, old: FakeRoute, new: FakeRoute
 ) -> None:
-    sender.hold()
+    sender.buffer_for_move()
     sender.send(1)
-    with pytest.raises(Unavailable, match="has no path nowhere"):
-        sender.release("nowhere")
+    with pytest.raises(Unavailable, match="has no route nowhere"):
+        sender.switch("nowhere")
     assert (old.went, new.went) == ([], [])
 
 
 def test_a_publisher_waits_while_too_much_is_held(
-    sender: Sender, new: FakePath, monkeypatch: pytest.MonkeyPatch
+    sender: Sender, new: FakeRoute, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("poise.runtime.connectors.sender.MOST_HELD", 2)
-    sender.hold()
+    monkeypatch.setattr("poise.runtime.connectors.sender.MOST_BUFFERED", 2)
+    sender.buffer_for_move()
     for number in range(3):
         sender.send(number)  # the third waits for the outlet's limit, and is lost
     assert sender.counts.drops == 1
-    sender.release("new")
+    sender.switch("new")
     assert new.went == [0, 1]
 
 
 def test_a_publisher_waits_for_room_and_asks_for_it(
-    sender: Sender, old: FakePath
+    sender: Sender, old: FakeRoute
 ) -> None:
     sender = Sender("a.notes-b.notes", Port("notes", "publishes", Note), None, LONG)
     old.room = 0
@@ -241,24 +241,24 @@ def test_a_publisher_waits_for_room_and_asks_for_it(
     assert (old.went, sender.counts.drops) == ([1], 0)
 
 
-def test_a_reentrant_publisher_lets_others_in_while_it_waits(old: FakePath) -> None:
-    turn = Turn("a")
-    turn.open()
+def test_a_reentrant_publisher_lets_others_in_while_it_waits(old: FakeRoute) -> None:
+    exclusion = Exclusion("a")
+    exclusion.resume()
     port = Port("notes", "publishes", Note)
-    sender = Sender("a.notes-b.notes", port, None, LONG, turn)
+    sender = Sender("a.notes-b.notes", port, None, LONG, exclusion)
     sender.add("old", old)
     old.room = 0
 
     def publish() -> None:
-        turn.enter(new_chain(), LONG)
+        exclusion.enter(new_chain(), LONG)
         sender.send(1)
-        turn.leave()  # it has the turn again, or this raises
+        exclusion.leave()  # it is inside again, or this raises
 
     with ThreadPoolExecutor() as pool:
         sent = pool.submit(publish)
         assert old.asked.wait(LONG)
-        turn.enter(new_chain(), LONG)
-        turn.leave()
+        exclusion.enter(new_chain(), LONG)
+        exclusion.leave()
         assert old.went == []
         old.room = 1
         sender.room()
@@ -267,14 +267,14 @@ def test_a_reentrant_publisher_lets_others_in_while_it_waits(old: FakePath) -> N
 
 
 def test_without_room_a_message_is_dropped_after_the_limit_and_counted(
-    sender: Sender, old: FakePath
+    sender: Sender, old: FakeRoute
 ) -> None:
     old.room = 0
     sender.send(1)
     assert (old.went, sender.counts.drops) == ([], 1)
 
 
-def test_nobody_waits_for_the_room_of_one_that_is_gone(old: FakePath) -> None:
+def test_nobody_waits_for_the_room_of_one_that_is_gone(old: FakeRoute) -> None:
     sender = Sender("a.notes-b.notes", Port("notes", "publishes", Note), None, LONG)
     sender.add("old", old)
     old.room, old.ready = 0, False
@@ -282,24 +282,24 @@ def test_nobody_waits_for_the_room_of_one_that_is_gone(old: FakePath) -> None:
     assert sender.counts.drops == 1
 
 
-def test_who_waits_for_room_does_not_hinder_a_move(old: FakePath) -> None:
+def test_who_waits_for_room_does_not_hinder_a_move(old: FakeRoute) -> None:
     sender = Sender("a.notes-b.notes", Port("notes", "publishes", Note), None, LONG)
-    new = FakePath()
+    new = FakeRoute()
     sender.add("old", old)
     sender.add("new", new)
     old.room = 0
     with ThreadPoolExecutor() as pool:
         sent = pool.submit(sender.send, 1)
         assert old.asked.wait(LONG)
-        sender.hold()  # its message is held, too
+        sender.buffer_for_move()  # its message is held, too
         sent.result(LONG)
-    sender.release("new")
+    sender.switch("new")
     assert (old.went, new.went) == ([], [1])
 
 
 def test_what_does_not_go_out_is_counted(sender: Sender) -> None:
     sender.send(1)
-    sender.add("old", FakePath(ready=False))
+    sender.add("old", FakeRoute(ready=False))
     sender.send(2)
     assert (sender.counts.drops, sender.counts.messages) == (2, 0)
 
@@ -315,7 +315,7 @@ def test_a_call_that_was_not_run_goes_where_the_target_is_now(
     calling: tuple[Sender, Any],
 ) -> None:
     sender, facade = calling
-    old, new = FakePath(ready=False), FakePath()
+    old, new = FakeRoute(ready=False), FakeRoute()
     sender.add("old", old)
     sender.add("new", new)
     begun = threading.Event()
@@ -327,7 +327,7 @@ def test_a_call_that_was_not_run_goes_where_the_target_is_now(
     with ThreadPoolExecutor() as pool:
         result = pool.submit(call)
         assert begun.wait(LONG)
-        sender.release("new")
+        sender.switch("new")
         assert result.result(LONG) == (new, 1)
 
 
@@ -335,7 +335,7 @@ def test_a_call_does_not_wait_for_ever_for_its_target(
     calling: tuple[Sender, Any],
 ) -> None:
     sender, _ = calling
-    path = FakePath()
+    path = FakeRoute()
     sender.add("old", path)
     with pytest.raises(Timeout, match="its target did not come back"):
         sender.again(path, "add", (1,), {}, time.monotonic())
@@ -343,7 +343,7 @@ def test_a_call_does_not_wait_for_ever_for_its_target(
 
 def test_without_a_path_calls_are_unavailable(calling: tuple[Sender, Any]) -> None:
     sender, facade = calling
-    sender.add("old", FakePath())
+    sender.add("old", FakeRoute())
     sender.remove("old")
     with pytest.raises(Unavailable, match=r"'a.sums-b.sums' is not connected"):
         facade.add(1)

@@ -1,4 +1,4 @@
-"""The native turn does what the one in Python does, also under many threads."""
+"""The native exclusion does what the one in Python does, also under many threads."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from poise.errors import Timeout
 from poise.runtime.execution.exclusion import (
-    Retired,
-    Turn,
+    Exclusion,
+    Redirected,
     current_chain,
     join_chain,
     new_chain,
@@ -23,13 +23,13 @@ from poise.runtime.execution.exclusion import (
 from tests.runtime import reference
 
 LONG = 20.0
-"""A limit that only a broken turn reaches [s]."""
+"""A limit that only a broken exclusion reaches [s]."""
 
 CHAINS = st.integers(0, 3)
 STEPS = st.lists(
     st.one_of(
         st.tuples(st.just("enter"), CHAINS),
-        st.tuples(st.sampled_from(["leave", "open", "shut", "retire"])),
+        st.tuples(st.sampled_from(["leave", "resume", "pause", "redirect"])),
         st.tuples(st.just("lend"), CHAINS),
         st.tuples(st.just("step_out"), CHAINS),
         st.tuples(st.just("step_in"), st.integers(1, 3), st.integers(0, 2)),
@@ -38,23 +38,23 @@ STEPS = st.lists(
 )
 
 
-def outcome(turn: Any, step: tuple[Any, ...]) -> str:
+def outcome(exclusion: Any, step: tuple[Any, ...]) -> str:
     """Do a step without waiting and say how it ended."""
     action, *args = step
-    if action in {"enter", "shut", "step_in"}:
+    if action in {"enter", "pause", "step_in"}:
         args.append(0.0)
     try:
-        told = getattr(turn, action)(*args)
-    except (Timeout, Retired, RuntimeError) as error:
+        told = getattr(exclusion, action)(*args)
+    except (Timeout, Redirected, RuntimeError) as error:
         return f"{type(error).__name__}: {error}"
     return f"done: {told}"
 
 
-@pytest.fixture(params=[Turn, reference.Turn], ids=["native", "reference"])
-def turn(request: pytest.FixtureRequest) -> Any:
-    """Give an open turn, native and in Python."""
+@pytest.fixture(params=[Exclusion, reference.Exclusion], ids=["native", "reference"])
+def exclusion(request: pytest.FixtureRequest) -> Any:
+    """Give an open exclusion, native and in Python."""
     made = request.param("callee")
-    made.open()
+    made.resume()
     return made
 
 
@@ -74,88 +74,88 @@ def start(work: Callable[[], object]) -> threading.Thread:
 
 @given(STEPS)
 def test_agrees_with_the_reference(steps: list[tuple[Any, ...]]) -> None:
-    native, readable = Turn("callee"), reference.Turn("callee")
+    native, readable = Exclusion("callee"), reference.Exclusion("callee")
     for step in steps:
         if step[0] == "step_in" and readable.num_outside < 1:
             continue  # only who stepped out steps in again
         assert outcome(native, step) == outcome(readable, step), step
 
 
-def test_lets_nobody_in_before_it_is_opened() -> None:
+def test_lets_nobody_in_before_it_is_resumed() -> None:
     with pytest.raises(Timeout, match="'callee' was busy for 0 s"):
-        Turn("callee").enter(1, 0)
+        Exclusion("callee").enter(1, 0)
 
 
-def test_lets_a_chain_enter_again_and_no_other(turn: Any) -> None:
-    turn.enter(1, 0)
-    turn.enter(1, 0)
-    turn.leave()
+def test_lets_a_chain_enter_again_and_no_other(exclusion: Any) -> None:
+    exclusion.enter(1, 0)
+    exclusion.enter(1, 0)
+    exclusion.leave()
     with pytest.raises(Timeout):
-        turn.enter(2, 0)
-    turn.leave()
-    turn.enter(2, 0)
+        exclusion.enter(2, 0)
+    exclusion.leave()
+    exclusion.enter(2, 0)
 
 
-def test_does_not_take_chain_zero_for_nobody(turn: Any) -> None:
-    turn.shut(0)
+def test_does_not_take_chain_zero_for_nobody(exclusion: Any) -> None:
+    exclusion.pause(0)
     with pytest.raises(Timeout):
-        turn.enter(0, 0)
+        exclusion.enter(0, 0)
 
 
-def test_gives_up_after_the_limit(turn: Any) -> None:
-    turn.enter(1, 0)
+def test_gives_up_after_the_limit(exclusion: Any) -> None:
+    exclusion.enter(1, 0)
     with pytest.raises(Timeout, match=r"'callee' was busy for 0.02 s"):
-        turn.enter(2, 0.02)
-    turn.leave()
-    turn.enter(3, 0)  # the one that gave up is not handed the turn
+        exclusion.enter(2, 0.02)
+    exclusion.leave()
+    exclusion.enter(3, 0)  # the one that gave up is not handed the exclusion
 
 
-def test_hands_the_turn_to_one_that_waits(turn: Any) -> None:
-    turn.enter(1, 0)
+def test_hands_the_exclusion_to_one_that_waits(exclusion: Any) -> None:
+    exclusion.enter(1, 0)
     entered: list[int] = []
 
     def work() -> None:
-        turn.enter(2, LONG)
+        exclusion.enter(2, LONG)
         entered.append(2)
-        turn.leave()
+        exclusion.leave()
 
     thread = start(work)
-    turn.leave()
+    exclusion.leave()
     thread.join(LONG)
     assert entered == [2]
 
 
-def test_sends_away_those_who_wait_when_it_is_retired(turn: Any) -> None:
-    turn.enter(1, 0)
+def test_refuses_those_who_wait_when_it_is_redirected(exclusion: Any) -> None:
+    exclusion.enter(1, 0)
     sent_away: list[int] = []
 
     def work(chain: int) -> None:
         try:
-            turn.enter(chain, LONG)
-        except Retired:
+            exclusion.enter(chain, LONG)
+        except Redirected:
             sent_away.append(chain)
 
     threads = [start(partial(work, chain)) for chain in (2, 3)]
-    turn.retire()
+    exclusion.redirect()
     for thread in threads:
         thread.join(LONG)
     assert sorted(sent_away) == [2, 3]
-    with pytest.raises(Retired, match="'callee' has moved away"):
-        turn.enter(4, LONG)
-    turn.enter(1, 0)  # it is inside and may come back
+    with pytest.raises(Redirected, match="'callee' has moved away"):
+        exclusion.enter(4, LONG)
+    exclusion.enter(1, 0)  # it is inside and may come back
 
 
-def test_shuts_only_when_nobody_is_inside(turn: Any) -> None:
-    turn.enter(1, 0)
-    with pytest.raises(Timeout, match="did not come to rest in 0 s"):
-        turn.shut(0)
-    turn.leave()
-    turn.shut(0)
-    turn.lend(5)
-    turn.enter(5, 0)
+def test_pauses_only_when_nobody_is_inside(exclusion: Any) -> None:
+    exclusion.enter(1, 0)
+    with pytest.raises(Timeout, match="did not pause within 0 s"):
+        exclusion.pause(0)
+    exclusion.leave()
+    exclusion.pause(0)
+    exclusion.lend(5)
+    exclusion.enter(5, 0)
 
 
-def test_lets_one_chain_in_at_a_time_under_many_threads(turn: Any) -> None:
+def test_lets_one_chain_in_at_a_time_under_many_threads(exclusion: Any) -> None:
     """Eight threads add to one number without another lock; none is lost."""
     total = 0
 
@@ -163,14 +163,14 @@ def test_lets_one_chain_in_at_a_time_under_many_threads(turn: Any) -> None:
         nonlocal total
         for _ in range(2000):
             chain = new_chain()
-            turn.enter(chain, LONG)
-            turn.enter(chain, LONG)
+            exclusion.enter(chain, LONG)
+            exclusion.enter(chain, LONG)
             before = total
             if before % 50 == 0:
                 threading.Event().wait(1e-6)  # give the GIL to the others
             total = before + 1
-            turn.leave()
-            turn.leave()
+            exclusion.leave()
+            exclusion.leave()
 
     with ThreadPoolExecutor(8) as pool:
         for future in [pool.submit(work) for _ in range(8)]:
@@ -178,7 +178,9 @@ def test_lets_one_chain_in_at_a_time_under_many_threads(turn: Any) -> None:
     assert total == 8 * 2000
 
 
-def test_survives_limits_that_end_while_the_turn_is_handed_over(turn: Any) -> None:
+def test_survives_limits_that_end_in_a_hand_over(
+    exclusion: Any,
+) -> None:
     """Threads give up at about the moment their turn comes; it is never lost."""
     entered = 0
 
@@ -186,17 +188,17 @@ def test_survives_limits_that_end_while_the_turn_is_handed_over(turn: Any) -> No
         nonlocal entered
         for number in range(500):
             try:
-                turn.enter(new_chain(), number % 5 * 2e-5)
+                exclusion.enter(new_chain(), number % 5 * 2e-5)
             except Timeout:
                 continue
             entered += 1
-            turn.leave()
+            exclusion.leave()
 
     with ThreadPoolExecutor(6) as pool:
         for future in [pool.submit(work) for _ in range(6)]:
             future.result(LONG)
     assert entered > 0
-    turn.enter(1, 0)
+    exclusion.enter(1, 0)
 
 
 def test_gives_each_thread_a_chain_of_its_own() -> None:
@@ -208,51 +210,51 @@ def test_gives_each_thread_a_chain_of_its_own() -> None:
     assert new_chain() != 7
 
 
-def test_lets_others_in_while_a_chain_steps_out(turn: Any) -> None:
-    turn.enter(1, 0)
-    turn.enter(1, 0)
-    depth = turn.step_out(1)
-    turn.enter(2, 0)
+def test_lets_others_in_while_a_chain_steps_out(exclusion: Any) -> None:
+    exclusion.enter(1, 0)
+    exclusion.enter(1, 0)
+    depth = exclusion.step_out(1)
+    exclusion.enter(2, 0)
     with pytest.raises(Timeout):
-        turn.step_in(1, depth, 0)
-    turn.leave()
-    turn.step_in(1, depth, 0)
-    turn.leave()
+        exclusion.step_in(1, depth, 0)
+    exclusion.leave()
+    exclusion.step_in(1, depth, 0)
+    exclusion.leave()
     with pytest.raises(Timeout):
-        turn.enter(2, 0)
-    turn.leave()
-    turn.enter(2, 0)
+        exclusion.enter(2, 0)
+    exclusion.leave()
+    exclusion.enter(2, 0)
 
 
-def test_is_not_shut_before_those_that_stepped_out_came_back(turn: Any) -> None:
-    turn.enter(1, 0)
-    depth = turn.step_out(1)
+def test_is_not_paused_before_those_that_stepped_out_came_back(exclusion: Any) -> None:
+    exclusion.enter(1, 0)
+    depth = exclusion.step_out(1)
     with ThreadPoolExecutor() as pool:
-        shut = pool.submit(turn.shut, LONG)
+        shut = pool.submit(exclusion.pause, LONG)
         for chain in (2, 1):  # whom it waits for must come in
-            turn.enter(chain, LONG)
-            turn.leave()
+            exclusion.enter(chain, LONG)
+            exclusion.leave()
         assert not shut.done()
-        turn.step_in(1, depth, LONG)
-        turn.leave()
+        exclusion.step_in(1, depth, LONG)
+        exclusion.leave()
         shut.result(LONG)
     with pytest.raises(Timeout):
-        turn.enter(2, 0)
+        exclusion.enter(2, 0)
 
 
-def test_steps_out_of_nothing_in_a_hook_or_on_a_foreign_thread(turn: Any) -> None:
-    assert turn.step_out(1) == -1
-    turn.shut(0)
-    turn.lend(1)
-    assert turn.step_out(1) == -1
+def test_steps_out_of_nothing_in_a_hook_or_on_a_foreign_thread(exclusion: Any) -> None:
+    assert exclusion.step_out(1) == -1
+    exclusion.pause(0)
+    exclusion.lend(1)
+    assert exclusion.step_out(1) == -1
 
 
-def test_comes_back_though_it_retired(turn: Any) -> None:
-    turn.enter(1, 0)
-    depth = turn.step_out(1)
-    turn.enter(2, 0)
+def test_comes_back_though_it_is_redirected(exclusion: Any) -> None:
+    exclusion.enter(1, 0)
+    depth = exclusion.step_out(1)
+    exclusion.enter(2, 0)
     with ThreadPoolExecutor() as pool:
-        back = pool.submit(turn.step_in, 1, depth, LONG)
-        turn.retire()
-        turn.leave()
+        back = pool.submit(exclusion.step_in, 1, depth, LONG)
+        exclusion.redirect()
+        exclusion.leave()
         back.result(LONG)

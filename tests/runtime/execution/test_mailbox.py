@@ -90,11 +90,11 @@ def test_neither_drops_nor_lets_wait_at_rest() -> None:
     for policy in ("keep", "block"):
         inbox = Inbox("scan", Queue(policy, 1))
         one = feed(inbox)
-        inbox.rest(resting=True)
+        inbox.set_unbounded(unbounded=True)
         for number in (1, 2, 3):
             assert one.has_room()
             put(one, number)
-        inbox.rest(resting=False)
+        inbox.set_unbounded(unbounded=False)
         assert [inbox.take() for _ in range(3)] == [(0, 1), (0, 2), (0, 3)]
 
 
@@ -104,7 +104,7 @@ def test_tells_whoever_waits_when_it_comes_to_rest() -> None:
     put(one, 1)
     told: list[int | None] = []
     one.on_room = lambda: told.append(one.room())
-    inbox.rest(resting=True)
+    inbox.set_unbounded(unbounded=True)
     assert told == [1]
 
 

@@ -14,7 +14,7 @@ from poise import Component, Message, every, subscribed
 from poise.clock import SystemClock
 from poise.errors import RunError, Timeout
 from poise.runtime.execution.connector_counters import Counts
-from poise.runtime.execution.exclusion import Retired
+from poise.runtime.execution.exclusion import Redirected
 from poise.runtime.hosting.runner import Runner
 from poise.wire.records.deployment import ComponentSpec, State
 from tests.runtime.conftest import wait_until
@@ -110,7 +110,7 @@ def rest(runner: Runner, limit: float) -> None:
 
 
 def receive(runner: Runner, *texts: str) -> None:
-    feed = runner.ends.feed("note", Counts())
+    feed = runner.endpoints.feed("note", Counts())
     for text in texts:
         feed.put((0, Note(text)))
 
@@ -242,7 +242,7 @@ def test_a_component_that_is_busy_does_not_come_to_rest(running: Fixture) -> Non
     component = reach(runner, "active")
     receive(runner, "a")
     component.wait_for("a")
-    with pytest.raises(Timeout, match="component 'one' did not come to rest"):
+    with pytest.raises(Timeout, match="component 'one' did not pause"):
         rest(runner, 0.01)
     Slow.go_on.set()
     rest(runner, LIMIT)
@@ -281,10 +281,10 @@ def test_a_lull_is_not_waited_for_longer_than_its_limit(running: Fixture) -> Non
 def test_waiting_for_marks_has_a_limit(running: Fixture) -> None:
     runner = running.start(Recorder)
     reach(runner, "active")
-    runner.ends.note_mark("somebody", 7)
-    runner.ends.wait_marks({"somebody": 7}, LIMIT)
+    runner.endpoints.note_marker("somebody", 7)
+    runner.endpoints.wait_markers({"somebody": 7}, LIMIT)
     with pytest.raises(Timeout, match="still under way over somebody"):
-        runner.ends.wait_marks({"somebody": 8}, 0.01)
+        runner.endpoints.wait_markers({"somebody": 8}, 0.01)
 
 
 def test_measures_are_summed_up(running: Fixture) -> None:
@@ -317,11 +317,11 @@ def test_an_order_to_rest_that_waits_ends_with_the_move(running: Fixture) -> Non
     runner = running.start(Recorder)
     component = reach(runner, "active")
     runner.stay()
-    runner.turn.enter(7, LIMIT)
+    runner.exclusion.enter(7, LIMIT)
     with ThreadPoolExecutor() as pool:
         late = pool.submit(runner.rest, LIMIT)
         runner.aim("active")
-        runner.turn.leave()
+        runner.exclusion.leave()
         with pytest.raises(RunError, match="does not move"):
             late.result(LIMIT)
     receive(runner, "a")
@@ -356,7 +356,7 @@ def test_goes_on_after_its_code_ran_at_rest(running: Fixture) -> None:
         runner.stay()  # nor for the next move
         receive(runner, "a")
         with pytest.raises(Timeout):
-            runner.turn.enter(7, 0.05)
+            runner.exclusion.enter(7, 0.05)
     component.wait_for("a")
 
 
@@ -369,7 +369,7 @@ def test_stays_at_rest_after_its_code_ran_there(running: Fixture) -> None:
         rest(runner, LIMIT)  # for the next move
     receive(runner, "a")
     with pytest.raises(Timeout):
-        runner.turn.enter(7, 0.05)
+        runner.exclusion.enter(7, 0.05)
     assert "a" not in component.record
 
 
@@ -379,7 +379,7 @@ def test_what_is_ready_does_nothing_before_it_is_active(running: Fixture) -> Non
     component = _reached(runner, "active")
     receive(runner, "a")
     with pytest.raises(Timeout):
-        runner.turn.enter(7, 0.05)
+        runner.exclusion.enter(7, 0.05)
     assert component.record == ["configure", "activate"]
     runner.aim("active")
     component.wait_for("a")
@@ -399,9 +399,9 @@ def test_callers_that_wait_are_sent_away_when_it_ends(running: Fixture) -> None:
     reach(runner, "active")
     rest(runner, LIMIT)
     with ThreadPoolExecutor() as pool:
-        caller = pool.submit(runner.turn.enter, 7, LIMIT)
+        caller = pool.submit(runner.exclusion.enter, 7, LIMIT)
         runner.aim("finalized")
-        with pytest.raises(Retired):
+        with pytest.raises(Redirected):
             caller.result(LIMIT)
 
 

@@ -162,12 +162,12 @@ def test_a_call_that_cannot_be_made_is_the_callers_error(pair: Pair) -> None:
 def test_a_call_to_a_busy_component_times_out(pair: Pair) -> None:
     source, target = start(pair, "sums", limit=0.1)
     target_runner = pair.runners["target", 0]
-    target_runner.turn.shut(LIMIT)  # as when another chain is inside
+    target_runner.exclusion.pause(LIMIT)  # as when another chain is inside
     with pytest.raises(
         Timeout, match="busy for" if pair.kind == "direct" else "add over"
     ):
         source.sums.add(1, 2)
-    target_runner.turn.open()
+    target_runner.exclusion.resume()
     wait_until(lambda: _answers(source))
     target.go_on.set()
 
@@ -247,12 +247,12 @@ def test_a_message_that_finds_no_room_is_dropped_and_counted(pair: Pair) -> None
     source, target = start(pair, "scan", limit=0.1)
     source.scan.publish(scan(0))
     target.wait_for(1)
-    pair.runners["target", 0].turn.shut(LIMIT)
+    pair.runners["target", 0].exclusion.pause(LIMIT)
     for number in range(1, 7):  # room is for four; fewer go if it hears of that late
         source.scan.publish(scan(number))
     drops = status(pair, "source").drops
     assert drops >= 2
-    pair.runners["target", 0].turn.open()
+    pair.runners["target", 0].exclusion.resume()
     heard = [m.number for m in target.wait_for(7 - drops)]
     assert len(heard) == 7 - drops
     assert heard == sorted(set(heard))
@@ -261,7 +261,7 @@ def test_a_message_that_finds_no_room_is_dropped_and_counted(pair: Pair) -> None
 @every_kind
 def test_a_slow_subscriber_makes_its_publisher_wait(pair: Pair) -> None:
     source, target = start(pair, "careful")
-    inbox = pair.runners["target", 0].ends.inboxes["careful"]
+    inbox = pair.runners["target", 0].endpoints.inboxes["careful"]
     most = 0
     for number in range(30):
         source.careful.publish(scan(number))
@@ -274,16 +274,16 @@ def test_a_slow_subscriber_makes_its_publisher_wait(pair: Pair) -> None:
 @every_kind
 def test_a_slow_subscriber_does_not_hold_up_the_others(pair: Pair) -> None:
     source, target = start(pair, "scan", "sums", "latest")
-    pair.runners["target", 0].turn.shut(LIMIT)
+    pair.runners["target", 0].exclusion.pause(LIMIT)
     for number in range(4):
         source.scan.publish(scan(number))
     with ThreadPoolExecutor() as pool:
         waiting = pool.submit(source.scan.publish, scan(4))
         source.latest.publish(scan(9))  # the same container, another connector
-        inbox = pair.runners["target", 0].ends.inboxes["latest"]
+        inbox = pair.runners["target", 0].endpoints.inboxes["latest"]
         wait_until(lambda: len(inbox.waiting()) == 1)
         assert not waiting.done()
-        pair.runners["target", 0].turn.open()
+        pair.runners["target", 0].exclusion.resume()
         waiting.result(LIMIT)
     assert len(target.wait_for(6)) == 6
 
@@ -398,11 +398,11 @@ def test_sizes_are_those_of_calls_both_ways_and_of_messages(pair: Pair) -> None:
 @every_kind
 def test_what_makes_room_for_newer_messages_is_counted(pair: Pair) -> None:
     source, _ = start(pair, "latest")
-    pair.runners["target", 0].turn.shut(LIMIT)
+    pair.runners["target", 0].exclusion.pause(LIMIT)
     for number in range(8):  # the last is kept
         source.latest.publish(scan(number))
     wait_until(lambda: status(pair, "target").drops == 7)
-    pair.runners["target", 0].turn.open()
+    pair.runners["target", 0].exclusion.resume()
 
 
 @every_kind
@@ -411,11 +411,11 @@ def test_a_slow_subscriber_that_keeps_the_last_holds_up_no_publisher(
 ) -> None:
     source, _ = start(pair, "latest")
     large = Scan(1, np.zeros(100_000, np.float32))
-    pair.runners["target", 0].turn.shut(LIMIT)
+    pair.runners["target", 0].exclusion.pause(LIMIT)
     for _ in range(100):  # far more than sockets hold
         source.latest.publish(large)
     wait_until(lambda: pair.drops() == 99)
-    pair.runners["target", 0].turn.open()
+    pair.runners["target", 0].exclusion.resume()
 
 
 @pytest.mark.parametrize("pair", ["local", "remote"], indirect=True)
@@ -498,8 +498,8 @@ def test_what_comes_back_late_does_not_enter_beside_its_caller(pair: Pair) -> No
     other = pair.transports["target"]
     other.server.open(there.key, call_back)
     pair.activate()
-    turn = pair.runners["source", 0].turn
-    turn.enter(new_chain(), LIMIT)
+    exclusion = pair.runners["source", 0].exclusion
+    exclusion.enter(new_chain(), LIMIT)
     with pytest.raises(Timeout):
         caller.slow.call_back()
     wait_until(lambda: len(chains) == 1)
@@ -512,7 +512,7 @@ def test_what_comes_back_late_does_not_enter_beside_its_caller(pair: Pair) -> No
     assert answer.value(FAILURE)[0] == "Timeout"
     assert caller.num_back == 0
     go_on.set()
-    turn.leave()
+    exclusion.leave()
     channel.close()
 
 

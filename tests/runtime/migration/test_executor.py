@@ -52,9 +52,9 @@ def order(*steps: Step) -> Order:
 
 
 def is_at_work(runner: Runner) -> bool:
-    """Return whether its turn is open."""
-    runner.turn.enter(7, LIMIT)
-    runner.turn.leave()
+    """Return whether it can be entered."""
+    runner.exclusion.enter(7, LIMIT)
+    runner.exclusion.leave()
     return True
 
 

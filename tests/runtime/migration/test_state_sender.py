@@ -153,11 +153,11 @@ def rest(runner: Runner) -> DirectPipe:
 
 def tell(runner: Runner, *words: str) -> None:
     """Let the component hear something, as if over a connector."""
-    runner.turn.enter(1, LIMIT)
+    runner.exclusion.enter(1, LIMIT)
     assert isinstance(runner.component, Book)
     for word in words:
         runner.component.tell(word)
-    runner.turn.leave()
+    runner.exclusion.leave()
 
 
 def test_state_and_timers_go_over(incarnations: Incarnations) -> None:
@@ -177,11 +177,11 @@ def test_what_waits_goes_over_in_order(incarnations: Incarnations) -> None:
     old = incarnations.start(Book, active=True)
     new = incarnations.start(Book, active=False)
     channel = rest(old)
-    feed = old.ends.feed("notes", Counts())
+    feed = old.endpoints.feed("notes", Counts())
     for number in range(5):  # more than there is room for while it works
         feed.put((0, Notes((str(number),))))
     state_sender.take(new, state_sender.fetch(channel, Ask.ALL, LIMIT))
-    assert [v.texts for _, v in new.ends.inboxes["notes"].waiting()] == [
+    assert [v.texts for _, v in new.endpoints.inboxes["notes"].waiting()] == [
         (str(number),) for number in range(5)
     ]
 
@@ -191,7 +191,7 @@ def test_one_way_calls_that_wait_go_over_in_order(incarnations: Incarnations) ->
     new = incarnations.start(Book, active=False)
     channel = rest(old)
     tag = next(iter(methods(Tells)))
-    feed = old.ends.feed("tells", Counts())
+    feed = old.endpoints.feed("tells", Counts())
     for word in ("a", "b"):
         feed.put((tag, (word,)))
     state_sender.take(new, state_sender.fetch(channel, Ask.ALL, LIMIT))

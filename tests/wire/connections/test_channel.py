@@ -282,7 +282,7 @@ def newcomer(wire: Wire) -> socket.socket:
         gateway = wire.address().gateway
         assert gateway is not None
         sock = socket.create_connection((gateway.host, gateway.port))
-        Connection(sock).send(frame.segments(TEXT, "there", Kind.WELCOME))
+        Connection(sock).send(frame.segments(TEXT, "there", Kind.HELLO))
     sock.settimeout(LIMIT)
     return sock
 
@@ -299,7 +299,7 @@ def everything(sock: socket.socket) -> bytes:
 def test_it_tells_a_newcomer_of_another_version_why(wire: Wire) -> None:
     wire.server().open("echo", Receiver())
     with newcomer(wire) as sock:
-        hello = b"".join(frame.segments(TEXT, "echo", Kind.WELCOME))
+        hello = b"".join(frame.segments(TEXT, "echo", Kind.HELLO))
         sock.sendall(HEAD.pack(len(hello), 0) + b"\x07" + hello[1:])
         refusal = frame.parse(everything(sock)[HEAD.size :])
     assert refusal.kind is Kind.ERROR

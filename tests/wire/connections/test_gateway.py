@@ -19,7 +19,7 @@ from poise.wire.connections.connection import HEAD, Connection
 from poise.wire.connections.connection_channel import ConnectionChannel
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.connections.gateway import Gateway
-from poise.wire.connections.socket_path import guests_path
+from poise.wire.connections.socket_path import gateway_path
 from poise.wire.frame import VERSION, Kind
 from tests.wire.conftest import LIMIT, TEXT, Receiver, Wire, call, remote, wait_until
 
@@ -53,7 +53,7 @@ def said(version: bytes, kind: Kind) -> bytes:
         pytest.param(b"GET / HTTP/1.1\r\n\r\n", "1024 B is the largest", id="another"),
         pytest.param(HEAD.pack(1025, 0), "1025 B; 1024 B is the largest", id="large"),
         pytest.param(HEAD.pack(8, 0) + bytes(8), "cut short", id="short"),
-        pytest.param(said(b"\x07", Kind.WELCOME), "version 7", id="newer"),
+        pytest.param(said(b"\x07", Kind.HELLO), "version 7", id="newer"),
         pytest.param(said(bytes([VERSION]), Kind.MESSAGE), "MESSAGE", id="kind"),
     ],
 )
@@ -73,13 +73,13 @@ def test_nonsense_is_told_and_logged_and_harms_nobody(
 @remote
 def test_a_name_may_come_in_pieces(wire: Wire) -> None:
     wire.server().open("echo", Receiver())
-    name = b"".join(frame.segments(TEXT, "there", Kind.WELCOME))
+    name = b"".join(frame.segments(TEXT, "there", Kind.HELLO))
     with come(wire) as guest:
         for byte in HEAD.pack(len(name), 0) + name:
             guest.sendall(bytes([byte]))
         connection = Connection(guest)
-        connection.send(frame.segments(TEXT, "echo", Kind.WELCOME))
-        assert connection.receive().kind is Kind.WELCOME
+        connection.send(frame.segments(TEXT, "echo", Kind.HELLO))
+        assert connection.receive().kind is Kind.HELLO
 
 
 @remote
@@ -109,7 +109,7 @@ def test_a_container_that_takes_nobody_in_keeps_nobody_waiting_for_long(
     wire: Wire, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(gateway_module, "SAY_LIMIT", 0.05)
-    path = guests_path(wire.folder, "there")
+    path = gateway_path(wire.folder, "there")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as stuck:
         stuck.bind(str(path))
         fill(path)
@@ -183,7 +183,7 @@ def folder() -> Iterator[Path]:
         yield Path(folder)
 
 
-def test_two_computers_on_one_machine_have_doors_of_their_own(folder: Path) -> None:
+def test_two_computers_on_one_machine_have_gateways_of_their_own(folder: Path) -> None:
     with Gateway(folder, ANYBODY) as one, Gateway(folder, ANYBODY) as other:
         assert str(one) != str(other)
 

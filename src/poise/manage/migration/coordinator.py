@@ -85,7 +85,7 @@ class MigrationCoordinator:
         others = {n: each for n, each in run.placed.items() if n not in gone}
         self._others = others
         self._rounds = Rounds(
-            run.layout, change, others, run.calls(), next(_numbers), run.doors()
+            run.layout, change, others, run.calls(), next(_numbers), run.gateways()
         )
         self._seconds: dict[str, float] = {}
         self._shut_at = 0.0

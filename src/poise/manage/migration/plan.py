@@ -64,8 +64,8 @@ class Rounds:
         Ends over which a component calls another: component and port.
     number
         Tells this exchange, and its marks, from all others.
-    doors
-        Computer -> IP address and port of its door.
+    gateways
+        Computer -> IP address and port of its gateway.
     """
 
     def __init__(
@@ -75,10 +75,10 @@ class Rounds:
         others: Mapping[str, Incarnation],
         calls: Collection[tuple[str, str]],
         number: int,
-        doors: Mapping[str, str],
+        gateways: Mapping[str, str],
     ) -> None:
         self._layout = layout
-        self._doors = doors
+        self._gateways = gateways
         self._others = others
         self._olds = {each.component: each for each in change.olds}
         self._news = {each.component: each for each in change.news}
@@ -146,7 +146,7 @@ class Rounds:
     def _addresses(self, new: Incarnation) -> dict[str, str]:
         """Return where a new one reaches the old ones, by component."""
         return {
-            name: self._layout.address(old, new.computer, self._doors)
+            name: self._layout.address(old, new.computer, self._gateways)
             for name, old in self._olds.items()
         }
 
@@ -225,7 +225,7 @@ class Rounds:
                     connector,
                     self._others[connector.between[0].component],
                     targets[connector.between[1].component],
-                    self._doors,
+                    self._gateways,
                 ).key
                 for connector in theirs
             )

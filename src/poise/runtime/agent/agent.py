@@ -75,7 +75,7 @@ class AgentSetup(Struct, frozen=True, kw_only=True):
         IP address on which it and its containers listen.
     port
         TCP port of the agent.
-    door
+    gateway
         TCP port at which links to its containers come in; 0: one that is free.
     peers
         zenoh endpoints of the other computers' agents.

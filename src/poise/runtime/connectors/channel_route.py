@@ -8,16 +8,16 @@ from collections.abc import Callable
 from typing import Any, NoReturn
 
 from poise.errors import CalleeError, CallError, Timeout
-from poise.runtime._calls import ServedCall, away, time_left
+from poise.runtime._calls import ServedCall, call_remote, time_left
 from poise.runtime.component.error_report import Sparing
 from poise.runtime.component.ports import Port
 from poise.runtime.connectors.direct import Target, raise_callee_error
-from poise.runtime.connectors.flow_control import Credit, Grants
+from poise.runtime.connectors.flow_control import Credit, CreditIssuer
 from poise.runtime.connectors.interface import Method, message_tag, methods
 from poise.runtime.connectors.remote_clock import RemoteClock
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.execution.connector_counters import Counts
-from poise.runtime.execution.exclusion import Retired, current_chain
+from poise.runtime.execution.exclusion import Redirected, current_chain
 from poise.runtime.execution.mailbox import Feed
 from poise.wire import frame
 from poise.wire.codec import Codec, WireError, codec
@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 _NOTHING: Codec[None] = Codec(type(None))
 
 # looking a member up costs as much as a call
-_CALL, _RESULT, _MARK, _MOVED = Kind.CALL, Kind.RESULT, Kind.MARK, Kind.MOVED
+_CALL, _RESULT, _MARK, _MOVED = Kind.CALL, Kind.RESULT, Kind.MARKER, Kind.MOVED
 _ERROR = Kind.ERROR
 _LONGEST = 1e9
 """A caller that waits for longer says so much: a frame holds no more [s]."""
@@ -87,7 +87,7 @@ class ChannelRoute:
         """Ask for a grant, behind all that went out."""
         self._channel.push(self._credit.question(), self._limit)
 
-    def mark(self, number: int) -> None:
+    def send_marker(self, number: int) -> None:
         """Send a mark."""
         pieces = segments(_NOTHING, None, _MARK, number=number)
         self._channel.push(pieces, self._limit)
@@ -112,7 +112,7 @@ class ChannelRoute:
             )
             answer = None
             try:
-                answer = away(chain, left, name, request, pieces)
+                answer = call_remote(chain, left, name, request, pieces)
                 if answer.kind is _RESULT:
                     result = decode(answer.body, answer.buffers)
                 elif answer.kind is not _MOVED:
@@ -144,7 +144,7 @@ def receiving(
     target: Target,
     port: Port,
     feed: Feed,
-    grants: Grants,
+    issuer: CreditIssuer,
     far: RemoteClock,
 ) -> Handler:
     """Return what a target does with the frames that come over pipes."""
@@ -160,17 +160,17 @@ def receiving(
 
     def handle(received: Frame) -> Pieces | None:
         if received.kind is _MARK:
-            target.note_mark(connector, received.number)
+            target.note_marker(connector, received.number)
             return None
         if received.kind is _CALL:
             return serve(received)
         try:
-            if received.kind is Kind.ASK:
-                grants.asked(received)
+            if received.kind is Kind.CREDIT_REQUEST:
+                issuer.asked(received)
                 return None
             latency = received.age + far.ahead
             counts.add_message(0, received.size, latency, far.error)
-            grants.came(received)
+            issuer.came(received)
             wanted = coder if received.tag == tag and not known else None
             method = known.get(received.tag)
             value = received.value(wanted or _known(method, port).arguments)
@@ -184,7 +184,7 @@ def receiving(
         began = time.monotonic()
         try:
             answer = (answers.get(received.tag) or _refuse(port))(received)
-        except Retired:
+        except Redirected:
             answer = segments(_NOTHING, None, _MOVED)
         except (CalleeError, Timeout, WireError) as error:
             if isinstance(error, WireError):
@@ -243,7 +243,7 @@ def _answering(
         decode=method.arguments.decode,
         method=getattr(target.component, method.name),
         encode=lambda value: segments(result, value, _RESULT, tag=tag),
-        turn=target.turn,
+        exclusion=target.exclusion,
         limit=limit,
         counts=counts,
         translate=raise_callee_error,

@@ -1,7 +1,7 @@
 """The path between two components of one container: direct invocation.
 
-A call runs on the caller's thread, under the callee's turn. It means the same as a call
-over a wire: the same limit and the same errors.
+A call runs on the caller's thread, under the callee's exclusion. It means the same as a
+call over a wire: the same limit and the same errors.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from poise.runtime.component.ports import Port
 from poise.runtime.connectors.interface import Method, message_tag
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.execution.connector_counters import Counts
-from poise.runtime.execution.exclusion import Turn
+from poise.runtime.execution.exclusion import Exclusion
 from poise.runtime.execution.mailbox import Feed
 
 
 class Target(Protocol):
     """The incarnation of a component that a path leads to: its `Ends`."""
 
-    turn: Turn
+    exclusion: Exclusion
 
     @property
     def component(self) -> object:
@@ -35,7 +35,7 @@ class Target(Protocol):
         """Return the way into a port's queue for the connector of `counts`."""
         ...
 
-    def note_mark(self, connector: str, number: int, /) -> None:
+    def note_marker(self, connector: str, number: int, /) -> None:
         """Take note that all that was sent before this mark has come."""
         ...
 
@@ -65,8 +65,8 @@ class DirectRoute:
             return sender.again(self, method.name, args, kwargs, deadline)
 
         run = getattr(self._target.component, method.name)
-        turn, limit = self._target.turn, self._limit
-        return direct_call(run, turn, limit, sender.counts, resend)
+        exclusion, limit = self._target.exclusion, self._limit
+        return direct_call(run, exclusion, limit, sender.counts, resend)
 
     def push(self, method: Method | None, value: object) -> int:
         """Put a message or one-way call into the target's mailbox."""
@@ -81,9 +81,9 @@ class DirectRoute:
     def ask(self) -> None:
         """Ask nobody: it is seen when there is room."""
 
-    def mark(self, number: int) -> None:
+    def send_marker(self, number: int) -> None:
         """Tell the target that all has come."""
-        self._target.note_mark(self._connector, number)
+        self._target.note_marker(self._connector, number)
 
     def close(self) -> None:
         """Hold nothing."""
@@ -91,7 +91,7 @@ class DirectRoute:
 
 def direct_call(
     method: Callable[..., Any],
-    turn: Turn,
+    exclusion: Exclusion,
     limit: float,
     counts: Counts,
     resend: Callable[..., Any] | None = None,
@@ -102,7 +102,7 @@ def direct_call(
     gets `Timeout`. The callee itself is not interrupted. `resend` takes the calls that
     find the component moved away.
     """
-    return DirectCall(method, turn, limit, counts, raise_callee_error, resend)
+    return DirectCall(method, exclusion, limit, counts, raise_callee_error, resend)
 
 
 def raise_callee_error(error: Exception) -> NoReturn:

@@ -15,7 +15,7 @@ from poise.runtime.component.component import Component
 from poise.runtime.component.ports import Port, Published, Queue, methods_of
 from poise.runtime.connectors.sender import Facade, Sender, refusing
 from poise.runtime.execution.connector_counters import Counts
-from poise.runtime.execution.exclusion import Turn
+from poise.runtime.execution.exclusion import Exclusion
 from poise.runtime.execution.mailbox import Entry, Feed, Inbox, Mailbox
 
 _ONEWAY = Queue("block", 64)
@@ -29,7 +29,7 @@ class Endpoints:
     ----------
     name
         The component's.
-    turn
+    exclusion
         What callers enter.
     account
         Where what comes is counted.
@@ -40,12 +40,12 @@ class Endpoints:
         name: str,
         component: Component,
         ports: Mapping[str, Port],
-        turn: Turn,
+        exclusion: Exclusion,
         account: Account,
     ) -> None:
         self.component = component
         self.ports = ports
-        self.turn = turn
+        self.exclusion = exclusion
         self.mailbox = Mailbox(account)
         self.inboxes = {
             port.name: Inbox(port.name, port.queue or _ONEWAY)
@@ -57,7 +57,7 @@ class Endpoints:
         self._marks: dict[str, int] = {}
         self._marked = threading.Condition()
         self._letting = threading.Lock()
-        self._is_free = False
+        self._is_unbounded = False
         for port in ports.values():
             self._disconnect(port)
 
@@ -67,12 +67,12 @@ class Endpoints:
             facade = None
             if port.kind == "requires":
                 facade = getattr(self.component, port.name)
-            turn = self.turn if self.component.reentrant else None
-            self.senders[name] = Sender(name, port, facade, limit, turn)
+            exclusion = self.exclusion if self.component.reentrant else None
+            self.senders[name] = Sender(name, port, facade, limit, exclusion)
             self._rewire(port)
         return self.senders[name]
 
-    def drop_outlet(self, name: str) -> None:
+    def drop_sender(self, name: str) -> None:
         """Close the end of a connector."""
         sender = self.senders.pop(name)
         sender.close()
@@ -85,20 +85,20 @@ class Endpoints:
     def preload(self, port: str, entry: Entry) -> None:
         """Queue what waited for the incarnation before; call it before `activate`."""
         inbox = self.inboxes[port]
-        inbox.rest(resting=True)
+        inbox.set_unbounded(unbounded=True)
         self.feed(port, Counts()).put(entry)
 
     def is_empty(self) -> bool:
         """Return whether no message and no one-way call waits."""
         return not any(inbox.waiting() for inbox in self.inboxes.values())
 
-    def note_mark(self, connector: str, number: int, /) -> None:
+    def note_marker(self, connector: str, number: int, /) -> None:
         """Take note that all that was sent before this mark has come."""
         with self._marked:
             self._marks[connector] = number
             self._marked.notify_all()
 
-    def wait_marks(self, marks: Mapping[str, int], limit: float) -> None:
+    def wait_markers(self, marks: Mapping[str, int], limit: float) -> None:
         """Wait until these marks came, by connector.
 
         Nothing that is under way meanwhile waits for room: the component may be unable
@@ -120,35 +120,35 @@ class Endpoints:
                     f"{', '.join(missing())}"
                 )
 
-    def let_in(self, *, freely: bool) -> None:
+    def set_unbounded(self, *, unbounded: bool) -> None:
         """Let what comes in without bounds, as nothing is taken out meanwhile."""
         with self._letting:
-            self._is_free = freely
-            self._set_free(freely=freely)
+            self._is_unbounded = unbounded
+            self._set_unbounded(unbounded=unbounded)
 
-    def keep_back(self) -> None:
+    def buffer_until_active(self) -> None:
         """Keep what it sends until `let_go`: it is not at work yet."""
         for sender in list(self.senders.values()):
-            sender.keep_back()
+            sender.buffer_until_active()
 
-    def let_go(self) -> None:
+    def send_buffered(self) -> None:
         """Send what was kept back; harmless when repeated."""
         for sender in list(self.senders.values()):
-            sender.let_go()
+            sender.send_buffered()
 
     @contextmanager
     def _with_room(self) -> Iterator[None]:
         with self._letting:
-            self._set_free(freely=True)
+            self._set_unbounded(unbounded=True)
         try:
             yield
         finally:
             with self._letting:
-                self._set_free(freely=self._is_free)
+                self._set_unbounded(unbounded=self._is_unbounded)
 
-    def _set_free(self, *, freely: bool) -> None:
+    def _set_unbounded(self, *, unbounded: bool) -> None:
         for inbox in self.inboxes.values():
-            inbox.rest(resting=freely)
+            inbox.set_unbounded(unbounded=unbounded)
 
     def _disconnect(self, port: Port) -> None:
         if port.kind == "publishes":

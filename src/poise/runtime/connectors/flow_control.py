@@ -30,8 +30,8 @@ from poise.wire.frame import Frame, Kind
 
 log = logging.getLogger(__name__)
 
-GRANTS = "grants"
-"""What the pipe is called over which a container hears all of its grants."""
+CREDITS = "grants"
+"""What the pipe is called over which a container hears all of its issuer."""
 _UNBOUNDED = 1 << 62
 _AT_FIRST = 1
 """Every queue has room for one: the first message need not wait for a grant."""
@@ -49,13 +49,13 @@ class Credit:
     Parameters
     ----------
     address
-        Where its container hears of grants.
+        Where its container hears of issuer.
     """
 
     def __init__(self, address: str) -> None:
         self.life = secrets.randbits(63) | 1
         self.sent = 0
-        self.on_grant: Callable[[], None] = _do_nothing
+        self.on_credit: Callable[[], None] = _do_nothing
         self._address = address
         self._granted = _AT_FIRST
 
@@ -68,7 +68,7 @@ class Credit:
         return frame.segments(
             _ADDRESS,
             self._address,
-            Kind.ASK,
+            Kind.CREDIT_REQUEST,
             tag=_HEARD if self._granted > _AT_FIRST else _UNHEARD,
             number=self.sent,
             chain=self.life,
@@ -78,7 +78,7 @@ class Credit:
         """Take a grant; one that says less than an earlier one came late."""
         if granted > self._granted:
             self._granted = granted
-            self.on_grant()
+            self.on_credit()
 
 
 class Credits:
@@ -96,11 +96,11 @@ class Credits:
     def handle(self, received: Frame) -> None:
         """Take a frame with a grant; one for a path that is gone says nothing."""
         credit = self._by_life.get(received.chain)
-        if credit is not None and received.kind is Kind.GRANT:
+        if credit is not None and received.kind is Kind.CREDIT:
             credit.hear(received.number)
 
 
-class Grants:
+class CreditIssuer:
     """The target's side of one connector: counts what came, and grants more.
 
     Parameters
@@ -203,7 +203,7 @@ class Grants:
             channel, life, told = self._channel, self._life, self._told
         if channel is None:
             return
-        pieces = frame.segments(_NOTHING, None, Kind.GRANT, number=told, chain=life)
+        pieces = frame.segments(_NOTHING, None, Kind.CREDIT, number=told, chain=life)
         try:
             channel.push(pieces, _LIMIT)
         except CallError as error:

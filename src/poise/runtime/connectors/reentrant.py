@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from poise.errors import Timeout
-from poise.runtime.execution.exclusion import Turn, current_chain
+from poise.runtime.execution.exclusion import Exclusion, current_chain
 
 log = logging.getLogger(__name__)
 
@@ -15,27 +15,27 @@ _PATIENCE = 1.0
 """While others are inside, this is told so often [s]."""
 
 
-def stepping_out(turn: Turn, call: Callable[..., Any]) -> Callable[..., Any]:
+def stepping_out(exclusion: Exclusion, call: Callable[..., Any]) -> Callable[..., Any]:
     """Return `call` with its caller's turn given to others for the while."""
 
     def around(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401, the call's own
         chain = current_chain()
-        depth = turn.step_out(chain)
+        depth = exclusion.step_out(chain)
         if depth < 0:  # in a life-cycle hook, or on a thread of the user's own
             return call(*args, **kwargs)
         try:
             return call(*args, **kwargs)
         finally:
-            _step_in(turn, chain, depth)
+            _step_in(exclusion, chain, depth)
 
     return around
 
 
-def _step_in(turn: Turn, chain: int, depth: int) -> None:
+def _step_in(exclusion: Exclusion, chain: int, depth: int) -> None:
     """Wait as long as others are inside: without the turn no code may go on."""
     while True:
         try:
-            turn.step_in(chain, depth, _PATIENCE)
+            exclusion.step_in(chain, depth, _PATIENCE)
         except Timeout as error:
             log.warning("a call waits to come back: %s", error)
         else:

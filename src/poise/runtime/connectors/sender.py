@@ -1,7 +1,7 @@
-"""The source's end of a connector: one to the component, whatever path it takes.
+"""The source's end of a connector: one to the component, whatever route it takes.
 
-A path leads to one incarnation of the target, directly or over a pipe. While a
-component moves there are two paths; the outlet holds messages meanwhile and then
+A route leads to one incarnation of the target, directly or over a pipe. While a
+component moves there are two routes; the outlet holds messages meanwhile and then
 switches, so that every message goes over exactly one of them, in order.
 """
 
@@ -21,14 +21,14 @@ from poise.runtime.component.ports import Port
 from poise.runtime.connectors.interface import Method, methods
 from poise.runtime.connectors.reentrant import stepping_out
 from poise.runtime.execution.connector_counters import Counts
-from poise.runtime.execution.exclusion import Turn
+from poise.runtime.execution.exclusion import Exclusion
 from poise.wire.codec import WireError
 
 log = logging.getLogger(__name__)
 
 _WHILE_MOVING = 2
-"""So many paths an outlet has while its target moves: to either incarnation."""
-MOST_HELD = 5_000
+"""So many routes an outlet has while its target moves: to either incarnation."""
+MOST_BUFFERED = 5_000
 """Messages that wait in an outlet while a component moves; then publishers wait."""
 
 
@@ -36,7 +36,7 @@ _ASK_FIRST, _ASK_LAST = 0.005, 0.1
 """Whoever waits for room asks for it after this time, and then ever less often [s]."""
 
 
-class Path(Protocol):
+class Route(Protocol):
     """A way to one incarnation of the target."""
 
     def is_ready(self) -> bool:
@@ -68,7 +68,7 @@ class Path(Protocol):
         """Ask for room, in case that the news of it got lost; raises as `push`."""
         ...
 
-    def mark(self, number: int) -> None:
+    def send_marker(self, number: int) -> None:
         """Send a mark, which gets there after all that was pushed; raises as `push`."""
         ...
 
@@ -105,7 +105,7 @@ class Sender:
         For a required port: where its methods are.
     limit
         Time limit of a call, and of a message that waits [s].
-    turn
+    exclusion
         Of a re-entrant source: let go while it waits in a call.
     """
 
@@ -115,7 +115,7 @@ class Sender:
         port: Port,
         facade: Facade | None,
         limit: float,
-        turn: Turn | None = None,
+        exclusion: Exclusion | None = None,
     ) -> None:
         self.name = name
         self.port = port
@@ -124,38 +124,38 @@ class Sender:
         self._limit = limit
         self._methods = tuple(methods(port.type).values()) if facade else ()
         self._facade = facade
-        self._turn = turn
-        self._paths: dict[str, Path] = {}
-        self._current: Path | None = None
-        self._held: deque[tuple[Method | None, object, float]] | None = None
-        self._is_kept_back = self._target_moves = False
+        self._exclusion = exclusion
+        self._routes: dict[str, Route] = {}
+        self._current: Route | None = None
+        self._buffer: deque[tuple[Method | None, object, float]] | None = None
+        self._source_is_inactive = self._target_moves = False
         self._changed = threading.Condition()
         self._disconnect()
 
-    def add(self, key: str, path: Path) -> None:
-        """Know one more path; the first is used at once."""
+    def add(self, key: str, route: Route) -> None:
+        """Know one more route; the first is used at once."""
         with self._changed:
-            self._paths[key] = path
+            self._routes[key] = route
             if self._current is None:
-                self._use(path)
+                self._use(route)
 
     def remove(self, key: str) -> None:
-        """Close a path; when it was used, another one is, if there is one.
+        """Close a route; when it was used, another one is, if there is one.
 
         The move for which there were two is over, and what was held goes out: so no
         message waits for ever for a `release` that got lost.
         """
         with self._changed:
-            path = self._paths.pop(key)
-            if path is self._current:
-                self._use(next(iter(self._paths.values()), None))
+            route = self._routes.pop(key)
+            if route is self._current:
+                self._use(next(iter(self._routes.values()), None))
             self._target_moves = False
-            self._send_held()
-        path.close()
+            self._drain()
+        route.close()
 
-    def paths(self) -> dict[str, Path]:
-        """Return the known paths by key."""
-        return dict(self._paths)
+    def routes(self) -> dict[str, Route]:
+        """Return the known routes by key."""
+        return dict(self._routes)
 
     def send(self, value: object, method: Method | None = None) -> None:
         """Send a message or one-way call, or hold it; what cannot go out is counted.
@@ -163,10 +163,10 @@ class Sender:
         Waits while the target has no room, up to the limit; a re-entrant source lets
         others in meanwhile.
         """
-        if self._turn is None or self._has_room():
+        if self._exclusion is None or self._has_room():
             self._send(value, method)
         else:
-            stepping_out(self._turn, self._send)(value, method)
+            stepping_out(self._exclusion, self._send)(value, method)
 
     def _send(self, value: object, method: Method | None) -> None:
         began = time.monotonic()
@@ -177,55 +177,53 @@ class Sender:
                 if more is not None:
                     text = "connector %s: no room for %g s, a message is dropped%s"
                     log.warning(text, self.name, self._limit, more)
-            elif self._held is None:
+            elif self._buffer is None:
                 self._push(method, value, began)
             else:
-                self._held.append((method, value, began))
+                self._buffer.append((method, value, began))
 
-    def hold(self) -> None:
+    def buffer_for_move(self) -> None:
         """Hold messages from now on; harmless when repeated.
 
         Raises
         ------
         RunError
-            There is one path: no move is going on, or it is over and the order is late.
+            There is only one route: no move is going on.
         """
         with self._changed:
-            if len(self._paths) < _WHILE_MOVING:
-                raise RunError(
-                    f"connector {self.name} has nothing to hold messages for"
-                )
+            if len(self._routes) < _WHILE_MOVING:
+                raise RunError(f"connector {self.name}: its target does not move")
             self._target_moves = True
-            self._begin_to_hold()
+            self._begin_to_buffer()
 
-    def keep_back(self) -> None:
+    def buffer_until_active(self) -> None:
         """Hold messages until `let_go`: the source is not at work yet."""
         with self._changed:
-            self._is_kept_back = True
-            self._begin_to_hold()
+            self._source_is_inactive = True
+            self._begin_to_buffer()
 
-    def let_go(self) -> None:
+    def send_buffered(self) -> None:
         """Send what was kept back, and keep no more; harmless when repeated."""
         with self._changed:
-            self._is_kept_back = False
-            self._send_held()
+            self._source_is_inactive = False
+            self._drain()
 
-    def release(self, key: str) -> None:
-        """Use a path, send what was held, and hold no more; harmless when repeated.
+    def switch(self, key: str) -> None:
+        """Use a route, send what was held, and hold no more; harmless when repeated.
 
         Raises
         ------
         Unavailable
-            There is no such path; all is as it was.
+            There is no such route; all is as it was.
         """
         with self._changed:
-            if key not in self._paths:
-                raise Unavailable(f"connector {self.name} has no path {key}")
-            self._use(self._paths[key])
+            if key not in self._routes:
+                raise Unavailable(f"connector {self.name} has no route {key}")
+            self._use(self._routes[key])
             self._target_moves = False
-            self._send_held()
+            self._drain()
 
-    def mark(self, number: int) -> None:
+    def send_marker(self, number: int) -> None:
         """Send a mark behind all that went out.
 
         Raises
@@ -236,17 +234,17 @@ class Sender:
         with self._changed:
             if self._current is None or not self._current.is_ready():
                 raise Unavailable(f"connector {self.name} has nobody at its other end")
-            self._current.mark(number)
+            self._current.send_marker(number)
 
     def again(
         self,
-        path: Path,
+        route: Route,
         name: str,
         args: tuple[object, ...],
         kwargs: Mapping[str, object],
         deadline: float,
     ) -> Any:  # noqa: ANN401, the call's own
-        """Repeat a call that `path` did not run, once another path is used.
+        """Repeat a call that `route` did not run, once another route is used.
 
         Raises
         ------
@@ -255,13 +253,13 @@ class Sender:
         """
         with self._changed:
             left = deadline - time.monotonic()
-            if not self._changed.wait_for(lambda: self._current is not path, left):
+            if not self._changed.wait_for(lambda: self._current is not route, left):
                 raise Timeout(f"connector {self.name}: its target did not come back")
         return getattr(self._facade, name)(*args, **kwargs)
 
     def close(self) -> None:
-        """Close every path."""
-        for key in list(self._paths):
+        """Close every route."""
+        for key in list(self._routes):
             self.remove(key)
 
     def room(self) -> None:
@@ -270,8 +268,8 @@ class Sender:
             self._changed.notify_all()
 
     def _has_room(self) -> bool:
-        if self._held is not None:
-            return len(self._held) < MOST_HELD
+        if self._buffer is not None:
+            return len(self._buffer) < MOST_BUFFERED
         return self._current is None or self._current.has_room()
 
     def _wait_for_room(self, deadline: float) -> bool:
@@ -284,27 +282,27 @@ class Sender:
                 return False
             pause = min(2 * pause, _ASK_LAST)
             try:
-                if self._held is None and self._current is not None:
+                if self._buffer is None and self._current is not None:
                     self._current.ask()
             except CallError:
                 return True  # nobody is there: to send it will tell so
 
-    def _begin_to_hold(self) -> None:
-        if self._held is None:
-            self._held = deque()
+    def _begin_to_buffer(self) -> None:
+        if self._buffer is None:
+            self._buffer = deque()
             self._changed.notify_all()
 
-    def _send_held(self) -> None:
-        if self._target_moves or self._is_kept_back:
+    def _drain(self) -> None:
+        if self._target_moves or self._source_is_inactive:
             return
-        while self._held:
-            method, value, began = self._held.popleft()
+        while self._buffer:
+            method, value, began = self._buffer.popleft()
             try:
                 self._push(method, value, began)
             except WireError as error:  # nobody is there to be told: it was taken
                 self.counts.drops += 1
                 log.warning("connector %s: a message is dropped: %s", self.name, error)
-        self._held = None
+        self._buffer = None
         self._changed.notify_all()
 
     def _push(self, method: Method | None, value: object, began: float) -> None:
@@ -321,20 +319,20 @@ class Sender:
         if size:  # within a container they wait only where they end
             self.counts.wait.add(time.monotonic() - began)
 
-    def _use(self, path: Path | None) -> None:
-        self._current = path
+    def _use(self, route: Route | None) -> None:
+        self._current = route
         self._changed.notify_all()
-        if path is None:
+        if route is None:
             self._disconnect()
             return
         for method in self._methods:
-            setattr(self._facade, method.name, self._function(method, path))
+            setattr(self._facade, method.name, self._function(method, route))
 
-    def _function(self, method: Method, path: Path) -> Callable[..., Any]:
+    def _function(self, method: Method, route: Route) -> Callable[..., Any]:
         if method.oneway:
             return _sender(self, method)
-        call = path.function(method, self)
-        return call if self._turn is None else stepping_out(self._turn, call)
+        call = route.function(method, self)
+        return call if self._exclusion is None else stepping_out(self._exclusion, call)
 
     def _disconnect(self) -> None:
         for method in self._methods:

@@ -184,7 +184,7 @@ class Container:
                 self._remove(key)
         for key in set(self._broken) - set(wanted):
             del self._broken[key]
-        self._stats_page.show(self._running(), self._wiring.ends())
+        self._stats_page.show(self._running(), self._wiring.endpoints())
 
     def _running(self) -> dict[Incarnation, Runner | Command]:
         return {**self._runners, **self._commands}

@@ -2,7 +2,7 @@
 
 A *chain* begins with a timer or a message, and goes on through every call made in it,
 in whatever container. A chain that comes back to a component in which it waits may
-enter again; any other waits its turn.
+enter again; any other waits its exclusion.
 
 The code is native, because every call runs it: `poise.runtime._calls` describes it, and
 ``tests/runtime/reference.py`` is the same in Python, held against it by tests.
@@ -13,17 +13,17 @@ from __future__ import annotations
 import os
 
 from poise.runtime._calls import (
-    Turn,
+    Exclusion,
     begin_chains,
     current_chain,
     join_chain,
     new_chain,
 )
 
-__all__ = ["Retired", "Turn", "current_chain", "join_chain", "new_chain"]
+__all__ = ["Exclusion", "Redirected", "current_chain", "join_chain", "new_chain"]
 
 
-class Retired(Exception):
+class Redirected(Exception):
     """The component has moved away; whoever called it sends the call to its new place.
 
     Never reaches a component's code.

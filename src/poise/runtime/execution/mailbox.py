@@ -68,7 +68,7 @@ class Inbox:
         self._waiting: deque[tuple[Entry, Feed, float]] = deque()
         self._changing = threading.Lock()
         self._spare = 0
-        self._is_resting = False
+        self._is_unbounded = False
 
     def add(self, entry: Entry, feed: Feed) -> bool:
         """Queue a message; return whether the number of waiting ones grew."""
@@ -103,16 +103,16 @@ class Inbox:
         if self.queue.policy == "keep":
             return None
         # at rest nothing is taken: whoever waits here might be waited for elsewhere
-        waiting = 0 if self._is_resting else feed.waiting
+        waiting = 0 if self._is_unbounded else feed.waiting
         return max(0, self.queue.size - waiting)
 
-    def rest(self, *, resting: bool) -> None:
+    def set_unbounded(self, *, unbounded: bool) -> None:
         """Drop nothing and let nobody wait while the component is at rest."""
         with self._changing:
-            self._is_resting = resting
+            self._is_unbounded = unbounded
             self._spare = len(self._waiting)
             feeds = {feed for _, feed, _ in self._waiting}
-        if resting:
+        if unbounded:
             for feed in feeds:
                 feed.on_room()
 
@@ -124,7 +124,8 @@ class Inbox:
     def _is_full(self) -> bool:
         # what came while at rest has room of its own until it is taken
         return (
-            not self._is_resting and len(self._waiting) >= self.queue.size + self._spare
+            not self._is_unbounded
+            and len(self._waiting) >= self.queue.size + self._spare
         )
 
     def _drop_oldest(self) -> None:

@@ -1,8 +1,8 @@
-"""Runs one component: its thread, its turn and its life cycle.
+"""Runs one component: its thread, its exclusion and its life cycle.
 
 The thread compares the goal with the state and takes the next step, so the container
 only ever says where the component should be. Timers and messages run on this thread;
-calls from others run on theirs, under the component's turn.
+calls from others run on theirs, under the component's exclusion.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from poise.runtime.component.error_report import Errors
 from poise.runtime.component.ports import ports_of, timers_of
 from poise.runtime.connectors.endpoints import Endpoints
 from poise.runtime.connectors.interface import methods
-from poise.runtime.execution.exclusion import Retired, Turn, new_chain
+from poise.runtime.execution.exclusion import Exclusion, Redirected, new_chain
 from poise.runtime.execution.histogram import Histogram
 from poise.runtime.execution.mailbox import Inbox
 from poise.runtime.execution.timers import Timers
@@ -33,7 +33,7 @@ from poise.wire.records.deployment import Aim, ComponentSpec, ComponentStatus, S
 log = logging.getLogger(__name__)
 
 _PATIENCE = 1.0
-"""How long a timer or message waits for the turn before it looks at the goal [s]."""
+"""How long a timer or message waits to enter before it looks at the goal [s]."""
 
 
 class Runner:
@@ -57,7 +57,7 @@ class Runner:
         on_change: Callable[[], None],
     ) -> None:
         self.spec = spec
-        self.turn = Turn(spec.name)
+        self.exclusion = Exclusion(spec.name)
         self.ports = ports_of(implementation)
         self._requires = tuple(
             port.name for port in self.ports.values() if port.kind == "requires"
@@ -73,8 +73,8 @@ class Runner:
             ),
         )
         self.account = Account()
-        self.ends = Endpoints(
-            spec.name, self.component, self.ports, self.turn, self.account
+        self.endpoints = Endpoints(
+            spec.name, self.component, self.ports, self.exclusion, self.account
         )
         self.schedules: dict[str, Timers] = {}
         self._phases: Mapping[str, float] = {}
@@ -135,7 +135,7 @@ class Runner:
         if goal == "active" and self._state == "active":
             self.go_on()
         self._goal_changed.set()
-        self.ends.mailbox.wake()
+        self.endpoints.mailbox.wake()
 
     def stay(self) -> None:
         """Stay as it is: it is about to move, and may be told to rest.
@@ -175,11 +175,11 @@ class Runner:
                 if not self._is_resting:
                     raise RunError(f"component '{self.spec.name}' is not at rest")
                 self._is_lent = True
-            self.turn.lend(new_chain())
+            self.exclusion.lend(new_chain())
             try:
                 yield
             finally:
-                self.turn.lend(0)
+                self.exclusion.lend(0)
                 with self._resting:
                     self._is_lent = False
 
@@ -222,10 +222,10 @@ class Runner:
 
     def _shut(self, limit: float) -> None:
         if not self._is_resting:
-            self.turn.shut(limit)
+            self.exclusion.pause(limit)
             with self._resting:
                 self._is_resting = True
-                self.ends.let_in(freely=True)
+                self.endpoints.set_unbounded(unbounded=True)
 
     def go_on(self) -> None:
         """Go on after a rest, if it is active; harmless when repeated.
@@ -237,9 +237,9 @@ class Runner:
             is_at_work = (self._state, self._goal) == ("active", "active")
             if self._is_resting and not self._is_lent and is_at_work:
                 self._is_resting = False
-                self.ends.let_in(freely=False)
-                self.ends.let_go()
-                self.turn.open()
+                self.endpoints.set_unbounded(unbounded=False)
+                self.endpoints.send_buffered()
+                self.exclusion.resume()
 
     def keep_phases(self, due: Mapping[str, float]) -> None:
         """Let timers be due first at these moments [s], by name."""
@@ -278,7 +278,7 @@ class Runner:
                 self._go_to_goal()
         finally:
             # nobody waits for what has ended: calls go where the component is now
-            self.turn.retire()
+            self.exclusion.redirect()
             self.account.end()
 
     def _go_to_goal(self) -> None:
@@ -312,7 +312,7 @@ class Runner:
             self._come_to_rest()
         elif hook == "activate":
             # the incarnation before it may still be at work, and goes first
-            self.ends.keep_back()
+            self.endpoints.buffer_until_active()
         # callers wait for one that takes over
         hurry = ahead() if self._goal == "ready" else nullcontext()
         try:
@@ -349,7 +349,7 @@ class Runner:
             # the thread inside belongs to a caller; the process is about to end or
             # the component to go, so waiting longer helps nobody
             log.warning("%s", error)
-            self.turn.retire()
+            self.exclusion.redirect()
             self._is_resting = True
 
     def _clean_up_after(self, hook: str) -> None:
@@ -369,7 +369,7 @@ class Runner:
         due = min((s.due for s in schedules), default=None)
         limit = None if due is None else max(0.0, due - self._clock.now())
         self.account.note_idle()
-        inbox = self.ends.mailbox.next(limit)
+        inbox = self.endpoints.mailbox.next(limit)
         self.account.note_busy()
         if inbox is not None and self._enter():
             self._deliver(inbox)
@@ -385,7 +385,7 @@ class Runner:
     def _deliver(self, inbox: Inbox) -> None:
         entry = inbox.take()
         if entry is None:  # it was dropped for a newer one
-            self.turn.leave()
+            self.exclusion.leave()
             return
         port = self.ports[inbox.port]
         tag, value = entry
@@ -397,14 +397,14 @@ class Runner:
             self._run(method, port.name, *value)
 
     def _enter(self) -> bool:
-        """Begin a chain and wait for the turn; False when the goal has changed."""
+        """Begin a chain and wait to enter; False when the goal has changed."""
         chain = new_chain()
         while self._goal == "active":
             try:
-                self.turn.enter(chain, _PATIENCE)
+                self.exclusion.enter(chain, _PATIENCE)
             except Timeout:
                 continue
-            except Retired:
+            except Redirected:
                 # the incarnation that took over does the work; the container ends us
                 self._goal_changed.clear()
                 if self._goal == "active":
@@ -414,7 +414,7 @@ class Runner:
         return False
 
     def _run(self, method: Callable[..., Any], what: str, *args: object) -> None:
-        """Run user code in the turn that was entered, and leave it."""
+        """Run user code in the exclusion that was entered, and leave it."""
         try:
             method(*args)
         # a user's method may raise anything
@@ -422,8 +422,8 @@ class Runner:
             self._errors.note(what, error, self._clock.now())
         finally:
             self.account.note_done()
-            self.turn.leave()
-            if self._awaits_lull and self.ends.is_empty():
+            self.exclusion.leave()
+            if self._awaits_lull and self.endpoints.is_empty():
                 self._lull.set()
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
 from contextlib import ExitStack
 from functools import partial
-from pathlib import Path as FilePath
+from pathlib import Path
 
 from msgspec import Struct
 
@@ -17,10 +17,10 @@ from poise.runtime.component.error_report import told
 from poise.runtime.component.ports import Kind, Port
 from poise.runtime.connectors.channel_route import ChannelRoute, receiving
 from poise.runtime.connectors.direct import DirectRoute
-from poise.runtime.connectors.flow_control import GRANTS, Credit, Credits, Grants
+from poise.runtime.connectors.flow_control import CREDITS, Credit, CreditIssuer, Credits
 from poise.runtime.connectors.recorded_inputs import noting_calls
 from poise.runtime.connectors.remote_clock import RemoteClock, nobody_knows
-from poise.runtime.connectors.sender import Path, Sender
+from poise.runtime.connectors.sender import Route, Sender
 from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.hosting.runner import Runner
 from poise.wire.address import Address
@@ -52,8 +52,8 @@ class Place(Struct, frozen=True, kw_only=True):
         Its name.
     folder
         The folder of its agent, for sockets.
-    door
-        IP address and TCP port of its computer's door.
+    gateway
+        IP address and TCP port of its computer's gateway.
     computer
         The name of its computer.
     """
@@ -70,8 +70,8 @@ class Transports:
     def __init__(self, place: Place) -> None:
         self._place = place
         self._credits = Credits()
-        self.server = ConnectionServer(FilePath(place.folder), place.container)
-        self.server.open(GRANTS, self._credits.handle, shared=True)
+        self.server = ConnectionServer(Path(place.folder), place.container)
+        self.server.open(CREDITS, self._credits.handle, shared=True)
 
     def channel(self, connector: str, address: str, *, calls: bool = True) -> Channel:
         """Return a pipe to the container at an address; for messages without `calls`.
@@ -82,7 +82,7 @@ class Transports:
             `address` is none.
         """
         where, use = Address.parse(address), CALLS if calls else MESSAGES
-        return ConnectionChannel(connector, where, FilePath(self._place.folder), use)
+        return ConnectionChannel(connector, where, Path(self._place.folder), use)
 
     def credit(self, kind: ConnectorKind) -> Credit:
         """Return the credit of a new path."""
@@ -100,24 +100,24 @@ class Transports:
 class OpenEndpoints:
     """What one connector has open in this container.
 
-    `path` and `outlet` are there when the source's end is.
+    `route` and `sender` are there when the source's end is.
     """
 
     def __init__(self, spec: ConnectorSpec) -> None:
         self.spec = spec
         self.closing = ExitStack()
-        self.path: Path | None = None
+        self.route: Route | None = None
         self.sender: Sender | None = None
         self.counts: Counts = Counts()
-        self.far = RemoteClock()
+        self.remote_clock = RemoteClock()
 
     def is_ready(self) -> bool:
         """Return whether the other end is there, so far as this one can know."""
-        return self.path is None or self.path.is_ready()
+        return self.route is None or self.route.is_ready()
 
     def status(self) -> ConnectorStatus:
         """Return what was counted, and whether the other end is there."""
-        self.far.look()
+        self.remote_clock.look()
         end: End = "target" if self.sender is None else "source"
         if self.spec.kind == "direct":
             end = "both"
@@ -170,7 +170,7 @@ class Wiring:
             except Exception as error:  # noqa: BLE001
                 text = f"connector {spec.name}: {told(error)}"
                 troubles.update(dict.fromkeys(here, text))
-        self._hold_amid_a_move(known)
+        self._buffer_amid_a_move(known)
         for key in list(self._open):
             if key not in wanted:
                 self._open.pop(key).closing.close()
@@ -184,12 +184,12 @@ class Wiring:
         UsageError
             There is none.
         """
-        for ends in self.ends():
+        for ends in self.endpoints():
             if ends.spec.name == name and ends.sender is not None:
                 return ends.sender
         raise UsageError(f"no connector '{name}' begins in this container")
 
-    def outlet_to(self, key: str) -> Sender:
+    def sender_to(self, key: str) -> Sender:
         """Return the source's end of the open connector with this key.
 
         Raises
@@ -204,13 +204,15 @@ class Wiring:
 
     def unjoined(self) -> frozenset[str]:
         """Return the keys of the connectors whose other end is not there."""
-        return frozenset(ends.spec.key for ends in self.ends() if not ends.is_ready())
+        return frozenset(
+            ends.spec.key for ends in self.endpoints() if not ends.is_ready()
+        )
 
     def status(self) -> tuple[ConnectorStatus, ...]:
         """Return the status of every open connector."""
-        return tuple(ends.status() for ends in self.ends())
+        return tuple(ends.status() for ends in self.endpoints())
 
-    def ends(self) -> list[OpenEndpoints]:
+    def endpoints(self) -> list[OpenEndpoints]:
         """Return what is open now; any thread may ask."""
         return list(self._open.values())
 
@@ -220,7 +222,7 @@ class Wiring:
             ends.closing.close()
         self._open.clear()
 
-    def _hold_amid_a_move(self, known: AbstractSet[Sender | None]) -> None:
+    def _buffer_amid_a_move(self, known: AbstractSet[Sender | None]) -> None:
         """Let what begins while its target moves send nothing before that is over.
 
         The container was started anew, and its first incarnation was told to hold.
@@ -229,7 +231,7 @@ class Wiring:
             sender = ends.sender
             if sender is not None and sender not in known:
                 with contextlib.suppress(RunError):  # its target does not move
-                    sender.hold()
+                    sender.buffer_for_move()
 
     def _join(self, spec: ConnectorSpec, runners: Runners) -> OpenEndpoints:
         ends = OpenEndpoints(spec)
@@ -237,7 +239,7 @@ class Wiring:
         target = runners.get((spec.target, spec.target_epoch))
         if spec.kind == "remote":
             far = spec.source_computer if source is None else spec.target_computer
-            ends.far = RemoteClock(partial(self._ahead, far))
+            ends.remote_clock = RemoteClock(partial(self._ahead, far))
         with ExitStack() as undo:
             undo.callback(ends.closing.close)
             if source is not None:
@@ -252,32 +254,38 @@ class Wiring:
     ) -> None:
         spec = ends.spec
         port = _port(source, spec.source_port, SENDING)
-        sender = source.ends.sender(spec.slot or spec.name, port, spec.limit)
+        sender = source.endpoints.sender(spec.slot or spec.name, port, spec.limit)
         if target is not None:
             far = _port(target, spec.target_port, TAKING)
-            ends.path = DirectRoute(spec.name, target.ends, far, spec.limit, sender)
+            ends.route = DirectRoute(
+                spec.name, target.endpoints, far, spec.limit, sender
+            )
         else:
             credit = self._transports.credit(spec.kind)
-            credit.on_grant = sender.room
+            credit.on_credit = sender.room
             calls = port.kind == "requires"
             channel = self._transports.channel(spec.key, spec.address, calls=calls)
-            ends.path = ChannelRoute(channel, port, spec.limit, credit, ends.far)
+            ends.route = ChannelRoute(
+                channel, port, spec.limit, credit, ends.remote_clock
+            )
         ends.sender = sender
         ends.counts = sender.counts
-        sender.add(spec.key, ends.path)
-        ends.closing.callback(_remove_path, source, sender, spec.key)
+        sender.add(spec.key, ends.route)
+        ends.closing.callback(_remove_route, source, sender, spec.key)
 
     def _open_target(self, ends: OpenEndpoints, target: Runner) -> None:
         spec = ends.spec
         port = _port(target, spec.target_port, TAKING)
-        feed = target.ends.feed(port.name, ends.counts)
-        open_pipe = partial(self._transports.channel, GRANTS, calls=False)
-        grants = Grants(spec.name, feed, ends.counts, open_pipe)
-        ends.closing.callback(grants.close)
-        handler = receiving(spec, target.ends, port, feed, grants, ends.far)
+        feed = target.endpoints.feed(port.name, ends.counts)
+        open_pipe = partial(self._transports.channel, CREDITS, calls=False)
+        issuer = CreditIssuer(spec.name, feed, ends.counts, open_pipe)
+        ends.closing.callback(issuer.close)
+        handler = receiving(
+            spec, target.endpoints, port, feed, issuer, ends.remote_clock
+        )
         if spec.record and port.kind == "provides":
             caller = f"{spec.source}.{spec.source_port}"
-            handler, file = noting_calls(handler, caller, FilePath(spec.record))
+            handler, file = noting_calls(handler, caller, Path(spec.record))
             ends.closing.callback(file.close)
         server = self._transports.server
         server.open(spec.key, handler, ends.counts.refuse)
@@ -289,10 +297,10 @@ def _ends_here(spec: ConnectorSpec, runners: Runners) -> list[tuple[str, int]]:
     return [end for end in ends if end in runners]
 
 
-def _remove_path(source: Runner, sender: Sender, key: str) -> None:
+def _remove_route(source: Runner, sender: Sender, key: str) -> None:
     sender.remove(key)
-    if not sender.paths():
-        source.ends.drop_outlet(sender.name)
+    if not sender.routes():
+        source.endpoints.drop_sender(sender.name)
 
 
 def _port(runner: Runner, name: str, kinds: AbstractSet[Kind]) -> Port:

@@ -98,11 +98,11 @@ class MigrationExecutor:
             case Hold(connectors, mark):
                 for name in connectors:
                     sender = self._wiring.sender(name)
-                    sender.hold()
-                    sender.mark(mark)
+                    sender.buffer_for_move()
+                    sender.send_marker(mark)
             case Release(keys):
                 for key in keys:
-                    self._wiring.outlet_to(key).release(key)
+                    self._wiring.sender_to(key).switch(key)
             case Offer(component, epoch, number):
                 self._offer(self._runner(component, epoch), number)
             case Precopy():
@@ -115,8 +115,8 @@ class MigrationExecutor:
             case Rest(component, epoch, mark):
                 self._rest(self._runner(component, epoch), mark, _left(deadline))
             case Flush(component, epoch, connectors, mark):
-                ends = self._runner(component, epoch).ends
-                ends.wait_marks(dict.fromkeys(connectors, mark), _left(deadline))
+                ends = self._runner(component, epoch).endpoints
+                ends.wait_markers(dict.fromkeys(connectors, mark), _left(deadline))
             case Drain(component, epoch):
                 self._drain(self._runner(component, epoch), deadline)
             case Give(component, epoch):
@@ -129,7 +129,7 @@ class MigrationExecutor:
             case Open(component, epoch):
                 self._open(self._runner(component, epoch))
             case Retire(component, epoch):
-                self._runner(component, epoch).turn.retire()
+                self._runner(component, epoch).exclusion.redirect()
 
     def _runner(self, component: str, epoch: int) -> Runner:
         try:
@@ -155,11 +155,11 @@ class MigrationExecutor:
             if runner in self._givers:
                 self._givers[runner][1].refuse(str(error))
             raise
-        for sender in list(runner.ends.senders.values()):
-            sender.mark(mark)
+        for sender in list(runner.endpoints.senders.values()):
+            sender.send_marker(mark)
 
     def _drain(self, runner: Runner, deadline: float) -> None:
-        while not runner.ends.is_empty():
+        while not runner.endpoints.is_empty():
             if time.monotonic() > deadline:
                 raise Timeout(
                     f"component '{runner.spec.name}' did not work on all that waits"

@@ -31,7 +31,7 @@ from poise.wire.frame import Frame, Kind
 PIECE = 1 << 18
 """So many bytes are sent at a time: other calls over the same link go in between."""
 SERVE_LIMIT = 1.0
-"""A snapshot waits at most this long for the component's turn [s]."""
+"""A snapshot waits at most this long to enter the component [s]."""
 
 
 class Ask(IntEnum):
@@ -134,11 +134,11 @@ class StateSender:
 
     def _state(self) -> StateTransfer:
         chain = new_chain()
-        self._runner.turn.enter(chain, SERVE_LIMIT)
+        self._runner.exclusion.enter(chain, SERVE_LIMIT)
         try:
             state = self._runner.component.snapshot()
         finally:
-            self._runner.turn.leave()
+            self._runner.exclusion.leave()
         self._has_given_state = True
         return StateTransfer(state=_frame_of(state))
 
@@ -228,7 +228,7 @@ def take(
     for port, data in given.waiting:
         received = frame.parse(data)
         value = received.value(entry_codec(runner.ports[port], received.tag))
-        runner.ends.preload(port, (received.tag, value))
+        runner.endpoints.preload(port, (received.tag, value))
 
 
 def warm_up(runner: Runner) -> None:
@@ -239,7 +239,7 @@ def warm_up(runner: Runner) -> None:
 
 def _waiting(runner: Runner) -> list[tuple[str, bytes]]:
     frames = []
-    for name, inbox in runner.ends.inboxes.items():
+    for name, inbox in runner.endpoints.inboxes.items():
         for tag, value in inbox.waiting():
             coder = entry_codec(runner.ports[name], tag)
             pieces = frame.segments(coder, value, Kind.MESSAGE, tag=tag)

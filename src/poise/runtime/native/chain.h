@@ -1,4 +1,4 @@
-// The call chain of each thread: poise/runtime/turn.py says what a chain is.
+// The call chain of each thread: poise/runtime/execution/exclusion.py says what a chain is.
 #pragma once
 
 #include <cstdint>

@@ -1,7 +1,7 @@
-// Until when somebody waits for what a thread does: the deadline of the call that it runs.
+// The deadline of the call that a thread runs.
 //
-// A call's limit holds for all that is done in it. So a call that is made in another one has
-// what is left of that, and the frame of a call says how long its caller waits.
+// A call's limit covers everything done in it: a call made within it has what is left, and the
+// frame of a call says how long its caller still waits.
 #pragma once
 
 #include <algorithm>
@@ -24,13 +24,17 @@ inline double time_left(double limit, Moment now) {
   return std::min(limit, 1e-9 * static_cast<double>(thread_deadline - now));
 }
 
-// Lets somebody wait for what this thread does for `limit` [s] at most, while it lives.
+// The moment `limit` [s] after `now`.
+inline Moment moment_after(Moment now, double limit) {
+  constexpr double longest = 1e9;  // [s]; no number of nanoseconds overflows
+  return limit < longest ? now + static_cast<Moment>(1e9 * limit) : never;
+}
+
+// Sets the deadline of this thread, while it lives; an earlier one stays.
 class Deadline {
  public:
-  Deadline(Moment now, double limit) : before_(thread_deadline) {
-    constexpr double longest = 1e9;  // [s]; no number of nanoseconds overflows
-    if (limit < longest)
-      thread_deadline = std::min(before_, now + static_cast<Moment>(1e9 * limit));
+  explicit Deadline(Moment until) : before_(thread_deadline) {
+    thread_deadline = std::min(before_, until);
   }
   ~Deadline() { thread_deadline = before_; }
   Deadline(const Deadline&) = delete;

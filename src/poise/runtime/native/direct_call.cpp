@@ -5,7 +5,7 @@
 #include <cstddef>
 
 #include "deadline.h"
-#include "turn.h"
+#include "exclusion.h"
 
 namespace nb = nanobind;
 
@@ -16,11 +16,11 @@ struct DirectCall {
   PyObject_HEAD
   vectorcallfunc vectorcall;
   PyObject* method;
-  PyObject* turn;
+  PyObject* exclusion;
   PyObject* counts;
   PyObject* translate;  // raises what a caller gets when its callee raised
   PyObject* resend;     // takes a call whose callee has moved away; or None
-  Turn* turn_of;        // inside `turn`
+  Exclusion* exclusion_of;        // inside `exclusion`
   Counts* counts_of;    // inside `counts`
   double limit;         // [s]
 };
@@ -40,11 +40,11 @@ void count_failed(Counts& counts, double elapsed) {
 
 PyObject* refuse(DirectCall* call, Entry entry, Moment began, double limit, PyObject* const* args,
                  std::size_t num, PyObject* names) {
-  if (entry == Entry::retired && call->resend != Py_None)
+  if (entry == Entry::redirected && call->resend != Py_None)
     return PyObject_Vectorcall(call->resend, args, num, names);
   if (entry == Entry::timeout)
     count_failed(*call->counts_of, 1e-9 * static_cast<double>(wall_now() - began));
-  set_entry_error(call->turn_of->what(), static_cast<int>(entry), limit, "was busy for");
+  set_entry_error(call->exclusion_of->what(), static_cast<int>(entry), limit, "was busy for");
   return nullptr;
 }
 
@@ -55,10 +55,10 @@ PyObject* invoke(PyObject* self, PyObject* const* args, std::size_t num, PyObjec
   const double limit = time_left(call->limit, began);
   if (limit <= 0.0) {
     count_failed(counts, 0.0);
-    set_over(call->turn_of->what());
+    set_over(call->exclusion_of->what());
     return nullptr;
   }
-  const Entry entry = call->turn_of->enter(current_chain(), limit);
+  const Entry entry = call->exclusion_of->enter(current_chain(), limit);
   if (entry > Entry::late) return refuse(call, entry, began, limit, args, num, names);
   const Moment inside = entry == Entry::late ? wall_now() : began;
 
@@ -68,11 +68,11 @@ PyObject* invoke(PyObject* self, PyObject* const* args, std::size_t num, PyObjec
   const std::int64_t cpu_began = measured ? cpu_now() : 0;
   PyObject* result;
   {
-    const Deadline deadline(began, limit);
+    const Deadline deadline(moment_after(began, limit));
     result = PyObject_Vectorcall(call->method, args, num, names);
   }
   const std::int64_t cpu = measured ? cpu_now() - cpu_began : 0;
-  call->turn_of->leave();
+  call->exclusion_of->leave();
 
   const Moment ended = wall_now();
   Tally& tally = counts.tally();  // by now it may be elsewhere than before
@@ -99,7 +99,7 @@ int traverse(PyObject* self, visitproc visit, void* arg) {
   auto* call = reinterpret_cast<DirectCall*>(self);
   Py_VISIT(Py_TYPE(self));
   Py_VISIT(call->method);
-  Py_VISIT(call->turn);
+  Py_VISIT(call->exclusion);
   Py_VISIT(call->counts);
   Py_VISIT(call->translate);
   Py_VISIT(call->resend);
@@ -120,7 +120,7 @@ void deallocate(PyObject* self) {
   auto* call = reinterpret_cast<DirectCall*>(self);
   Py_CLEAR(call->method);
   Py_CLEAR(call->resend);
-  Py_CLEAR(call->turn);
+  Py_CLEAR(call->exclusion);
   Py_CLEAR(call->counts);
   Py_CLEAR(call->translate);
   PyObject_GC_Del(self);
@@ -128,28 +128,28 @@ void deallocate(PyObject* self) {
 }
 
 PyObject* create(PyTypeObject* type, PyObject* args, PyObject* keywords) {
-  static const char* names[] = {"method", "turn", "limit", "counts", "translate", "resend", nullptr};
-  PyObject *method, *turn, *counts, *translate, *resend = Py_None;
+  static const char* names[] = {"method", "exclusion", "limit", "counts", "translate", "resend", nullptr};
+  PyObject *method, *exclusion, *counts, *translate, *resend = Py_None;
   double limit = 0.0;
   if (!PyArg_ParseTupleAndKeywords(args, keywords, "OOdOO|O", const_cast<char**>(names), &method,
-                                   &turn, &limit, &counts, &translate, &resend))
+                                   &exclusion, &limit, &counts, &translate, &resend))
     return nullptr;
-  Turn* turn_of = nullptr;
+  Exclusion* exclusion_of = nullptr;
   Counts* counts_of = nullptr;
-  if (!nb::try_cast(nb::handle(turn), turn_of) || !nb::try_cast(nb::handle(counts), counts_of) ||
-      !turn_of || !counts_of) {
-    PyErr_SetString(PyExc_TypeError, "DirectCall takes a Turn and a Counts");
+  if (!nb::try_cast(nb::handle(exclusion), exclusion_of) || !nb::try_cast(nb::handle(counts), counts_of) ||
+      !exclusion_of || !counts_of) {
+    PyErr_SetString(PyExc_TypeError, "DirectCall takes an Exclusion and a Counts");
     return nullptr;
   }
   auto* call = PyObject_GC_New(DirectCall, type);
   if (!call) return nullptr;
   call->vectorcall = invoke;
   call->method = Py_NewRef(method);
-  call->turn = Py_NewRef(turn);
+  call->exclusion = Py_NewRef(exclusion);
   call->counts = Py_NewRef(counts);
   call->translate = Py_NewRef(translate);
   call->resend = Py_NewRef(resend);
-  call->turn_of = turn_of;
+  call->exclusion_of = exclusion_of;
   call->counts_of = counts_of;
   call->limit = limit;
   auto* self = reinterpret_cast<PyObject*>(call);
@@ -199,8 +199,8 @@ nb::object make_direct_call_type() { return nb::steal(PyType_FromSpec(&spec)); }
 
 void set_entry_error(const std::string& what, int entry, double limit, const char* action) {
   if (entry == static_cast<int>(Entry::interrupted)) return;  // already set
-  if (entry == static_cast<int>(Entry::retired)) {
-    nb::object error = nb::module_::import_("poise.runtime.execution.exclusion").attr("Retired");
+  if (entry == static_cast<int>(Entry::redirected)) {
+    nb::object error = nb::module_::import_("poise.runtime.execution.exclusion").attr("Redirected");
     PyErr_Format(error.ptr(), "component '%s' has moved away", what.c_str());
     return;
   }

@@ -12,21 +12,21 @@
 #include "direct_call.h"
 #include "reader.h"
 #include "served_call.h"
-#include "turn.h"
+#include "exclusion.h"
 
 namespace nb = nanobind;
 using namespace poise;
 
 constexpr double unknown = std::numeric_limits<double>::quiet_NaN();
 
-static void check(const Turn& turn, Entry entry, double limit, const char* action) {
+static void check(const Exclusion& exclusion, Entry entry, double limit, const char* action) {
   if (entry == Entry::entered || entry == Entry::late) return;
-  set_entry_error(turn.what(), static_cast<int>(entry), limit, action);
+  set_entry_error(exclusion.what(), static_cast<int>(entry), limit, action);
   throw nb::python_error();
 }
 
 static void require(bool was_held) {
-  if (!was_held) throw std::runtime_error("nobody has the turn");
+  if (!was_held) throw std::runtime_error("nobody is inside");
 }
 
 template <auto Member>
@@ -49,32 +49,32 @@ NB_MODULE(_calls, module) {
   module.def("deadline", [] { return thread_deadline; });
   module.def("set_deadline", [](Moment moment) { thread_deadline = moment; }, nb::arg("moment"));
 
-  nb::class_<Turn>(module, "Turn")
+  nb::class_<Exclusion>(module, "Exclusion")
       .def(nb::init<std::string>(), nb::arg("what"))
-      .def_prop_ro("is_retired", &Turn::is_retired)
+      .def_prop_ro("is_redirected", &Exclusion::is_redirected)
       .def(
           "enter",
-          [](Turn& turn, Chain chain, double limit) {
-            check(turn, turn.enter(chain, limit), limit, "was busy for");
+          [](Exclusion& exclusion, Chain chain, double limit) {
+            check(exclusion, exclusion.enter(chain, limit), limit, "was busy for");
           },
           nb::arg("chain"), nb::arg("limit"))
-      .def("leave", [](Turn& turn) { require(turn.leave()); })
-      .def("step_out", &Turn::step_out, nb::arg("chain"))
+      .def("leave", [](Exclusion& exclusion) { require(exclusion.leave()); })
+      .def("step_out", &Exclusion::step_out, nb::arg("chain"))
       .def(
           "step_in",
-          [](Turn& turn, Chain chain, int depth, double limit) {
-            check(turn, turn.step_in(chain, depth, limit), limit, "was busy for");
+          [](Exclusion& exclusion, Chain chain, int depth, double limit) {
+            check(exclusion, exclusion.step_in(chain, depth, limit), limit, "was busy for");
           },
           nb::arg("chain"), nb::arg("depth"), nb::arg("limit"))
-      .def("lend", &Turn::lend, nb::arg("chain"))
-      .def("open", [](Turn& turn) { require(turn.open()); })
+      .def("lend", &Exclusion::lend, nb::arg("chain"))
+      .def("resume", [](Exclusion& exclusion) { require(exclusion.resume()); })
       .def(
-          "shut",
-          [](Turn& turn, double limit) {
-            check(turn, turn.shut(limit), limit, "did not come to rest in");
+          "pause",
+          [](Exclusion& exclusion, double limit) {
+            check(exclusion, exclusion.pause(limit), limit, "did not pause within");
           },
           nb::arg("limit"))
-      .def("retire", &Turn::retire);
+      .def("redirect", &Exclusion::redirect);
 
   nb::class_<Histogram>(module, "Histogram")
       .def(nb::init<>())
@@ -156,10 +156,10 @@ NB_MODULE(_calls, module) {
   nb::class_<ServedCall>(module, "ServedCall")
       .def(nb::init<nb::object, nb::object, nb::object, nb::object, double, nb::object,
                     nb::object, nb::object>(),
-           nb::arg("decode"), nb::arg("method"), nb::arg("encode"), nb::arg("turn"),
+           nb::arg("decode"), nb::arg("method"), nb::arg("encode"), nb::arg("exclusion"),
            nb::arg("limit"), nb::arg("counts"), nb::arg("translate"), nb::arg("is_over"))
-      .def("__call__", &ServedCall::answer, nb::arg("frame"));
-  module.def("away", &away, nb::arg("chain"), nb::arg("limit"), nb::arg("what"),
+      .def("__call__", &ServedCall::answer, nb::arg("frame"), nb::arg("ahead") = 0.0);
+  module.def("call_remote", &call_remote, nb::arg("chain"), nb::arg("limit"), nb::arg("what"),
              nb::arg("request"), nb::arg("pieces"));
 
   module.attr("DirectCall") = make_direct_call_type();

@@ -1,7 +1,7 @@
 #include "served_call.h"
 
 #include "deadline.h"
-#include "visit.h"
+#include "chain_lock.h"
 
 namespace nb = nanobind;
 
@@ -16,43 +16,49 @@ namespace {
   throw nb::python_error();
 }
 
+double seconds_until(Moment until) {
+  return 1e-9 * static_cast<double>(std::max<Moment>(0, until - wall_now()));
+}
+
 // Keeps other threads out of the chain for as long as it lives.
-class Visiting {
+class ChainHold {
  public:
-  Visiting(Chain chain, double limit) : visit_(visit_of(chain)) {
-    const Entry entry = visit_->take(limit);
+  ChainHold(Chain chain, Moment until) : lock_(chain_lock_of(chain)) {
+    const double limit = seconds_until(until);
+    const Entry entry = lock_->take(limit);
     if (entry == Entry::interrupted) throw nb::python_error();
     if (entry > Entry::late)
       raise_timeout(nb::str("an earlier call of the same caller ran {:.3g} s").format(limit));
     waited_ = entry == Entry::late;
   }
-  ~Visiting() { visit_->give(); }
+  ~ChainHold() { lock_->give(); }
   bool waited() const { return waited_; }
-  Visiting(const Visiting&) = delete;
-  Visiting& operator=(const Visiting&) = delete;
+  ChainHold(const ChainHold&) = delete;
+  ChainHold& operator=(const ChainHold&) = delete;
 
  private:
-  std::shared_ptr<Visit> visit_;
+  std::shared_ptr<ChainLock> lock_;
   bool waited_ = false;
 };
 
 // Keeps other chains out of the component for as long as it lives.
 class Inside {
  public:
-  Inside(Turn& turn, Chain chain, double limit) : turn_(turn) {
-    const Entry entry = turn.enter(chain, limit);
+  Inside(Exclusion& exclusion, Chain chain, Moment until) : exclusion_(exclusion) {
+    const double limit = seconds_until(until);
+    const Entry entry = exclusion.enter(chain, limit);
     waited_ = entry == Entry::late;
     if (entry <= Entry::late) return;
-    set_entry_error(turn.what(), static_cast<int>(entry), limit, "was busy for");
+    set_entry_error(exclusion.what(), static_cast<int>(entry), limit, "was busy for");
     throw nb::python_error();
   }
-  ~Inside() { turn_.leave(); }
+  ~Inside() { exclusion_.leave(); }
   bool waited() const { return waited_; }
   Inside(const Inside&) = delete;
   Inside& operator=(const Inside&) = delete;
 
  private:
-  Turn& turn_;
+  Exclusion& exclusion_;
   bool waited_ = false;
 };
 
@@ -69,6 +75,8 @@ struct Fields {
   PyObject* buffers = PyUnicode_InternFromString("buffers");
   PyObject* chain = PyUnicode_InternFromString("chain");
   PyObject* number = PyUnicode_InternFromString("number");
+  PyObject* came = PyUnicode_InternFromString("came");
+  PyObject* age = PyUnicode_InternFromString("age");
 };
 
 const Fields& fields() {
@@ -78,38 +86,38 @@ const Fields& fields() {
 
 }  // namespace
 
-ServedCall::ServedCall(nb::object decode, nb::object method, nb::object encode, nb::object turn,
+ServedCall::ServedCall(nb::object decode, nb::object method, nb::object encode, nb::object exclusion,
                        double limit, nb::object counts, nb::object translate,
                        nb::object is_over)
     : decode_(std::move(decode)),
       method_(std::move(method)),
       encode_(std::move(encode)),
-      turn_(std::move(turn)),
+      exclusion_(std::move(exclusion)),
       counts_(std::move(counts)),
       translate_(std::move(translate)),
       is_over_(std::move(is_over)),
-      turn_of_(inside_of<Turn>(turn_, "a ServedCall takes a Turn")),
+      exclusion_of_(inside_of<Exclusion>(exclusion_, "a ServedCall takes an Exclusion")),
       counts_of_(inside_of<Counts>(counts_, "a ServedCall takes a Counts")),
       limit_(limit) {}
 
-nb::object ServedCall::answer(nb::handle frame) {
+nb::object ServedCall::answer(nb::handle frame, double ahead) {
   const Moment began = wall_now();
   const bool measured = counts_of_.tally().cpu.should_measure_served(began);
   const std::int64_t cpu_began = measured ? cpu_now() : 0;
 
+  const Moment until = deadline_of(frame, ahead, began);
+  refuse_late(until, began);
   const nb::object values = decode_(frame.attr(fields().body), frame.attr(fields().buffers));
   const auto chain = nb::cast<Chain>(frame.attr(fields().chain));
-  const double limit = limit_of(frame);
   nb::object pieces;
   {
-    const Visiting visiting(chain, limit);
+    const ChainHold holding(chain, until);
     thread_chain = chain;
-    const Inside inside(turn_of_, chain, limit);
-    const bool waited = visiting.waited() || inside.waited();
-    if (waited && nb::cast<bool>(is_over_()))
-      raise_timeout(nb::str("component '{}' was not called: its caller is gone")
-                        .format(turn_of_.what().c_str()));
-    const Deadline deadline(began, limit);
+    const Inside inside(exclusion_of_, chain, until);
+    refuse_late(until, wall_now());
+    if ((holding.waited() || inside.waited()) && nb::cast<bool>(is_over_()))
+      refuse("its caller is gone");
+    const Deadline deadline(until);
     pieces = run(values);
   }
 
@@ -123,14 +131,31 @@ nb::object ServedCall::answer(nb::handle frame) {
   return pieces;
 }
 
-// What is left of the caller's time, at most this end's own limit.
-double ServedCall::limit_of(nb::handle frame) const {
+// When the caller's limit or this end's own passes. The caller's began when it sent the frame:
+// the time on the wire counts.
+Moment ServedCall::deadline_of(nb::handle frame, double ahead, Moment began) const {
+  const Moment own = moment_after(began, limit_);
   const auto waits = nb::cast<std::uint64_t>(frame.attr(fields().number));
-  return waits ? std::min(limit_, 1e-9 * static_cast<double>(waits)) : limit_;
+  if (waits == 0) return own;
+  const double age = nb::cast<double>(frame.attr(fields().age)) + ahead;
+  const double left = 1e-9 * static_cast<double>(waits) - (age > 0.0 ? age : 0.0);  // or NaN
+  const auto came = static_cast<Moment>(1e9 * nb::cast<double>(frame.attr(fields().came)));
+  return std::min(own, moment_after(came, std::max(left, -1e9)));
 }
 
-// None, and Python's error set, when the callee raised. The result is encoded inside its
-// turn: it may be part of its state.
+void ServedCall::refuse_late(Moment until, Moment now) const {
+  if (now < until) return;
+  const double late = 1e-9 * static_cast<double>(now - until);
+  refuse(nb::cast<std::string>(nb::str("its caller's limit passed {:.3g} s ago").format(late)));
+}
+
+void ServedCall::refuse(const std::string& why) const {
+  raise_timeout(
+      nb::str("component '{}' was not called: {}").format(exclusion_of_.what().c_str(), why.c_str()));
+}
+
+// None, and Python's error set, when the callee raised. The result is encoded inside the
+// exclusion: it may be part of the component's state.
 nb::object ServedCall::run(nb::handle values) {
   const auto result = nb::steal(PyObject_CallObject(method_.ptr(), values.ptr()));
   if (!result.is_valid()) return nb::object();
@@ -142,17 +167,17 @@ void ServedCall::raise_callee_error() {
   throw nb::python_error();
 }
 
-nb::object away(Chain chain, double limit, const char* what, nb::handle request,
-                nb::handle pieces) {
-  Away outside(chain);
+nb::object call_remote(Chain chain, double limit, const char* what, nb::handle request,
+                       nb::handle pieces) {
+  ChainRelease released(chain);
   const nb::float_ seconds(limit);
   PyObject* arguments[] = {pieces.ptr(), seconds.ptr()};
   const auto answer = nb::steal(PyObject_Vectorcall(request.ptr(), arguments, 2, nullptr));
   PyObject *type, *error, *trace;
   PyErr_Fetch(&type, &error, &trace);
   if (type) PyErr_NormalizeException(&type, &error, &trace);
-  // who was called back runs a component that waits here
-  const Entry entry = outside.come_back(limit);
+  // a call back that still runs is in a component that waits here
+  const Entry entry = released.take_again(limit);
   if (entry <= Entry::late) {
     PyErr_Restore(type, error, trace);
     if (!answer.is_valid()) throw nb::python_error();

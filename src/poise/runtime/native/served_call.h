@@ -1,41 +1,47 @@
-// A call that came over a pipe, answered on the thread that brought it.
+// Answers a call from another container, on the thread that received it.
 #pragma once
 
 #include <nanobind/nanobind.h>
 
+#include <string>
+
+#include "deadline.h"
 #include "direct_call.h"
-#include "turn.h"
+#include "exclusion.h"
 
 namespace poise {
 
 class ServedCall {
  public:
   ServedCall(nanobind::object decode, nanobind::object method, nanobind::object encode,
-             nanobind::object turn, double limit, nanobind::object counts,
+             nanobind::object exclusion, double limit, nanobind::object counts,
              nanobind::object translate, nanobind::object is_over);
 
-  // The pieces of the answer to a call's frame; raises what keeps it from one.
-  nanobind::object answer(nanobind::handle frame);
+  // The pieces of the answer to a call's frame; raises what keeps it from one. `ahead` is how
+  // far the caller's clock is ahead at most [s]; no number: nobody knows.
+  nanobind::object answer(nanobind::handle frame, double ahead);
 
  private:
-  double limit_of(nanobind::handle frame) const;
+  Moment deadline_of(nanobind::handle frame, double ahead, Moment began) const;
+  void refuse_late(Moment until, Moment now) const;
+  [[noreturn]] void refuse(const std::string& why) const;
   nanobind::object run(nanobind::handle values);
   [[noreturn]] void raise_callee_error();
 
   nanobind::object decode_;  // body and buffers to the arguments
   nanobind::object method_;
   nanobind::object encode_;  // the result to pieces
-  nanobind::object turn_, counts_;
+  nanobind::object exclusion_, counts_;
   nanobind::object translate_;  // as DirectCall's
   nanobind::object is_over_;    // whether the caller is gone
-  Turn& turn_of_;               // inside `turn_`
+  Exclusion& exclusion_of_;     // inside `exclusion_`
   Counts& counts_of_;           // inside `counts_`
   double limit_;                // [s]
 };
 
-// Return what `request(pieces, limit)` does, and let the chain come back meanwhile.
+// Return what `request(pieces, limit)` does; meanwhile the chain may be called back.
 // `what` is the connector of the call, for errors.
-nanobind::object away(Chain chain, double limit, const char* what, nanobind::handle request,
-                      nanobind::handle pieces);
+nanobind::object call_remote(Chain chain, double limit, const char* what,
+                             nanobind::handle request, nanobind::handle pieces);
 
 }  // namespace poise

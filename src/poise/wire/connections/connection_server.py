@@ -24,7 +24,7 @@ from poise.wire.connections import caller
 from poise.wire.connections.channel import Handler, Pieces, Refused, ignore
 from poise.wire.connections.connection import LAST_ANSWER, Connection
 from poise.wire.connections.opening import ANSWER_LIMIT, MESSAGES, NAME
-from poise.wire.connections.socket_path import guests_path, socket_path
+from poise.wire.connections.socket_path import gateway_path, socket_path
 from poise.wire.frame import Kind
 
 log = logging.getLogger(__name__)
@@ -69,7 +69,7 @@ class ConnectionServer:
         self._lock = threading.Lock()
         self._container = container
         self._closed = threading.Event()
-        self._paths = socket_path(folder, container), guests_path(folder, container)
+        self._paths = socket_path(folder, container), gateway_path(folder, container)
         kinds = socket.SOCK_STREAM, socket.SOCK_DGRAM
         self._neighbours, self._guests = map(_bound, self._paths, kinds)
         self._neighbours.listen(64)
@@ -191,7 +191,7 @@ class ConnectionServer:
         if served.use == MESSAGES and name not in self._shared:
             before = self._messages.get(name)
             self._messages[name] = served
-        connection.send(frame.segments(NAME, name, Kind.WELCOME), deadline)
+        connection.send(frame.segments(NAME, name, Kind.HELLO), deadline)
         if before is not None:
             _wait_until_taken(before)
 

@@ -28,7 +28,7 @@ from poise.wire.address import family_of, tune
 from poise.wire.codec import WireError
 from poise.wire.connections.connection import HEAD, Connection
 from poise.wire.connections.opening import NAME
-from poise.wire.connections.socket_path import guests_path
+from poise.wire.connections.socket_path import gateway_path
 from poise.wire.frame import Kind
 
 log = logging.getLogger(__name__)
@@ -74,7 +74,7 @@ class _Visitor:
         if self._missing():
             return
         hello = frame.parse(bytes(self._data[HEAD.size :]))
-        if hello.kind is not Kind.WELCOME:
+        if hello.kind is not Kind.HELLO:
             raise WireError(f"a frame of the kind {hello.kind.name}, not a name")
         self.container = hello.value(NAME)
 
@@ -209,7 +209,7 @@ class Gateway:
         container = guest.container
         files = array.array("i", [guest.connection.fileno()])
         rights = (socket.SOL_SOCKET, socket.SCM_RIGHTS, files)
-        path = os.fspath(guests_path(self._folder, container))
+        path = os.fspath(gateway_path(self._folder, container))
         try:
             self._handing_on.sendmsg([b"+"], [rights], socket.MSG_DONTWAIT, path)
         except (FileNotFoundError, ConnectionRefusedError):

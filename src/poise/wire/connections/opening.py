@@ -88,7 +88,7 @@ class Opening:
         if not self._waited(select.POLLIN, deadline):
             return False
         answer = self.connection.receive(time.monotonic() + ANSWER_LIMIT)
-        if answer.kind is not Kind.WELCOME:
+        if answer.kind is not Kind.HELLO:
             raise Unavailable(f"{self._connector}: {answer.value(NAME)}")
         return True
 
@@ -97,7 +97,7 @@ class Opening:
         if self._address.gateway:
             names.insert(0, (self._address.container, 0))
         for name, number in names:
-            hello = frame.segments(NAME, name, Kind.WELCOME, number=number)
+            hello = frame.segments(NAME, name, Kind.HELLO, number=number)
             self.connection.send(hello, time.monotonic() + ANSWER_LIMIT)
         self._asked = True
 

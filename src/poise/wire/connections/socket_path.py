@@ -30,6 +30,6 @@ def socket_path(folder: Path, container: str) -> Path:
     return path
 
 
-def guests_path(folder: Path, container: str) -> Path:
+def gateway_path(folder: Path, container: str) -> Path:
     """Return the path of the socket over which a container is handed connections."""
-    return socket_path(folder, container).with_suffix(".door")
+    return socket_path(folder, container).with_suffix(".gateway")

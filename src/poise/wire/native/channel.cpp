@@ -22,14 +22,14 @@ double now() {
 
 namespace {
 
-// Who waits looks after this time whether the other computer is there still [s].
+// A thread that waits checks after this time whether the other computer is still there [s].
 constexpr double look_after = 1.0;
 
 // So often something was sent again: who has stood still itself, as a computer that slept, may
 // have heard nothing for long, and yet be answered at once.
 constexpr int in_vain = 2;
 
-// What the failure of a system call means; `done` when it is to be tried again.
+// The meaning of a failed system call; `done` when it is to be tried again.
 Outcome failed() {
   if (errno == EINTR) return Outcome::interrupted;
   return errno == EAGAIN || errno == EWOULDBLOCK ? Outcome::done : Outcome::gone;
@@ -55,8 +55,12 @@ tcp_info look(int file) {
 
 }  // namespace
 
-Channel::Channel(int file, double lost_after)
-    : file_(file), lost_after_(lost_after), is_remote_(look(file).tcpi_state != 0), ahead_(ahead_size) {}
+Channel::Channel(int file, double lost_after, bool reads_ahead)
+    : file_(file),
+      lost_after_(lost_after),
+      is_remote_(look(file).tcpi_state != 0),
+      reads_ahead_(reads_ahead),
+      ahead_(reads_ahead ? ahead_size : Head::with_block) {}
 
 bool Channel::is_lost() const {
   const tcp_info found = look(file_);
@@ -152,7 +156,8 @@ Outcome Channel::fetch(std::size_t count, double deadline) {
   }
   while (num_ahead() < count) {
     std::size_t got = 0;
-    const Outcome outcome = read(ahead_.data() + end_, ahead_.size() - end_, deadline, got);
+    const std::size_t wanted = reads_ahead_ ? ahead_.size() - end_ : count - num_ahead();
+    const Outcome outcome = read(ahead_.data() + end_, wanted, deadline, got);
     if (outcome != Outcome::done) return outcome;
     end_ += got;
   }

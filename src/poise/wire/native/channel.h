@@ -2,8 +2,9 @@
 //
 //   length u32, block u32, [used u64 when block is not 0,] `length` bytes
 //
-// src/poise/wire/link.py says what the numbers mean. Nothing here knows Python: waiting
-// and copying happen without its lock. One thread at a time may send, and one receive.
+// src/poise/wire/connections/connection.py says what the numbers mean. Nothing here knows
+// Python: waiting and copying happen without its lock. One thread at a time may send, and one
+// receive.
 #pragma once
 
 #include <sys/uio.h>
@@ -37,8 +38,9 @@ static_assert(sizeof(Head) == Head::with_block);
 
 class Channel {
  public:
-  // Over TCP the other end is lost when it confirms nothing for `lost_after` [s].
-  Channel(int file, double lost_after);
+  // Over TCP the other end is lost when it confirms nothing for `lost_after` [s]. A channel
+  // that does not read ahead keeps nothing between two frames: `poll` then tells all.
+  Channel(int file, double lost_after, bool reads_ahead);
 
   // Send all of `pieces` before `deadline` [s, of the monotonic clock], and take off what
   // was sent.
@@ -77,7 +79,7 @@ class Channel {
 
   int file_;
   double lost_after_;
-  bool is_remote_;
+  bool is_remote_, reads_ahead_;
   std::vector<char> ahead_;
   std::size_t start_ = 0, end_ = 0;
 };

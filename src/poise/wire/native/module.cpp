@@ -170,9 +170,11 @@ std::int64_t monotonic_now() {  // [ns]
 nb::object make_frame(const FrameHead& head, nb::object body, nb::object buffers) {
   const std::size_t size = frame_head + head.length + nb::len(buffers);
   // clocks of two computers may differ by anything: no signed number overflows
-  const double age = 1e-9 * (static_cast<double>(monotonic_now()) - static_cast<double>(head.sent));
+  const auto now = static_cast<double>(monotonic_now());
+  const double age = 1e-9 * (now - static_cast<double>(head.sent));
   return nb::borrow(names().frame)(nb::borrow(names().kinds[head.kind]), head.tag, head.number,
-                                   head.chain, std::move(body), std::move(buffers), size, age);
+                                   head.chain, std::move(body), std::move(buffers), size, age,
+                                   1e-9 * now);
 }
 
 // A frame whose bytes are no longer needed afterwards.
@@ -317,7 +319,8 @@ NB_MODULE(_channel, module) {
   nb::set_leak_warnings(false);  // containers end without finalising the interpreter
 
   nb::class_<Channel>(module, "Channel")
-      .def(nb::init<int, double>(), nb::arg("file"), nb::arg("lost_after"))
+      .def(nb::init<int, double, bool>(), nb::arg("file"), nb::arg("lost_after"),
+           nb::arg("reads_ahead") = true)
       .def("is_lost", &Channel::is_lost)
       .def("send", &send, nb::arg("pieces"), nb::arg("deadline"), nb::arg("largest"),
            nb::arg("block") = 0, nb::arg("used") = 0, nb::arg("target") = nb::none())

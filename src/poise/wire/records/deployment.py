@@ -291,7 +291,7 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
 
     `cpu` is the CPU time of the agent and all its containers, ended ones too [s];
     `uptime` the time since the agent started [s]; `clocks` what is known of other
-    computers' clocks, by name; `door` the IP address and TCP port of its door.
+    computers' clocks, by name; `gateway` the IP address and TCP port of its gateway.
     """
 
     protocol: int = PROTOCOL

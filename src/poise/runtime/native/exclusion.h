@@ -1,9 +1,9 @@
-// One call chain at a time in a component; tests/runtime/reference.py is the same in
-// Python, and the tests compare the two.
+// Mutual exclusion of call chains in a component: ROS 2's mutually exclusive callback group,
+// with re-entrance. tests/runtime/reference.py is the same in Python, and tests compare both.
 //
-// Everything here happens under Python's GIL, which is therefore the only lock. A
-// thread that waits gives up the GIL and sleeps on a semaphore of its own; whoever
-// leaves hands the turn to the one that waits longest.
+// Everything here happens under Python's GIL, which is therefore the only lock. A thread that
+// waits releases the GIL and sleeps on a semaphore of its own; a thread that leaves hands the
+// exclusion to the one that has waited longest.
 #pragma once
 
 #include <deque>
@@ -17,20 +17,20 @@ enum class Entry {
   entered,
   late,  // entered, after a wait
   timeout,
-  retired,
+  redirected,
   interrupted,  // a Python signal handler raised
 };
 
-class Turn {
+class Exclusion {
  public:
-  explicit Turn(std::string what) : what_(std::move(what)) {}
-  Turn(const Turn&) = delete;
-  Turn& operator=(const Turn&) = delete;
+  explicit Exclusion(std::string what) : what_(std::move(what)) {}
+  Exclusion(const Exclusion&) = delete;
+  Exclusion& operator=(const Exclusion&) = delete;
 
   const std::string& what() const { return what_; }
-  bool is_retired() const { return retired_; }
+  bool is_redirected() const { return redirected_; }
 
-  // Wait for the turn up to `limit` [s].
+  // Wait up to `limit` [s] until no other chain is inside.
   Entry enter(Chain chain, double limit) {
     if (chain == owner_ && chain != no_chain) {
       ++depth_;
@@ -39,7 +39,7 @@ class Turn {
     return acquire(chain, limit);
   }
 
-  // Give the turn back; false when nobody had it.
+  // Undo one `enter`; false when nobody is inside.
   bool leave() {
     if (depth_ > 0) {
       --depth_;
@@ -48,8 +48,8 @@ class Turn {
     return release();
   }
 
-  // Let others in while `chain`, which has the turn, waits in a call of its own. Returns
-  // what `step_in` needs, or -1 when there is nothing to step out of.
+  // Let others in while `chain`, which is inside, waits in a call of its own. Returns what
+  // `step_in` needs, or -1 when there is nothing to step out of.
   int step_out(Chain chain) {
     if (chain != owner_ || chain == no_chain || lent_) return -1;
     const int depth = depth_;
@@ -59,36 +59,36 @@ class Turn {
     return depth;
   }
 
-  // Wait up to `limit` [s] for the turn again; retired or not, the chain must go on here.
+  // Wait up to `limit` [s] to be inside again, redirected or not.
   Entry step_in(Chain chain, int depth, double limit);
 
   // Wait up to `limit` [s] until no chain is inside or has stepped out, and let none in.
-  Entry shut(double limit) { return acquire(no_chain, limit); }
+  Entry pause(double limit) { return acquire(no_chain, limit); }
 
-  // Let chains enter; false when it is not shut.
-  bool open() { return release(); }
+  // Let chains enter; false when it is not paused.
+  bool resume() { return release(); }
 
-  // Let one chain in while shut; no_chain ends that.
+  // Let one chain in while paused; no_chain ends that.
   void lend(Chain chain) {
     owner_ = chain;
     lent_ = chain != no_chain;
   }
 
-  // Send away everyone who waits, and everyone who comes from now on.
-  void retire();
+  // Refuse all chains that wait, and all that come from now on.
+  void redirect();
 
  private:
   struct Waiter;
 
   Entry acquire(Chain chain, double limit) {
-    if (retired_) return Entry::retired;
+    if (redirected_) return Entry::redirected;
     if (held_ || !may_have(chain)) return wait(chain, limit, false);
     held_ = true;
     owner_ = chain;
     return Entry::entered;
   }
 
-  // Whoever shuts waits for those that stepped out, and lets others in that these wait for.
+  // A pause waits for chains that stepped out: they may wait for others, which may enter.
   bool may_have(Chain chain) const { return chain != no_chain || outside_ == 0; }
 
   bool release();
@@ -100,8 +100,8 @@ class Turn {
   int depth_ = 0;
   int outside_ = 0;     // chains that stepped out
   bool lent_ = false;
-  bool held_ = true;  // shut until it is first opened
-  bool retired_ = false;
+  bool held_ = true;  // paused until it is first resumed
+  bool redirected_ = false;
 };
 
 }  // namespace poise

@@ -1,6 +1,6 @@
 #include <Python.h>
 
-#include "turn.h"
+#include "exclusion.h"
 
 #include <semaphore.h>
 
@@ -11,7 +11,7 @@
 
 namespace poise {
 
-struct Turn::Waiter {
+struct Exclusion::Waiter {
   Waiter(Chain wanted, bool returns) : chain(wanted), steps_in(returns) {
     sem_init(&woken, 0, 0);
   }
@@ -43,7 +43,7 @@ static timespec moment_in(double seconds) {
   return moment;
 }
 
-bool Turn::release() {
+bool Exclusion::release() {
   if (!held_) return false;
   owner_ = no_chain;
   const auto place = std::find_if(waiting_.begin(), waiting_.end(),
@@ -59,19 +59,19 @@ bool Turn::release() {
   return true;
 }
 
-void Turn::retire() {
-  retired_ = true;
+void Exclusion::redirect() {
+  redirected_ = true;
   std::deque<Waiter*> staying;
   for (Waiter* waiter : waiting_) {
     if (waiter->steps_in)
       staying.push_back(waiter);
     else
-      waiter->wake(Entry::retired);
+      waiter->wake(Entry::redirected);
   }
   waiting_.swap(staying);
 }
 
-Entry Turn::step_in(Chain chain, int depth, double limit) {
+Entry Exclusion::step_in(Chain chain, int depth, double limit) {
   Entry entry = Entry::entered;
   if (held_) {
     entry = wait(chain, limit, true);
@@ -84,7 +84,7 @@ Entry Turn::step_in(Chain chain, int depth, double limit) {
   return entry;
 }
 
-Entry Turn::wait(Chain chain, double limit, bool steps_in) {
+Entry Exclusion::wait(Chain chain, double limit, bool steps_in) {
   const timespec until = moment_in(limit);
   Waiter waiter(chain, steps_in);
   waiting_.push_back(&waiter);
