@@ -46,10 +46,10 @@ class ChannelRoute:
         port: Port,
         limit: float,
         credit: Credit,
-        far: RemoteClock,
+        remote: RemoteClock,
     ) -> None:
         self._channel = channel
-        self._far = far
+        self._remote = remote
         self._limit = limit
         self._credit = credit
         self._is_topic = port.kind == "publishes"
@@ -95,7 +95,7 @@ class ChannelRoute:
     def function(self, method: Method, sender: Sender) -> Callable[..., Any]:
         """Return a function that calls a method in another container."""
         request, limit, counts = self._channel.request, self._limit, sender.counts
-        name, far = sender.name, self._far
+        name, remote = sender.name, self._remote
         bind, arguments, tag = method.bind, method.arguments, method.tag
         decode = method.result.decode
 
@@ -131,9 +131,9 @@ class ChannelRoute:
                 deadline = started + left
                 return sender.again(self, method.name, args, kwargs, deadline)
             took = time.monotonic() - started
-            latency = answer.age + far.ahead
+            latency = answer.age + remote.ahead
             size = size_of(pieces)
-            counts.add_call(took, size, answer.size, latency, far.error)
+            counts.add_call(took, size, answer.size, latency, remote.error)
             return result
 
         return call
@@ -145,7 +145,7 @@ def receiving(
     port: Port,
     feed: Feed,
     issuer: CreditIssuer,
-    far: RemoteClock,
+    remote: RemoteClock,
 ) -> Handler:
     """Return what a target does with the frames that come over pipes."""
     connector, counts = spec.name, feed.counts
@@ -168,8 +168,8 @@ def receiving(
             if received.kind is Kind.CREDIT_REQUEST:
                 issuer.asked(received)
                 return None
-            latency = received.age + far.ahead
-            counts.add_message(0, received.size, latency, far.error)
+            latency = received.age + remote.ahead
+            counts.add_message(0, received.size, latency, remote.error)
             issuer.came(received)
             wanted = coder if received.tag == tag and not known else None
             method = known.get(received.tag)
@@ -183,7 +183,7 @@ def receiving(
     def serve(received: Frame) -> Pieces:
         began = time.monotonic()
         try:
-            answer = (answers.get(received.tag) or _refuse(port))(received)
+            answer = (answers.get(received.tag) or _refuse(port))(received, remote.most)
         except Redirected:
             answer = segments(_NOTHING, None, _MOVED)
         except (CalleeError, Timeout, WireError) as error:
@@ -191,8 +191,8 @@ def receiving(
                 tell(error)
             answer = _failure(error)
         took, failed = time.monotonic() - began, answer[0][1] == _ERROR
-        size, latency = size_of(answer), received.age + far.ahead
-        counts.add_call(took, size, received.size, latency, far.error, failed)
+        size, latency = size_of(answer), received.age + remote.ahead
+        counts.add_call(took, size, received.size, latency, remote.error, failed)
         return answer
 
     return handle

@@ -1,4 +1,4 @@
-"""The clock at the other end of a connector, to tell how old is what comes."""
+"""The clock at the other end of a connector, to tell the age of a frame."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from poise.clock import Elapsed
 
 
 class RemoteClock:
-    """How far the clock at the other end is ahead, as it was known last.
+    """How far the clock at the other end is ahead, as far as it is known.
 
-    What came is as old as its frame says (`poise.wire.frame.Frame.age`), plus `ahead`.
+    A frame is as old as it says (`poise.wire.frame.Frame.age`), plus `ahead`.
 
     Parameters
     ----------
@@ -20,20 +20,20 @@ class RemoteClock:
         this computer's clock.
     """
 
-    __slots__ = ("_ask", "ahead", "error")
+    __slots__ = ("_ask", "ahead", "error", "most")
 
     def __init__(self, ask: Callable[[], Elapsed | None] | None = None) -> None:
         self._ask = ask
-        self.ahead = 0.0 if ask is None else math.nan
+        self.ahead = self.most = 0.0 if ask is None else math.nan
         self.error = 0.0
         self.look()
 
     def look(self) -> None:
-        """Learn what is known now; clocks run apart, so this is for every second."""
+        """Update from what is known now; once a second, because clocks drift."""
         known = self._ask() if self._ask else None
         if known is not None:
-            self.ahead, self.error = known.value, known.error
+            self.ahead, self.error, self.most = known.value, known.error, known.most
 
 
 def nobody_knows(_: str) -> None:
-    """Say that of any computer nobody knows how far its clock is ahead."""
+    """Return None: nobody knows how far any computer's clock is ahead."""

@@ -116,7 +116,7 @@ nb::object ServedCall::answer(nb::handle frame, double ahead) {
     const Inside inside(exclusion_of_, chain, until);
     refuse_late(until, wall_now());
     if ((holding.waited() || inside.waited()) && nb::cast<bool>(is_over_()))
-      refuse("its caller is gone");
+      refuse(nb::str("its caller is gone"));
     const Deadline deadline(until);
     pieces = run(values);
   }
@@ -146,12 +146,12 @@ Moment ServedCall::deadline_of(nb::handle frame, double ahead, Moment began) con
 void ServedCall::refuse_late(Moment until, Moment now) const {
   if (now < until) return;
   const double late = 1e-9 * static_cast<double>(now - until);
-  refuse(nb::cast<std::string>(nb::str("its caller's limit passed {:.3g} s ago").format(late)));
+  refuse(nb::str("its caller's limit passed {:.3g} s ago").format(late));
 }
 
-void ServedCall::refuse(const std::string& why) const {
+void ServedCall::refuse(const nb::object& why) const {
   raise_timeout(
-      nb::str("component '{}' was not called: {}").format(exclusion_of_.what().c_str(), why.c_str()));
+      nb::str("component '{}' was not called: {}").format(exclusion_of_.what().c_str(), why));
 }
 
 // None, and Python's error set, when the callee raised. The result is encoded inside the

@@ -3,8 +3,6 @@
 
 #include <nanobind/nanobind.h>
 
-#include <string>
-
 #include "deadline.h"
 #include "direct_call.h"
 #include "exclusion.h"
@@ -24,7 +22,7 @@ class ServedCall {
  private:
   Moment deadline_of(nanobind::handle frame, double ahead, Moment began) const;
   void refuse_late(Moment until, Moment now) const;
-  [[noreturn]] void refuse(const std::string& why) const;
+  [[noreturn]] void refuse(const nanobind::object& why) const;
   nanobind::object run(nanobind::handle values);
   [[noreturn]] void raise_callee_error();
 
