@@ -41,7 +41,7 @@ from poise.runtime._calls import Account
 from poise.session.measure_alone import measure_alone
 from poise.session.placement import place
 from poise.session.profiles import read_profile
-from poise.session.profiling_rig import EMPTY, stand_of
+from poise.session.profiling_rig import EMPTY, rig_of
 from poise.session.robot_file import load
 from poise.session.start import Sampling, started
 from poise.wire.records.deployment import AgentStatus
@@ -189,14 +189,14 @@ def needs(lengths: Lengths) -> dict[str, object]:
     """Profile six components apart; their memory and traffic are known."""
     robot = robots.together()
     name, computer = robot.architectures[0].name, robot.computers[0].name
-    stand = stand_of(robot, name, computer, apart=True)
-    seen = measure_alone(stand, lengths.seconds, WARM_UP, _silent, lambda _: None)
+    rig = rig_of(robot, name, computer, apart=True)
+    seen = measure_alone(rig, lengths.seconds, WARM_UP, _silent, lambda _: None)
     subject = Subject(
         robot=robot,
         computer=computer,
-        names=stand.measured,
+        names=rig.measured,
         empty=EMPTY,
-        versions=dict.fromkeys(stand.measured, ""),
+        versions=dict.fromkeys(rig.measured, ""),
         speed=1.0,
     )
     found = figures(subject, [seen], seen)

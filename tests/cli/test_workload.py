@@ -14,7 +14,7 @@ from poise.manage.observe.recording import load as load_recording
 from poise.manage.observe.recording import save
 from poise.model import load
 from poise.model.robot import Generated, Robot, Workload
-from poise.session.profiling_rig import OTHERS, stand_of
+from poise.session.profiling_rig import OTHERS, rig_of
 from poise.session.recorders import RECORDER, tapped
 from poise.session.robot_file import check
 from poise.session.workload_replay import PLAYER, played
@@ -97,15 +97,13 @@ def test_nothing_is_joined_where_nothing_goes_from_one_to_another(
 
 def test_who_was_recorded_need_not_run(robot: Robot, folder: Path) -> None:
     busy = replace(robot, workload=recorded(folder, "ear.heard"))
-    stand = stand_of(busy, "thinking", "main", apart=False)
-    assert stand.feeding == ()
-    assert stand.placement == {"mind": "main", PLAYER: OTHERS}
-    assert [str(c) for c in stand.robot.connectors] == [
+    rig = rig_of(busy, "thinking", "main", apart=False)
+    assert rig.feeding == ()
+    assert rig.placement == {"mind": "main", PLAYER: OTHERS}
+    assert [str(c) for c in rig.robot.connectors] == [
         f"{PLAYER}.output_0 -> mind.heard"
     ]
-    assert stand.played == {
-        "ear.heard -> mind.heard": f"{PLAYER}.output_0 -> mind.heard"
-    }
+    assert rig.played == {"ear.heard -> mind.heard": f"{PLAYER}.output_0 -> mind.heard"}
 
 
 def test_what_is_generated_wins_over_what_was_recorded(

@@ -15,7 +15,7 @@ from poise.model.robot import (
     Simulator,
     Workload,
 )
-from poise.session.profiling_rig import EMPTY, OTHERS, stand_of
+from poise.session.profiling_rig import EMPTY, OTHERS, rig_of
 
 
 def architecture(name: str, *components: Component) -> Architecture:
@@ -51,25 +51,25 @@ ROBOT = Robot(
 
 def test_feeds_from_who_publishes_and_who_is_called() -> None:
     """The mouth only listens to the mind: it is not needed."""
-    stand = stand_of(ROBOT, "think", "vision", apart=False)
-    assert stand.feeding == ("see", "remember")
-    assert stand.measured == ("mind",)
-    assert stand.placement == {"mind": "vision", "eye": OTHERS, "map": OTHERS}
+    rig = rig_of(ROBOT, "think", "vision", apart=False)
+    assert rig.feeding == ("see", "remember")
+    assert rig.measured == ("mind",)
+    assert rig.placement == {"mind": "vision", "eye": OTHERS, "map": OTHERS}
 
 
 @pytest.mark.parametrize("name", [a.name for a in ROBOT.architectures])
 def test_a_stand_can_be_deployed(name: str) -> None:
     """It has no connector to a component that is not there."""
-    stand = stand_of(ROBOT, name, "main", apart=False)
-    there = {component.name for component in stand.robot.components()}
-    ends = {e.component for c in stand.robot.all_connectors() for e in c.between}
-    assert ends <= there == set(stand.placement)
-    joined = DeploymentPlan(stand.robot, "folder").connectors(there)
-    assert joined == list(stand.robot.all_connectors())
+    rig = rig_of(ROBOT, name, "main", apart=False)
+    there = {component.name for component in rig.robot.components()}
+    ends = {e.component for c in rig.robot.all_connectors() for e in c.between}
+    assert ends <= there == set(rig.placement)
+    joined = DeploymentPlan(rig.robot, "folder").connectors(there)
+    assert joined == list(rig.robot.all_connectors())
 
 
 def test_feeds_from_who_feeds_the_feeders() -> None:
-    assert stand_of(ROBOT, "speak", "main", apart=False).feeding == (
+    assert rig_of(ROBOT, "speak", "main", apart=False).feeding == (
         "see",
         "think",
         "remember",
@@ -77,7 +77,7 @@ def test_feeds_from_who_feeds_the_feeders() -> None:
 
 
 def test_others_are_as_large_as_all_together() -> None:
-    robot = stand_of(ROBOT, "see", "main", apart=False).robot
+    robot = rig_of(ROBOT, "see", "main", apart=False).robot
     here, others = robot.computers
     assert here == ROBOT.computer("main")
     assert others.capacity["cpu"] * others.speed == 1.0
@@ -85,24 +85,50 @@ def test_others_are_as_large_as_all_together() -> None:
 
 
 def test_apart_each_has_a_container_and_one_is_empty() -> None:
-    stand = stand_of(ROBOT, "see", "main", apart=True)
-    components = stand.robot.architectures[0].components
+    rig = rig_of(ROBOT, "see", "main", apart=True)
+    components = rig.robot.architectures[0].components
     assert [c.name for c in components] == ["eye", EMPTY]
     assert all(c.isolated for c in components)
-    assert stand.measured == ("eye",)
+    assert rig.measured == ("eye",)
 
 
 def test_real_devices_hold_their_components() -> None:
     real = replace(
         ROBOT, computers=(computer("main", "10.0.0.1"), computer("vision", "10.0.0.2"))
     )
-    stand = stand_of(real, "think", "vision", apart=False)
-    assert stand.placement == {"mind": "vision", "eye": "main", "map": "main"}
-    assert stand.robot.computers == real.computers
+    rig = rig_of(real, "think", "vision", apart=False)
+    assert rig.placement == {"mind": "vision", "eye": "main", "map": "main"}
+    assert rig.robot.computers == real.computers
 
 
 def test_names_what_there_is() -> None:
     with pytest.raises(UsageError, match="--on arm: the robot's computers are main, v"):
-        stand_of(ROBOT, "see", "arm", apart=False)
+        rig_of(ROBOT, "see", "arm", apart=False)
     with pytest.raises(UsageError, match="the robot has see, think, remember, speak"):
-        stand_of(ROBOT, "walk", "main", apart=False)
+        rig_of(ROBOT, "walk", "main", apart=False)
+
+
+def test_only_one_alternative_runs_and_the_measured_one_is_preferred() -> None:
+    """Two provide `see`; messages reach neither if both run."""
+    better = replace(architecture("look", Component(name="eyes")), function="see")
+    worse = replace(ROBOT.architectures[0], quality=0.5)
+    robot = replace(
+        ROBOT,
+        architectures=(worse, *ROBOT.architectures[1:], better),
+        connectors=(
+            *ROBOT.connectors,
+            Connector(between=(End("eyes", "image"), End("mind", "image"))),
+            Connector(between=(End("mouth", "said"), End("eyes", "said"))),
+        ),
+    )
+    assert rig_of(robot, "think", "main", apart=False).feeding == (
+        "remember",
+        "speak",
+        "look",
+    )
+    # The eyes need the mouth, that needs the mind, and that needs eyes: these.
+    assert rig_of(robot, "look", "main", apart=False).feeding == (
+        "think",
+        "remember",
+        "speak",
+    )

@@ -16,6 +16,7 @@ COMMANDS = {
     "check": ("check:check_command", "Check a robot file and the code that it names."),
     "plan": ("plan:plan_command", "Decide where each component runs."),
     "profile": ("profile:profile_command", "Measure what each component needs."),
+    "profile show": ("profile:show_command", "Show the last profile."),
     "calibrate": ("calibrate:calibrate_command", "Measure computers and connectors."),
     "recording": ("recording:recording_command", "Export or replay a recording."),
     "run": ("run:run_command", "Run a task for a while and report."),
@@ -28,7 +29,8 @@ COMMANDS = {
     "stop": ("stop:stop_command", "Stop a running robot."),
     "agent": ("agent:agent_command", "Run what the manager wants on this computer."),
 }
-"""Command -> where in this folder it is, and what it does."""
+"""Command -> where in this folder it is, and what it does. A second word makes a
+sub-command."""
 
 
 def build(arguments: Sequence[str]) -> typer.Typer:
@@ -39,16 +41,29 @@ def build(arguments: Sequence[str]) -> typer.Typer:
         add_completion=False,
         pretty_exceptions_enable=False,
     )
-    asked = next((word for word in arguments if not word.startswith("-")), "")
+    words = [word for word in arguments if not word.startswith("-")]
+    both = " ".join(words[:2])
+    asked = both if both in COMMANDS else "".join(words[:1])
     for name, (where, help_) in COMMANDS.items():
         if name == asked:
             module, function = where.split(":")
             loaded = importlib.import_module(f"poise.cli.{module}")
             command = getattr(loaded, function)
-            app.command(name, help=_flowing(inspect.getdoc(command) or ""))(command)
-        else:
+            group, last = _group_of(app, name)
+            group.command(last, help=_flowing(inspect.getdoc(command) or ""))(command)
+        elif not asked.startswith(f"{name} "):
             app.command(name, help=help_)(_not_loaded)
     return app
+
+
+def _group_of(app: typer.Typer, name: str) -> tuple[typer.Typer, str]:
+    """Return where a command belongs, and its name there."""
+    first, _, second = name.partition(" ")
+    if not second:
+        return app, first
+    group = typer.Typer(callback=_not_loaded)  # or its one command would stand for it
+    app.add_typer(group, name=first, help=COMMANDS[first][1])
+    return group, second
 
 
 def run() -> None:

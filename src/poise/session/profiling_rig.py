@@ -1,8 +1,9 @@
-"""What runs where while one architecture is measured alone.
+"""The robot with which one architecture is measured alone.
 
-Its components have a computer for themselves. What feeds them, or is called by them,
-runs with its own feeders on another, so that their inputs are the real ones. Where the
-workload is recorded or made up, a player takes the places of those that feed it.
+Its components have a computer for themselves. Their sources and providers run on
+another computer, together with the sources and providers of those. At most one
+architecture of each function runs, as on the robot. A replay component takes the place
+of sources whose messages are recorded or generated.
 """
 
 from __future__ import annotations
@@ -27,20 +28,20 @@ from poise.session.workload_replay import Played, played
 
 OTHERS = "others"
 EMPTY = "empty-container"
-"""A component that does nothing: what a container costs by itself."""
+"""A component that does nothing; its container shows the cost of a container."""
 
 
 class ProfilingRig(Struct, frozen=True):
-    """A robot to measure one architecture with.
+    """A robot with which one architecture is measured.
 
     Parameters
     ----------
     computer
-        Where the architecture runs.
+        The computer of the architecture.
     measured, feeding
         Names of its components, and of the architectures that feed it.
     played
-        Connectors of the robot -> those of the player in their places.
+        Connectors of the robot -> connectors of the replay in their place.
     """
 
     robot: Robot
@@ -51,18 +52,18 @@ class ProfilingRig(Struct, frozen=True):
     played: Mapping[str, str] = {}
 
 
-def stand_of(
+def rig_of(
     robot: Robot, architecture: str, computer: str, *, apart: bool
 ) -> ProfilingRig:
-    """Return the stand for an architecture of `robot`.
+    """Return the rig for an architecture of `robot`.
 
     Parameters
     ----------
     computer
-        Which computer of the robot to measure on.
+        The computer of the robot to measure on.
     apart
-        Whether every component gets a container of its own; an empty container then
-        runs beside them.
+        Whether every component gets its own container; an empty container then runs
+        beside them.
 
     Raises
     ------
@@ -79,14 +80,14 @@ def stand_of(
         chosen = _apart(chosen)
     here = {c.name: computer for c in chosen.components}
     made = _emulated if _is_emulated(robot) else _real
-    stand, elsewhere = made(robot, computer)
+    rig, elsewhere = made(robot, computer)
     others = feeding if not playing.parts else (*feeding, playing.player())
     beside = {c.name: elsewhere for a in others for c in a.components}
     there = {*here, *beside}
-    placement = _held_by_devices(stand, {**here, **beside}, (chosen, *others))
+    placement = _held_by_devices(rig, {**here, **beside}, (chosen, *others))
     return ProfilingRig(
         msgspec.structs.replace(
-            stand,
+            rig,
             architectures=(chosen, *others),
             connectors=tuple(
                 connector
@@ -115,26 +116,26 @@ def _is_emulated(robot: Robot) -> bool:
 
 
 def _emulated(robot: Robot, computer: str) -> tuple[Robot, str]:
-    """Return the robot with one other computer that is as large as all together."""
+    """Return the robot with one other computer, as large as all together."""
     chosen = robot.computer(computer)
     total = sum(c.capacity["cpu"] * c.speed for c in robot.computers)
     memory = sum(c.capacity["memory"] for c in robot.computers)
     others = Computer(name=OTHERS, capacity={"cpu": total, "memory": memory})
-    stand = msgspec.structs.replace(
+    rig = msgspec.structs.replace(
         robot,
         computers=(chosen, others),
         links=(),
-        # one machine plays both, so its simulator reaches both
+        # one machine emulates both, so its simulator reaches both
         devices=tuple(_at(device, computer) for device in robot.devices),
         simulator=_simulator(robot),
     )
-    return stand, OTHERS
+    return rig, OTHERS
 
 
 def _real(robot: Robot, computer: str) -> tuple[Robot, str]:
     names = [c.name for c in robot.computers if c.name != computer]
-    stand = msgspec.structs.replace(robot, simulator=_simulator(robot))
-    return stand, names[0] if names else computer
+    rig = msgspec.structs.replace(robot, simulator=_simulator(robot))
+    return rig, names[0] if names else computer
 
 
 def _simulator(robot: Robot) -> Simulator | None:
@@ -148,15 +149,15 @@ def _at(device: Device, computer: str) -> Device:
 
 
 def _held_by_devices(
-    stand: Robot,
+    rig: Robot,
     placement: Mapping[str, str],
     architectures: tuple[Architecture, ...],
 ) -> dict[str, str]:
-    """Return the placement with real devices' components where the devices are."""
-    if _is_emulated(stand):
+    """Return the placement, with components of real devices at their devices."""
+    if _is_emulated(rig):
         return dict(placement)
     held = {
-        component.name: stand.device(device).computer
+        component.name: rig.device(device).computer
         for architecture in architectures
         for component in architecture.components
         for device in component.devices
@@ -180,30 +181,37 @@ def _apart(architecture: Architecture) -> Architecture:
 def _feeding(
     robot: Robot, chosen: Architecture, playing: Played
 ) -> tuple[Architecture, ...]:
-    """Return the architectures that feed `chosen`, and those that feed them."""
+    """Return the sources and providers of `chosen`, and theirs.
+
+    Of alternatives that provide the same function only the best one is returned: no
+    message reaches either when both run.
+    """
     owner = {c.name: a for a in robot.architectures for c in a.components}
-    found = [chosen.name]
-    for name in found:  # grows meanwhile
-        for other in _needed(robot, name, owner, playing):
-            if other not in found:
-                found.append(other)
-    return tuple(a for a in robot.architectures if a.name in found[1:])
+    running = {chosen.function: chosen.name}
+    names = [chosen.name]
+    for name in names:  # grows meanwhile
+        needed = _needed(robot, name, owner, playing)
+        for other in sorted(needed, key=lambda each: -each.quality):
+            if other.function not in running:
+                running[other.function] = other.name
+                names.append(other.name)
+    return tuple(a for a in robot.architectures if a.name in names[1:])
 
 
 def _needed(
     robot: Robot, name: str, owner: Mapping[str, Architecture], playing: Played
-) -> Iterator[str]:
+) -> Iterator[Architecture]:
     """Yield the architectures whose messages, calls or answers `name` needs."""
     for connector in robot.connectors:
         source, target = connector.between
         if playing.covers(connector):
             continue
         if owner[target.component].name == name:
-            yield owner[source.component].name
+            yield owner[source.component]
         elif owner[source.component].name == name and source.port in _required(
             robot, source.component
         ):
-            yield owner[target.component].name
+            yield owner[target.component]
 
 
 def _required(robot: Robot, name: str) -> set[str]:

@@ -1,4 +1,4 @@
-"""A stand whose feeders are, where the workload says so, one component that plays."""
+"""Replaces the sources of a rig by one component that replays a workload."""
 
 from __future__ import annotations
 

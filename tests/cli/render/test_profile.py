@@ -13,6 +13,7 @@ from poise.estimate.profile import ComponentProfile, Profile
 from poise.estimate.profile import file as profile_file
 from poise.estimate.profile.spread import Spread
 from poise.estimate.profile.store import Store
+from poise.model import load
 from tests.command import Poise
 
 ROBOT = """\
@@ -90,7 +91,15 @@ def test_shows_draws_and_compares(tmp_path: Path, poise: Poise) -> None:
 
 
 @pytest.mark.slow
-def test_measuring_takes_no_options_of_show(tmp_path: Path, poise: Poise) -> None:
-    (tmp_path / "robot.yaml").write_text(ROBOT)
-    done = poise("profile", "robot.yaml", "--history")
-    assert (done.returncode, "are for `poise profile show`" in done.stderr) == (2, True)
+def test_show_writes_the_demands_of_the_last_profile(
+    tmp_path: Path, poise: Poise
+) -> None:
+    robot = tmp_path / "robot.yaml"
+    robot.write_text(ROBOT)
+    (tmp_path / "profile.yaml").write_text(profile_file.to_text(NOW))
+    done = poise("profile", "show", "robot.yaml", "--write")
+    assert done.returncode == 0, done.stderr
+    assert f"demands written to {robot.name}" in done.stdout
+    (eye_,) = load(robot).components()
+    # 2 MiB and a tenth; CPU was sustained at 0
+    assert eye_.demand == {"cpu": 0.0, "memory": pytest.approx(2.2 * 2**20)}

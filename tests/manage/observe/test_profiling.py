@@ -4,7 +4,13 @@ from msgspec.structs import replace
 from poise.estimate.profile import ConnectorProfile
 from poise.estimate.profile.spread import Spread
 from poise.manage.observe.measure import Measured
-from poise.manage.observe.profiling import Observed, Subject, disagreeing, figures
+from poise.manage.observe.profiling import (
+    Observed,
+    Subject,
+    disagreeing,
+    figures,
+    silent_inputs,
+)
 from poise.model.robot import Architecture, Component, Computer, Connector, End, Robot
 from poise.wire.records.deployment import AgentStatus, ComponentStatus, ContainerStatus
 
@@ -124,3 +130,17 @@ def test_a_component_that_does_not_keep_up_is_not_stable() -> None:
 
 def test_one_that_told_nothing_is_not_stable() -> None:
     assert disagreeing([observed(0.1)], ["ear"]) == ["ear"]
+
+
+def test_a_connected_port_that_got_nothing_in_any_run_is_silent() -> None:
+    """Nothing is known of its connector, which is not the same as no traffic."""
+    quiet = observed(0.1)
+    quiet = replace(
+        quiet,
+        measured=replace(
+            quiet.measured, connectors={"eye.x-mind.x": ConnectorProfile()}
+        ),
+    )
+    assert silent_inputs(SUBJECT, [observed(0.1), quiet]) == {}
+    assert silent_inputs(SUBJECT, [quiet, quiet]) == {"mind": ["x"]}
+    assert figures(SUBJECT, [quiet], quiet).connectors == {}

@@ -15,7 +15,7 @@ from poise.estimate.profile import (
 from poise.estimate.profile.spread import Spread
 from poise.manage.deployment import name_of
 from poise.manage.observe.measure import Measured
-from poise.model.robot import Robot
+from poise.model.robot import Connector, Robot
 from poise.wire.records.deployment import AgentStatus, ComponentStatus, Summary
 
 AGREE_SHARE = 0.05
@@ -120,6 +120,24 @@ def figures(subject: Subject, runs: Sequence[Observed], apart: Observed) -> Figu
     )
 
 
+def silent_inputs(subject: Subject, runs: Sequence[Observed]) -> dict[str, list[str]]:
+    """Return component -> its connected ports that got nothing in all runs."""
+    counts: dict[tuple[str, str], float] = {}
+    for connector in subject.robot.all_connectors():
+        target = connector.between[1]
+        if target.component in subject.names:
+            key = (target.component, target.port)
+            used = (
+                run.measured.connectors.get(_key(subject, connector)) for run in runs
+            )
+            counts[key] = counts.get(key, 0.0) + sum(u.rate for u in used if u)
+    silent: dict[str, list[str]] = {}
+    for (component, port), count in counts.items():
+        if not count:
+            silent.setdefault(component, []).append(port)
+    return silent
+
+
 def _is_stable(runs: Sequence[Observed], name: str) -> bool:
     means = _means(runs, name)
     if not means or any(run.measured.undone.get(name, 0) > _UNDONE for run in runs):
@@ -218,15 +236,14 @@ def _connectors(
     subject: Subject, typical: Observed, apart: Observed
 ) -> Iterator[tuple[str, ConnectorProfile]]:
     """Yield the connectors that end at `names`: rates as used, sizes as encoded."""
-    replaced = {old: new.replace(" -> ", "-") for old, new in subject.played.items()}
     sizes = _sizes(apart.statuses)
     for connector in subject.robot.all_connectors():
         if connector.between[1].component not in subject.names:
             continue
-        key = replaced.get(str(connector), name_of(connector))
+        key = _key(subject, connector)
         used = typical.measured.connectors.get(key)
         encoded = apart.measured.connectors.get(key)
-        if used is not None:
+        if used is not None and used.rate:
             size = sizes.get(key, Summary())
             yield (
                 str(connector),
@@ -238,6 +255,12 @@ def _connectors(
                     largest=size.maximum,
                 ),
             )
+
+
+def _key(subject: Subject, connector: Connector) -> str:
+    """Return the run-time name of a connector, or of the replay's in its place."""
+    played = subject.played.get(str(connector))
+    return played.replace(" -> ", "-") if played else name_of(connector)
 
 
 def _sizes(statuses: Mapping[str, AgentStatus]) -> dict[str, Summary]:

@@ -1,0 +1,274 @@
+"""Profiles a robot: measures each architecture alone and keeps the result."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime as dt
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from importlib.metadata import version
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+from poise.errors import UsageError
+from poise.estimate.profile import Profile
+from poise.estimate.profile import file as profile_file
+from poise.estimate.profile.version import version_of
+from poise.manage.observe.profiling import (
+    Figures,
+    Observed,
+    Subject,
+    disagreeing,
+    figures,
+    silent_inputs,
+)
+from poise.model.robot import Robot
+from poise.runtime.component.implementation import find
+from poise.runtime.component.ports import ports_of
+from poise.session.measure_alone import Tick, measure_alone
+from poise.session.profiles import check_keepable, read_profile, store_of
+from poise.session.profiling_rig import EMPTY, ProfilingRig, rig_of
+from poise.session.say import Say, log
+
+Progress = Callable[[str, float], AbstractContextManager[Tick]]
+"""Takes an architecture and the time that its measurement takes [s]; gives a function
+that is called with the time that has passed [s]."""
+_MOST_EXTRA = 2
+"""How often unstable or invalid measurements are repeated."""
+
+
+class Profiling(Struct, frozen=True, kw_only=True):
+    """The result of profiling.
+
+    Parameters
+    ----------
+    profile
+        The measurements, with those of an older profile for other components.
+    file
+        The file that was written; None: the robot file names none.
+    silent
+        Component -> its ports that got nothing during the measurement.
+    unrecorded
+        The components whose figures are not believed, because their inputs were silent.
+    """
+
+    profile: Profile
+    file: Path | None
+    silent: Mapping[str, Sequence[str]]
+    unrecorded: Sequence[str]
+
+
+@contextlib.contextmanager
+def _no_progress(_: str, __: float) -> Iterator[Tick]:
+    yield lambda _: None
+
+
+def profile(  # noqa: PLR0913 - each is a choice of the user
+    robot: Robot,
+    *,
+    architectures: Sequence[str] = (),
+    computer: str | None = None,
+    seconds: float = 30.0,
+    warm_up: float = 3.0,
+    repeat: int = 2,
+    say: Say = log.info,
+    progress: Progress = _no_progress,
+) -> Profiling:
+    """Measure what each component needs, every architecture alone on one computer.
+
+    The result is written to the profile that the robot file names, and to the store.
+
+    Parameters
+    ----------
+    architectures
+        Names of those to measure; empty: all.
+    computer
+        The computer to measure on; None: the first.
+    seconds, warm_up
+        Duration of each measurement, and of the time before it [s].
+    repeat
+        How often to measure each architecture; at least 1.
+    say
+        Called with a sentence for each doubt about a measurement.
+    progress
+        Called for each architecture.
+
+    Raises
+    ------
+    UsageError
+        A name is unknown, or the result cannot be written.
+    RobotError, RunError
+        The robot could not be run.
+    """
+    if not seconds > 0:
+        raise UsageError("a measurement must last longer than 0 s")
+    names = _chosen(robot, architectures)
+    check_keepable(robot)
+    measuring = _Measuring(
+        robot, computer or robot.computers[0].name, seconds, warm_up, repeat, say
+    )
+    found = []
+    for name in names:
+        total = (repeat + 1) * (seconds + warm_up)
+        with progress(name, total) as tick:
+            found.append(measuring.measure(name, tick))
+    silent = {n: p for each in found for n, p in each.silent.items()}
+    unrecorded = [n for n in silent if _is_unbelievable(robot, n, silent[n])]
+    new = measuring.profile([each.figures for each in found], unrecorded)
+    kept = _kept(robot, new)
+    return Profiling(
+        profile=kept, file=_write(robot, kept), silent=silent, unrecorded=unrecorded
+    )
+
+
+def _chosen(robot: Robot, names: Sequence[str]) -> list[str]:
+    known = [a.name for a in robot.architectures]
+    unknown = [name for name in names if name not in known]
+    if unknown or not known:
+        raise UsageError(
+            f"--architecture {', '.join(unknown)}: the robot has "
+            f"{', '.join(known) or 'none'}"
+        )
+    return list(names) or known
+
+
+class _Found(Struct, frozen=True):
+    figures: Figures
+    silent: Mapping[str, Sequence[str]]
+
+
+class _Measuring(Struct, frozen=True):
+    """Measures architectures, one after the other."""
+
+    robot: Robot
+    computer: str
+    seconds: float
+    warm_up: float
+    repeat: int
+    say: Say
+
+    def measure(self, architecture: str, tick: Tick) -> _Found:
+        """Measure one architecture: as it is used, and with its components apart."""
+        rig = rig_of(self.robot, architecture, self.computer, apart=False)
+        apart = rig_of(self.robot, architecture, self.computer, apart=True)
+        runs = self._runs(rig, tick)
+        sizes = self._run(apart, tick)
+        doubtful = disagreeing(runs, rig.measured)
+        if doubtful:
+            names = ", ".join(doubtful)
+            self.say(f"not stable after {len(runs)} measurements: {names}")
+        subject = Subject(
+            robot=self.robot,
+            computer=self.computer,
+            names=rig.measured,
+            empty=EMPTY,
+            versions={
+                c.name: version_of(c, self.robot.folder)
+                for c in self.robot.components()
+            },
+            speed=self._speed(),
+            played=rig.played,
+        )
+        return _Found(
+            figures(subject, runs, sizes), silent_inputs(subject, [*runs, sizes])
+        )
+
+    def profile(self, found: Sequence[Figures], unrecorded: Iterable[str]) -> Profile:
+        """Return the profile of the measured components without `unrecorded`."""
+        components = {n: c for each in found for n, c in each.components.items()}
+        return Profile(
+            robot=self.robot.name,
+            poise=version("poise"),
+            computer=self.computer,
+            speed=self.robot.computer(self.computer).speed,
+            at=dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
+            seconds=self.seconds,
+            agent=max(each.agent for each in found),
+            components={n: c for n, c in components.items() if n not in unrecorded},
+            connectors={n: c for each in found for n, c in each.connectors.items()},
+        )
+
+    def _runs(self, rig: ProfilingRig, tick: Tick) -> list[Observed]:
+        runs: list[Observed] = []
+        for attempt in range(self.repeat + _MOST_EXTRA):
+            run = self._run(rig, tick)
+            if not run.invalid or attempt == self.repeat + _MOST_EXTRA - 1:
+                runs.append(run)
+            if len(runs) >= self.repeat and not disagreeing(runs, rig.measured):
+                break
+        return runs
+
+    def _run(self, rig: ProfilingRig, tick: Tick) -> Observed:
+        run = measure_alone(rig, self.seconds, self.warm_up, lambda _: None, tick)
+        if run.invalid:
+            self.say(run.invalid)
+        return run
+
+    def _speed(self) -> float:
+        """Return the factor from the computer's CPU time to the reference computer's.
+
+        An emulated computer of speed 0.5 runs half of the time, at full speed.
+        """
+        if all(c.address is None for c in self.robot.computers):
+            return 1.0
+        return self.robot.computer(self.computer).speed
+
+
+def _is_unbelievable(robot: Robot, name: str, silent: Sequence[str]) -> bool:
+    """Return whether a component did not do its work because of silent ports.
+
+    It waits for messages of each subscribed port. Calls to its provided ports may be
+    rare, unless it has no other input.
+    """
+    component = next(c for c in robot.components() if c.name == name)
+    if not component.implementation:
+        return False  # a command has its own connections
+    ports = ports_of(find(component.implementation, robot.folder))
+    connected = {
+        c.between[1].port
+        for c in robot.all_connectors()
+        if c.between[1].component == name
+    }
+    return connected <= set(silent) or any(
+        ports[port].kind == "subscribes" for port in silent
+    )
+
+
+def _kept(robot: Robot, new: Profile) -> Profile:
+    """Return the new profile with older figures of others, and add it to the store."""
+    merged = _merged(new, read_profile(robot), robot)
+    with store_of(robot) as store:
+        if not merged.costs:
+            costs = store.latest_costs(robot.name)
+            merged = msgspec.structs.replace(merged, costs=costs)
+        store.add(merged)
+    return merged
+
+
+def _merged(new: Profile, old: Profile | None, robot: Robot) -> Profile:
+    """Return the new profile with the older one's figures of other components.
+
+    Figures of another computer, or of components that no longer exist, are dropped.
+    """
+    if old is None or (old.computer, old.robot) != (new.computer, new.robot):
+        return new
+    names = {c.name for c in robot.components()}
+    components = {n: c for n, c in old.components.items() if n in names}
+    connectors = {str(c) for c in robot.all_connectors()}
+    joined = {n: c for n, c in old.connectors.items() if n in connectors}
+    return msgspec.structs.replace(
+        new,
+        components={**components, **new.components},
+        connectors={**joined, **new.connectors},
+        costs=old.costs,
+    )
+
+
+def _write(robot: Robot, kept: Profile) -> Path | None:
+    if not robot.profile:
+        return None
+    path = Path(robot.folder) / robot.profile
+    path.write_text(profile_file.to_text(kept), "utf-8")
+    return path

@@ -1,0 +1,73 @@
+"""Profiles of components that did not do their work."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from poise.errors import UsageError
+from poise.estimate.profile import file as profile_file
+from poise.session.profiling import profile
+from poise.session.robot_file import load_bare
+
+ROBOT = """\
+robot: silent
+computers: {main: {cpu: 1, memory: 1 GiB}}
+architectures:
+  seeing:
+    function: seeing
+    components:
+      blind: {implementation: "silent:Blind"}
+      clock: {implementation: "silent:Clock"}
+      mind: {implementation: "silent:Mind"}
+    connectors:
+      - {between: [blind.seen, mind.seen]}
+      - {between: [clock.now, mind.now]}
+profile: profile.yaml
+"""
+CODE = """
+from poise import Component, Message, Published, every, subscribed
+
+class Seen(Message):
+    at: float
+
+class Blind(Component):
+    seen: Published[Seen]
+
+class Clock(Component):
+    now: Published[Seen]
+
+    @every(0.05)
+    def tick(self) -> None:
+        self.now.publish(Seen(0.0))
+
+class Mind(Component):
+    @subscribed(keep=1)
+    def seen(self, message: Seen) -> None: ...
+
+    @subscribed(keep=1)
+    def now(self, message: Seen) -> None: ...
+"""
+
+
+@pytest.mark.slow
+def test_a_component_without_messages_is_said_and_not_recorded(tmp_path: Path) -> None:
+    """The mind would need far more if it saw anything: no figure is better than 0."""
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+    (tmp_path / "silent.py").write_text(CODE)
+    robot = load_bare(tmp_path / "robot.yaml")
+    found = profile(robot, seconds=1.0, warm_up=0.2, repeat=1)
+    assert found.silent == {"mind": ["seen"]}
+    assert found.unrecorded == ["mind"]
+    written = profile_file.read(tmp_path / "profile.yaml")
+    assert set(written.components) == {"blind", "clock"}
+    assert set(written.connectors) == {"clock.now -> mind.now"}
+
+
+def test_an_unknown_architecture_is_named(tmp_path: Path) -> None:
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+    (tmp_path / "silent.py").write_text(CODE)
+    robot = load_bare(tmp_path / "robot.yaml")
+    with pytest.raises(UsageError, match="hearing: the robot has seeing"):
+        profile(robot, architectures=["hearing"])
