@@ -22,7 +22,7 @@ from poise.manage.control import (
     Stopping,
     ask,
 )
-from poise.wire import container_channel
+from poise.wire import record_channel
 
 LIMIT = 20.0
 
@@ -72,7 +72,7 @@ def test_nothing_is_done_for_who_has_left(
 ) -> None:
     with socket.socket(socket.AF_UNIX) as asker:
         asker.connect(str(folder / "first.sock"))
-        container_channel.send(asker, Asked(AskStop()))
+        record_channel.send(asker, Asked(AskStop()))
     done: list[Asked] = []
 
     def answer(what: Asked) -> Answered:
@@ -88,9 +88,9 @@ def test_who_still_waits_is_told_that_the_robot_has_stopped(folder: Path) -> Non
     control_server = ControlServer("first")
     with socket.socket(socket.AF_UNIX) as asker:
         asker.connect(str(folder / "first.sock"))
-        container_channel.send(asker, Asked(AskStop()))
+        record_channel.send(asker, Asked(AskStop()))
         control_server.close()
-        told = container_channel.receive(asker, Answered).what
+        told = record_channel.receive(asker, Answered).what
     assert told == Refusal("robot 'first' has stopped")
 
 

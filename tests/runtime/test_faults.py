@@ -12,8 +12,7 @@ from poise.runtime.connectors.channel_route import ChannelRoute
 from poise.runtime.connectors.interface import message_tag, methods
 from poise.wire.codec import WireError, codec
 from poise.wire.connections.channel import Channel, Pieces
-from poise.wire.connections.stream import LARGEST
-from poise.wire.frame import FAILURE, Kind, segments
+from poise.wire.frame import FAILURE, LARGEST, Kind, segments
 
 from .conftest import LIMIT, Pair, wait_until
 

@@ -67,17 +67,18 @@ class Receiver:
 
 
 class Wire:
-    """Containers of one computer, or of two with a door between them."""
+    """Containers of one computer, or of two with a gateway between them."""
 
     def __init__(self, kind: str, folder: Path, closing: ExitStack) -> None:
         self.kind = kind
         self.folder = folder
         self.closing = closing
-        if kind == "remote":
-            self.gateway = closing.enter_context(Gateway(folder, "127.0.0.1"))
+        if kind != "local":
+            host = "::1" if kind == "ipv6" else "127.0.0.1"
+            self.gateway = closing.enter_context(Gateway(folder, host))
 
     def address(self, container: str = "there") -> Address:
-        gateway = f"{self.gateway}/" if self.kind == "remote" else ""
+        gateway = "" if self.kind == "local" else f"{self.gateway}/"
         return Address.parse(f"{gateway}{container}")
 
     def server(self) -> ConnectionServer:

@@ -22,8 +22,7 @@ from poise.wire import frame
 from poise.wire.codec import codec
 from poise.wire.connections import shared_memory
 from poise.wire.connections.connection import Connection
-from poise.wire.connections.stream import LARGEST
-from poise.wire.frame import Frame, Kind
+from poise.wire.frame import LARGEST, Frame, Kind
 
 ANY = codec(Any)
 LONG = 20.0

@@ -24,9 +24,9 @@ from poise.manage.migration.move import MoveReport
 from poise.manage.migration.replacement import ReplaceReport
 from poise.manage.migration.transition_run import TransitionReport
 from poise.manage.observe.estimates import DemandEstimate
-from poise.wire import container_channel
+from poise.wire import record_channel
 from poise.wire.codec import WireError
-from poise.wire.connections import stream
+from poise.wire.connections.socket_path import connect
 from poise.wire.records.deployment import AgentStatus
 
 ANSWER_LIMIT = 60.0
@@ -182,15 +182,14 @@ class ControlServer:
             return False
         connection, _ = self._listener.accept()
         with connection, contextlib.suppress(WireError, RunError):
-            stream.set_limit(connection, container_channel.LIMIT)
-            asked = container_channel.receive(connection, Asked)
+            asked = record_channel.receive(connection, Asked)
             if _has_left(connection):
                 return True
             try:
                 answered = answer(asked)
             except PoiseError as error:
                 answered = Answered(Refusal(str(error)))
-            container_channel.send(connection, answered)
+            record_channel.send(connection, answered)
         return True
 
     def close(self) -> None:
@@ -222,15 +221,14 @@ def ask(robot: str | None, what: Ask) -> Answer:
     path = _find(robot)
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
-            stream.set_limit(connection, container_channel.LIMIT)
-            connection.connect(os.fspath(path))
-            container_channel.send(connection, Asked(what))
+            connect(connection, path, record_channel.LIMIT)
+            record_channel.send(connection, Asked(what))
             if not select.select([connection], [], [], ANSWER_LIMIT)[0]:
                 raise Timeout(
                     f"it is busy since {ANSWER_LIMIT:g} s; what it has begun goes on, "
                     "and `poise status` shows what came of it"
                 )
-            answered = container_channel.receive(connection, Answered).what
+            answered = record_channel.receive(connection, Answered).what
     except (OSError, RunError, WireError) as error:
         raise RunError(f"robot '{path.stem}' gave no answer: {error}") from error
     if isinstance(answered, Refusal):

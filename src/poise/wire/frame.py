@@ -23,6 +23,8 @@ from poise.wire import _channel
 from poise.wire.codec import Bytes, Codec
 
 VERSION = 2
+LARGEST = 1 << 30
+"""No frame on any socket is larger [bytes]; a larger one is refused."""
 _HEAD = 32
 """The size of the head [bytes]."""
 _INLINE = 2

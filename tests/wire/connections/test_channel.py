@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import socket
 import subprocess
 import sys
@@ -21,8 +23,7 @@ from poise.wire.connections.connection import HEAD, Connection
 from poise.wire.connections.connection_channel import ConnectionChannel
 from poise.wire.connections.opening import CALLS, MESSAGES
 from poise.wire.connections.socket_path import socket_path
-from poise.wire.connections.stream import LARGEST
-from poise.wire.frame import Frame, Kind
+from poise.wire.frame import LARGEST, Frame, Kind
 from tests.wire.conftest import (
     LIMIT,
     SHORT,
@@ -549,10 +550,52 @@ def test_whoever_looks_does_not_wait_for_a_computer_that_is_silent(wire: Wire) -
             assert not channel.is_ready()
             assert not channel.is_ready()
             (opening,) = channel._openings.values()
-            assert not opening._asked
+            assert not opening._is_asked
             with pytest.raises(Unavailable, match="no answer from"):
                 channel.push(message("a"), SHORT)
             assert channel._is_lost
             with pytest.raises(Unavailable, match="no answer from"):
                 channel.push(message("a"), 1e6)  # does not wait a second time
             channel.close()
+
+
+@remote
+def test_the_first_call_after_a_short_cut_reaches_the_other_computer(
+    wire: Wire,
+) -> None:
+    """A full backlog drops the first SYN, as a cut does; the kernel waits 1 s then."""
+    with socket.create_server(("127.0.0.1", 0), backlog=0) as cut:
+        there = Address("there", Endpoint(*cut.getsockname()))
+        channel = ConnectionChannel("echo", there, wire.folder)
+        with socket.create_connection(cut.getsockname()):
+            assert not channel.is_ready()  # the SYN is lost
+            with pytest.raises(Unavailable, match="no answer from"):
+                channel.push(message("a"), SHORT)
+            assert channel._is_lost
+            cut.accept()[0].close()  # the cut is over
+        with ThreadPoolExecutor(1) as pool:
+            answer = pool.submit(channel.request, call("ab"), 0.9)
+            peer = Connection(cut.accept()[0])
+            hellos = [peer.receive().value(TEXT) for _ in range(2)]
+            assert hellos == ["there", "echo"]
+            peer.send(frame.segments(TEXT, "echo", Kind.HELLO))
+            peer.send(Receiver()(peer.receive()) or [])
+            assert answer.result(LIMIT).value(TEXT) == "ba"
+        peer.close()
+        channel.close()
+
+
+@both
+def test_a_channel_without_a_free_file_is_unavailable(
+    wire: Wire, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else the error ends whoever asks: a component's code, or a container."""
+    channel = wire.channel()
+
+    def fail(*_: object) -> socket.socket:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    monkeypatch.setattr(socket, "socket", fail)
+    assert not channel.is_ready()
+    with pytest.raises(Unavailable, match="Too many open files"):
+        channel.request(call("a"), LIMIT)

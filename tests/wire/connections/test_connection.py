@@ -1,8 +1,9 @@
-"""Arrays cross a link in shared memory, and no block can crash who receives it."""
+"""Arrays cross a connection in shared memory; no block can crash the receiver."""
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import gc
 import os
 import resource
@@ -21,8 +22,7 @@ from poise.wire import frame
 from poise.wire.codec import Unreadable, WireError, codec
 from poise.wire.connections import shared_memory
 from poise.wire.connections.connection import Connection
-from poise.wire.connections.stream import LARGEST
-from poise.wire.frame import Kind
+from poise.wire.frame import LARGEST, Kind
 
 ANY = codec(Any)
 LONG = 20.0
@@ -377,3 +377,14 @@ def test_a_frame_on_more_than_its_block_is_refused(known: Known) -> None:
     ours._channel.send(head, deadline, LARGEST, block.number, block.capacity + 1)
     with pytest.raises(WireError, match="B announced in a block of"):
         theirs.receive()
+
+
+def test_arrays_come_inline_when_no_block_can_be_had(
+    ends: tuple[Connection, Connection], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> int:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    monkeypatch.setattr(os, "memfd_create", fail)
+    assert bool((ask(ends[0], image(1)) == image(1)).all())
+    assert not ends[0].has_blocks

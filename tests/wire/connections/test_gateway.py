@@ -1,4 +1,4 @@
-"""The door of a computer: whoever comes is handed on, or told why not, or let go."""
+"""The gateway hands each connection on to a container, or refuses it and says why."""
 
 from __future__ import annotations
 
@@ -19,9 +19,19 @@ from poise.wire.connections.connection import HEAD, Connection
 from poise.wire.connections.connection_channel import ConnectionChannel
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.connections.gateway import Gateway
+from poise.wire.connections.opening import MESSAGES
 from poise.wire.connections.socket_path import gateway_path
 from poise.wire.frame import VERSION, Kind
-from tests.wire.conftest import LIMIT, TEXT, Receiver, Wire, call, remote, wait_until
+from tests.wire.conftest import (
+    LIMIT,
+    TEXT,
+    Receiver,
+    Wire,
+    call,
+    message,
+    remote,
+    wait_until,
+)
 
 ANYBODY = "127.0.0.1"
 
@@ -213,3 +223,13 @@ def test_an_address_that_cannot_be_had_is_an_error(
         port = busy.getsockname()[1]
         with pytest.raises(RunError, match=f"cannot listen on {host}:{port}: .*{why}"):
             Gateway(folder, host, port)
+
+
+@pytest.mark.parametrize("wire", ["ipv6"], indirect=True)
+def test_calls_and_messages_cross_over_ipv6(wire: Wire) -> None:
+    receiver = Receiver()
+    wire.server().open("echo", receiver)
+    assert str(wire.gateway).startswith("[::1]:")
+    assert wire.channel().request(call("ab"), LIMIT).value(TEXT) == "ba"
+    wire.channel(use=MESSAGES).push(message("a"), LIMIT)
+    assert receiver.wait_for(1) == ["a"]

@@ -12,7 +12,7 @@ from msgspec import Struct
 from poise.clock import Clock
 from poise.errors import PoiseError, Timeout, Unavailable
 from poise.runtime._calls import Reader
-from poise.wire import container_channel
+from poise.wire import record_channel
 from poise.wire.codec import WireError
 from poise.wire.records.deployment import (
     ContainerSpec,
@@ -121,7 +121,7 @@ class ContainerProcess:
         One that cannot be understood is killed.
         """
         try:
-            what = container_channel.receive(self.connection, FromContainer).what
+            what = record_channel.receive(self.connection, FromContainer).what
         except (Unavailable, Timeout, WireError) as error:
             self._give_up(error)
             return None
@@ -151,7 +151,7 @@ class ContainerProcess:
 
     def _send(self, what: ContainerSpec | Order) -> None:
         try:
-            container_channel.send(self.connection, ToContainer(what))
+            record_channel.send(self.connection, ToContainer(what))
         except (Timeout, Unavailable, WireError) as error:
             self._give_up(error)
 

@@ -31,7 +31,7 @@ from poise.runtime.hosting.stats_page import Incarnation, StatsPage
 from poise.runtime.hosting.wiring import Place, Transports, Wiring
 from poise.runtime.migration.executor import MigrationExecutor
 from poise.runtime.waker import Waker, is_writable, wait_readable
-from poise.wire import container_channel
+from poise.wire import record_channel
 from poise.wire.records.deployment import (
     ComponentSpec,
     ComponentStatus,
@@ -133,7 +133,7 @@ class Container:
         if waker in ready:
             self._waker.clear()
         if agent in ready:
-            what = container_channel.receive(self._agent, ToContainer).what
+            what = record_channel.receive(self._agent, ToContainer).what
             self._hear(what)
             if isinstance(what, Order) and len(ready) == 1:
                 return False
@@ -169,7 +169,7 @@ class Container:
 
     def _tell(self, what: ContainerStatus | Done | Failed) -> None:
         with self._telling:
-            container_channel.send(self._agent, FromContainer(what))
+            record_channel.send(self._agent, FromContainer(what))
 
     def _apply(self, spec: ContainerSpec) -> None:
         wanted = {(c.name, c.epoch): c for c in spec.components}

@@ -26,9 +26,7 @@ from poise.errors import Unavailable
 from poise.runtime.container.container import Container
 from poise.runtime.hosting.wiring import Place
 from poise.runtime.waker import Waker, wait_readable
-from poise.wire import container_channel
-from poise.wire.codec import codec
-from poise.wire.connections import stream
+from poise.wire import record_channel
 
 log = logging.getLogger(__name__)
 
@@ -81,7 +79,7 @@ def start(closing: Sequence[int] = ()) -> tuple[socket.socket, int]:
     # one record is one packet, so neither end ever waits for the rest of one
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     for end in (ours, theirs):
-        stream.set_limit(end, container_channel.LIMIT)
+        end.settimeout(record_channel.LIMIT)
     pid = os.fork()
     if pid == 0:
         ours.close()
@@ -104,11 +102,11 @@ def ask(
     Unavailable
         The zygote is gone.
     """
-    ours, theirs = container_channel.pair()
-    body, _ = codec(Fork).encode(Fork(name=name, place=place))
+    ours, theirs = socket.socketpair()
     with theirs:
         try:
-            socket.send_fds(zygote, [body], [theirs.fileno(), stats_page])
+            packet = record_channel.pack(Fork(name=name, place=place))
+            socket.send_fds(zygote, [packet], [theirs.fileno(), stats_page])
         except OSError as error:
             ours.close()
             raise Unavailable(f"the zygote is gone: {error}") from error
@@ -129,7 +127,7 @@ def hear(zygote: socket.socket) -> Event:
         raise Unavailable(f"the zygote is gone: {error}") from error
     if not body:
         raise Unavailable("the zygote is gone")
-    event: Event = codec(Event).decode(body, memoryview(b""))
+    event: Event = record_channel.unpack(body, Event)
     return event
 
 
@@ -202,8 +200,7 @@ class _Zygote:
             self._fork_next()
 
     def _tell(self, event: Event) -> None:
-        body, _ = codec(Event).encode(event)
-        self._agent.send(body)
+        self._agent.send(record_channel.pack(event))
 
     def _report_ended(self) -> None:
         for pid, status in self._ended():
@@ -222,7 +219,7 @@ class _Zygote:
         body, fds, _, _ = socket.recv_fds(self._agent, _LARGEST, 2)
         if not body:
             raise Unavailable("the agent is gone")
-        wanted: Fork = codec(Fork).decode(body, memoryview(b""))
+        wanted: Fork = record_channel.unpack(body, Fork)
         control_fd, stats_page = fds
         with socket.socket(fileno=control_fd) as connection, _closing(stats_page):
             try:

@@ -1,1 +1,1 @@
-"""Connections between containers, and what they carry."""
+"""Connections between containers: opening, sending, receiving, shared memory."""

@@ -39,8 +39,7 @@ from poise.wire.connections.shared_memory import (
     Pool,
     lender,
 )
-from poise.wire.connections.stream import LARGEST
-from poise.wire.frame import Frame
+from poise.wire.frame import LARGEST, Frame
 
 _NEW = 1 << 31
 _READY = b"+"
@@ -204,7 +203,10 @@ class Connection:
             return None
         if len(pieces) == _ALONE and (placed := self._place_loan(pieces, deadline)):
             return placed
-        block, is_new = self._pool.take(size)
+        try:
+            block, is_new = self._pool.take(size)
+        except OSError:  # no memory or file is left: the socket takes them
+            return None
         if block is None:
             return None
         if is_new:

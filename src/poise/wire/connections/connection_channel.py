@@ -187,7 +187,7 @@ class ConnectionChannel:
             self._messages.close()
         self._calls.close()
         while self._openings:
-            self._openings.popitem()[1].connection.close()
+            self._openings.popitem()[1].close()
 
     def _send(self, pieces: Pieces, deadline: float) -> Connection:
         """Send a message over the link for them or else a new one, and return it."""
@@ -222,12 +222,14 @@ class ConnectionChannel:
         return connection
 
     def _connect(self, use: int, deadline: float) -> Connection:
-        """Return a new link.
+        """Return a new connection.
 
-        Waits for another computer once; after it was silent, only the news that it is
-        there again end that. So whoever publishes is not held up by one that is gone.
+        A call waits for it until its deadline. A message waits for a computer that was
+        silent once only, so a publisher is not held up by a lost computer; `is_ready`
+        finds out when that is back.
         """
-        connection = self._opened(use, 0.0 if self._is_lost else deadline)
+        waits = use == CALLS or not self._is_lost
+        connection = self._opened(use, deadline if waits else 0.0)
         if connection is None:
             self._is_lost = self._address.gateway is not None
             raise Unavailable(f"{self._connector}: no answer from {self._address}")
@@ -266,7 +268,7 @@ class ConnectionChannel:
             return opening.connection
         if opening.is_late() or self._is_closed:
             self._is_lost = self._address.gateway is not None
-            opening.connection.close()
+            opening.close()
         else:
             self._openings[use] = opening
         return None

@@ -1,91 +1,111 @@
-"""How a link begins: the sending end says what it wants, and the other takes it.
+"""How a connection begins: the sending end names the connector, and the other accepts.
 
-A container of this computer is reached at its AF_UNIX socket, another at the door of
-its computer (`gateway`), where a frame names the container first. Then a frame
-names the connector, and its number says whether calls or messages will follow.
+A container of this computer is reached at its AF_UNIX socket, another at the gateway of
+its computer (`gateway`), where a frame names the container first. The next frame names
+the connector, and its number says whether calls or messages will follow.
 """
 
 from __future__ import annotations
 
+import errno
+import os
 import select
 import socket
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 from poise.errors import Unavailable
 from poise.wire import frame
 from poise.wire.address import LOST_AFTER, Address, family_of, tune
 from poise.wire.codec import WireError, codec
-from poise.wire.connections import stream
 from poise.wire.connections.connection import Connection
-from poise.wire.connections.socket_path import socket_path
+from poise.wire.connections.socket_path import connect, socket_path
 from poise.wire.frame import Kind
 
 NAME = codec(str)
 CALLS, MESSAGES = 0, 1
-"""What a link is for: the number in the frame that names the connector."""
+"""The use of a connection: the number in the frame that names the connector."""
 ANSWER_LIMIT = LOST_AFTER
-"""Who is there takes a new link within this time [s]."""
+"""A container that is there accepts a connection within this time [s]."""
+_FIRST_RETRY = 0.2
+"""TCP connects again after this time, and then after twice the time [s]. The kernel
+repeats a lost SYN only after 1, 3 and 7 s: too late after a short cut."""
 
 
 class Opening:
-    """A link that is being opened; nobody need wait for it.
+    """A connection that is being opened, without a thread that waits for it.
 
     Raises
     ------
     Unavailable
-        Nobody is there.
+        Nobody listens there, or no more files can be opened.
     """
 
     def __init__(self, connector: str, address: Address, folder: Path) -> None:
         self._connector = connector
         self._address = address
-        self._asked = False
+        self._folder = folder
+        self._is_asked = False
         self._give_up_at = time.monotonic() + ANSWER_LIMIT
-        gateway = address.gateway
-        family = family_of(gateway.host) if gateway else socket.AF_UNIX
-        self._connection = socket.socket(family, socket.SOCK_STREAM)
-        self.connection = Connection(self._connection)
+        self._patience = _FIRST_RETRY
+        self._closing = ExitStack()
         try:
-            if gateway:
-                tune(self._connection)
-                self._connection.setblocking(False)
-                self._connection.connect((gateway.host, gateway.port))
-            else:
-                stream.set_limit(self._connection, ANSWER_LIMIT)
-                path = socket_path(folder, address.container)
-                self._connection.connect(str(path))
-        except BlockingIOError:
-            pass  # under way
+            self._begin()
         except BaseException as error:
             raise self._failed(error) from error
 
     def go_on(self, use: int, deadline: float) -> bool:
-        """Open it as far as that takes until `deadline`; return whether it is open.
+        """Go on until it is open or `deadline` comes; return whether it is open.
 
         Raises
         ------
         Unavailable
-            Nobody is there, or the link was refused.
+            Nobody listens there, or the connection was refused.
         """
         try:
-            return self._go_on(use, deadline)
+            return self._is_connected(use, deadline) and self._is_accepted(deadline)
         except BaseException as error:
             raise self._failed(error) from error
 
     def is_late(self) -> bool:
-        """Return whether whoever is there had time enough."""
+        """Return whether the other end had enough time."""
         return time.monotonic() > self._give_up_at
 
-    def _go_on(self, use: int, deadline: float) -> bool:
-        if not self._asked:
-            if not self._waited(select.POLLOUT, deadline):
+    def close(self) -> None:
+        """Give it up."""
+        self._closing.close()
+
+    def _begin(self) -> None:
+        self.close()
+        gateway = self._address.gateway
+        family = family_of(gateway.host) if gateway else socket.AF_UNIX
+        self._socket = socket.socket(family, socket.SOCK_STREAM)
+        self._closing.callback(self._socket.close)
+        self.connection = Connection(self._socket)
+        self._retry_at = time.monotonic() + self._patience
+        self._patience *= 2
+        if gateway is None:
+            path = socket_path(self._folder, self._address.container)
+            connect(self._socket, path, ANSWER_LIMIT)
+            return
+        tune(self._socket)
+        self._socket.setblocking(False)
+        _raise_if(self._socket.connect_ex((gateway.host, gateway.port)))
+
+    def _is_connected(self, use: int, deadline: float) -> bool:
+        while not self._is_asked:
+            if self._is_ready(select.POLLOUT, min(deadline, self._retry_at)):
+                _raise_if(self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR))
+                self._ask(use)
+            elif time.monotonic() < self._retry_at:
                 return False
-            error = self._connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
-            if error:
-                raise OSError(error, "")
-            self._ask(use)
-        if not self._waited(select.POLLIN, deadline):
+            else:
+                self._begin()
+        return True
+
+    def _is_accepted(self, deadline: float) -> bool:
+        if not self._is_ready(select.POLLIN, deadline):
             return False
         answer = self.connection.receive(time.monotonic() + ANSWER_LIMIT)
         if answer.kind is not Kind.HELLO:
@@ -99,19 +119,24 @@ class Opening:
         for name, number in names:
             hello = frame.segments(NAME, name, Kind.HELLO, number=number)
             self.connection.send(hello, time.monotonic() + ANSWER_LIMIT)
-        self._asked = True
+        self._is_asked = True
 
-    def _waited(self, event: int, deadline: float) -> bool:
+    def _is_ready(self, event: int, deadline: float) -> bool:
         poll = select.poll()
-        poll.register(self._connection, event)
+        poll.register(self._socket, event)
         left = deadline - time.monotonic()
         return bool(poll.poll(max(0.0, 1000 * left)))
 
     def _failed(self, error: BaseException) -> BaseException:
-        """Close it, and return what its user is told."""
-        self.connection.close()
+        """Close it, and return the error for its user."""
+        self.close()
         if isinstance(error, OSError):
-            return Unavailable(f"{self._connector}: nobody at {self._address}")
+            return Unavailable(f"{self._connector}: nobody at {self._address}: {error}")
         if isinstance(error, WireError):
             return Unavailable(f"{self._connector}: {error}")
         return error
+
+
+def _raise_if(error: int) -> None:
+    if error not in {0, errno.EINPROGRESS}:
+        raise OSError(error, os.strerror(error))

@@ -1,8 +1,10 @@
-"""Where the socket of a container lies."""
+"""AF_UNIX sockets: their paths, and connecting to one."""
 
 from __future__ import annotations
 
 import os
+import socket
+import struct
 from hashlib import blake2s
 from pathlib import Path
 
@@ -33,3 +35,15 @@ def socket_path(folder: Path, container: str) -> Path:
 def gateway_path(folder: Path, container: str) -> Path:
     """Return the path of the socket over which a container is handed connections."""
     return socket_path(folder, container).with_suffix(".gateway")
+
+
+def connect(connection: socket.socket, path: Path, limit: float) -> None:
+    """Connect an AF_UNIX socket; wait up to `limit` [s] for a place in the queue.
+
+    Python's own time-outs do not wait: the kernel answers EAGAIN to a non-blocking
+    socket. OSError when nobody listens.
+    """
+    seconds = int(limit)
+    value = struct.pack("ll", seconds, max(1, int(1e6 * (limit - seconds))))
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, value)
+    connection.connect(os.fspath(path))
