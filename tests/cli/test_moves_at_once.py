@@ -11,16 +11,15 @@ import os
 import signal
 import subprocess
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 
 import pytest
 
 from poise.errors import PoiseError
 from poise.manage.control import AskStatus, RobotStatus, ask
-from tests.command import LIMIT, POISE, robot_up
+from tests.command import POISE, robot_up
 from tests.manage.agents import TELLING
-from tests.runtime.conftest import wait_until
+from tests.waiting import LONG, wait_long
 
 pytestmark = pytest.mark.slow
 
@@ -141,9 +140,6 @@ tasks:
 MOVED = "runs on {} now"
 
 
-wait_long = partial(wait_until, limit=LIMIT)
-
-
 class Crowd:
     """A robot that runs, and the commands that people give it."""
 
@@ -161,7 +157,7 @@ class Crowd:
                 running = [self.waiting(each, stack) for each in commands]
             said = []
             for command in running:
-                told, _ = command.communicate(timeout=LIMIT)
+                told, _ = command.communicate(timeout=LONG)
                 assert "Traceback" not in told, told
                 code = command.returncode
                 said.append(f"{code}: {told}" if code else told)
@@ -178,7 +174,7 @@ class Crowd:
             wait_long(is_busy.exists)
             yield
             busy.unlink()
-            told, _ = move.communicate(timeout=LIMIT)
+            told, _ = move.communicate(timeout=LONG)
             assert MOVED.format(self._slow_is) in told, told
 
     def waiting(
@@ -322,7 +318,7 @@ def test_who_gave_up_waiting_gets_nothing_moved(crowd: Crowd) -> None:
     with contextlib.ExitStack() as stack, crowd.busy():
         given_up = crowd.waiting("move ping right", stack)
         given_up.terminate()
-        assert given_up.wait(LIMIT) == 128 + signal.SIGTERM
+        assert given_up.wait(LONG) == 128 + signal.SIGTERM
     crowd.check_status(ping="left", pong="left")
 
 

@@ -6,10 +6,8 @@ import json
 import os
 import sqlite3
 import textwrap
-import threading
-import time
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -22,11 +20,11 @@ from poise.manage.migration.transition_run import transit
 from poise.model import load
 from poise.session.start import started
 from tests.command import robot_up, run_poise
-from tests.runtime.conftest import free_port, wait_until
+from tests.runtime.conftest import free_port
+from tests.waiting import wait_long, wait_until
 
 pytestmark = pytest.mark.slow
 
-LIMIT = 60.0
 NAME = f"asked{os.getpid()}"
 
 CODE = '''
@@ -251,14 +249,6 @@ def at_last(*words: str) -> str:
 
     wait_long(is_done)
     return said[-1]
-
-
-def wait_long(holds: Callable[[], bool]) -> None:
-    """Look a few times a second: how soon a shift is certain hangs on the machine."""
-    deadline = time.monotonic() + LIMIT
-    while not holds():
-        assert time.monotonic() < deadline
-        threading.Event().wait(0.2)
 
 
 def test_steps_taken_are_taken_back_when_one_fails(robot: Path) -> None:

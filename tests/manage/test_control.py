@@ -24,6 +24,8 @@ from poise.manage.control import (
 )
 from poise.wire import record_channel
 
+pytestmark = pytest.mark.slow
+
 LIMIT = 20.0
 
 

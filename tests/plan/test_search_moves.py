@@ -64,6 +64,7 @@ def after(placed: Placed, move: Move) -> Placed:
     ]
 
 
+@pytest.mark.slow
 @MANY
 @given(problems(), st.randoms(use_true_random=False))
 def test_every_search_move_is_worth_what_recomputing_says(
@@ -90,6 +91,7 @@ def test_every_search_move_is_worth_what_recomputing_says(
         before = expected.total
 
 
+@pytest.mark.slow
 @MANY
 @given(problems(), st.randoms(use_true_random=False))
 def test_excess_changes_by_what_each_search_move_was_weighed_at(

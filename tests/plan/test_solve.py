@@ -57,6 +57,7 @@ def test_auto_tries_a_second_proof_where_it_has_a_chance(
     assert made == tried
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("budget", [0.0, 1e-6, 1e-3, 0.05])
 def test_is_never_worse_than_the_greedy(budget: float) -> None:
     for seed in range(8):

@@ -30,6 +30,7 @@ def test_what_was_known_is_kept_though_each_search_forgets_it(seed: int) -> None
     assert engine.total(kept.placed) == pytest.approx(optimum.bound, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_best_of_all_short_searches_is_returned() -> None:
     """Each is short: what the last one ends at is rarely the best."""
     engine = Engine(tabulate(random_robot(2, 40, 8, load=0.6)))

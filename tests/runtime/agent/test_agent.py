@@ -33,7 +33,8 @@ from poise.wire.records.deployment import (
     Request,
 )
 from poise.wire.records.migration import Failed, Order, Retire
-from tests.runtime.conftest import LIMIT, free_port
+from tests.runtime.conftest import free_port
+from tests.waiting import LIMIT
 
 pytestmark = pytest.mark.slow
 

@@ -24,18 +24,10 @@ from poise.wire.connections.connection_channel import ConnectionChannel
 from poise.wire.connections.opening import CALLS, MESSAGES
 from poise.wire.connections.socket_path import socket_path
 from poise.wire.frame import LARGEST, Frame, Kind
-from tests.wire.conftest import (
-    LIMIT,
-    SHORT,
-    TEXT,
-    Receiver,
-    Wire,
-    both,
-    call,
-    message,
-    remote,
-    wait_until,
-)
+from tests.waiting import LIMIT, wait_until
+from tests.wire.conftest import SHORT, TEXT, Receiver, Wire, both, call, message, remote
+
+pytestmark = pytest.mark.slow
 
 
 @both
@@ -400,7 +392,6 @@ threading.Event().wait()
 
 
 @both
-@pytest.mark.slow
 def test_a_container_that_is_killed_during_a_call_is_unavailable(wire: Wire) -> None:
     argv = [sys.executable, "-c", BLOCKED, str(wire.folder)]
     with subprocess.Popen(argv, stdout=subprocess.PIPE) as killed:
