@@ -8,12 +8,15 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
+from poise.cli.interrupts import interrupts
 from poise.cli.options import Method, RobotFile, RobotTask
 from poise.session.placement import place
 from poise.session.render.shown import console_to
 from poise.session.robot_file import load, task_of
 from poise.session.up import up
 from poise.session.writable import to_write
+
+_LOOK_EVERY = 0.2
 
 
 def up_command(
@@ -52,16 +55,21 @@ def up_command(
 
     robot = load(file, say=say)
     chosen = task_of(robot, task)
-    with up(
-        robot,
-        chosen,
-        placement=place(robot, chosen, method=placement),
-        journal=journal,
-        metrics=metrics,
-        otel=otel,
-        record=record,
-        say=say,
-    ) as running:
+    with (
+        interrupts,
+        up(
+            robot,
+            chosen,
+            placement=place(robot, chosen, method=placement),
+            journal=journal,
+            metrics=metrics,
+            otel=otel,
+            record=record,
+            say=say,
+            check=interrupts.check,
+        ) as running,
+    ):
         say(f"robot '{robot.name}' is up with task '{chosen}'; Ctrl-C ends it")
-        running.wait()
+        while not running.wait(_LOOK_EVERY):
+            interrupts.check()
         say("stopping")

@@ -72,6 +72,8 @@ class Run:
             )
             for name, computer in placement.items()
         }
+        self.check: Callable[[], object] = _go_on
+        """Called at all news while all is started or watched; may raise to end that."""
         self._generation = 0
         self._told: dict[str, Deployment] = {}
 
@@ -312,6 +314,7 @@ class Run:
         ]
 
     def _raise_on_trouble(self) -> bool:
+        self.check()
         self.raise_on_lost()
         for component in components_of(self.agents.statuses()):
             if component.state == "failed":
@@ -329,6 +332,10 @@ class Run:
             self.journal.note("seen", f"the agent of '{names}' is gone")
             raise RunError(f"the agent of '{names}' is gone")
         return False
+
+
+def _go_on() -> None:
+    """Raise nothing."""
 
 
 def components_of(statuses: Mapping[str, AgentStatus]) -> Iterator[ComponentStatus]:

@@ -39,7 +39,7 @@ from poise.session.placement import Placement, runnable
 from poise.session.profiles import read_profile
 from poise.session.robot_file import task_of
 from poise.session.running import Running
-from poise.session.say import Say, log
+from poise.session.say import Check, Say, log, nothing
 from poise.session.start import Sampling, Started, started
 from poise.wire.records.recorded import Recorded
 from poise.wire.records.samples import AgentSample
@@ -81,6 +81,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     otel: str | None = None,
     record: Path | None = None,
     say: Say = log.info,
+    check: Check = nothing,
 ) -> Iterator[Up]:
     """Start a robot, keep it up inside the ``with`` block, and stop it afterwards.
 
@@ -100,6 +101,8 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         A file for what agents say of what is used; None: it is not kept.
     say
         Takes a sentence at every step. It may be called on another thread.
+    check
+        Called several times a second until it is up; may raise `KeyboardInterrupt`.
 
     Raises
     ------
@@ -127,7 +130,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
             )
         samples = Samples(estimates, recording if record else None, say)
         it = stack.enter_context(
-            started(robot, placed.where, book, say, Sampling(samples.take))
+            started(robot, placed.where, book, say, Sampling(samples.take), check)
         )
         agents = it.run.agents
         if metrics is not None:

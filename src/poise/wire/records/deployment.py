@@ -226,6 +226,25 @@ class ConnectorStatus(Struct, frozen=True, kw_only=True):
     latency_error: float = 0.0
 
 
+class ErrorCount(Struct, frozen=True, kw_only=True):
+    """Errors of one type that one line of a component's code raised.
+
+    Parameters
+    ----------
+    where
+        The hook, timer or port whose code raised them.
+    text
+        The first one's traceback.
+    first
+        When that was [s since 1970].
+    """
+
+    where: str
+    text: str
+    first: float
+    count: int
+
+
 class ComponentStatus(Struct, frozen=True, kw_only=True):
     """A component as its container sees it.
 
@@ -233,6 +252,10 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
     ----------
     error
         The last traceback, or empty.
+    error_counts
+        The errors by line and type, in the order in which they first came.
+    handler, handler_seconds
+        The timer or port whose code its thread runs now, and for how long already [s].
     cpu
         CPU time of its own code, whoever's thread ran it [s].
     start
@@ -240,8 +263,8 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
         program ran [s].
     snapshot
         Size of its snapshot, if that was taken [bytes].
-    requires
-        Its ports over which it calls others.
+    requires, subscribes
+        Its ports over which it calls others, and those to which messages come.
     """
 
     name: str
@@ -249,10 +272,14 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
     state: State
     error: str = ""
     errors: int = 0
+    error_counts: tuple[ErrorCount, ...] = ()
+    handler: str = ""
+    handler_seconds: float = 0.0
     cpu: float = 0.0
     start: float = 0.0
     snapshot: int = 0
     requires: tuple[str, ...] = ()
+    subscribes: tuple[str, ...] = ()
     timers: tuple[TimerStatus, ...] = ()
     measures: Mapping[str, Summary] = {}
 
