@@ -178,6 +178,7 @@ def test_cpsat_is_never_worse_than_the_greedy() -> None:
     assert result.feasible
 
 
+@pytest.mark.slow
 def test_cpsat_agrees_with_branch_and_bound() -> None:
     pytest.importorskip("ortools")
     for spread in ("range", "variance"):
