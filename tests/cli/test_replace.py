@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from poise.manage.control import AskStatus, RobotStatus, ask
+from poise.manage.control_socket.client import send_command
+from poise.manage.control_socket.records import RobotStatus, StatusCommand
 from tests.command import robot_up, run_poise
 from tests.manage.agents import Told
 from tests.manage.migration.test_replacement import CODE
@@ -80,7 +81,7 @@ def replace(*words: str) -> tuple[int, str]:
 
 
 def run_now(*names: str) -> bool:
-    answer = ask(NAME, AskStatus())
+    answer = send_command(NAME, StatusCommand())
     assert isinstance(answer, RobotStatus)
     there = {
         component.name

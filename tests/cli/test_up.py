@@ -13,7 +13,13 @@ from pathlib import Path
 import pytest
 
 from poise.errors import PoiseError, UsageError
-from poise.manage.control import AskBalance, AskStatus, Balanced, RobotStatus, ask
+from poise.manage.control_socket.client import send_command
+from poise.manage.control_socket.records import (
+    RebalanceCommand,
+    Rebalanced,
+    RobotStatus,
+    StatusCommand,
+)
 from poise.manage.journal import Journal
 from poise.manage.migration.transition import plan_transition
 from poise.manage.migration.transition_run import transit
@@ -137,7 +143,7 @@ def poise(*words: str) -> tuple[int, str]:
 
 
 def status() -> RobotStatus:
-    answer = ask(NAME, AskStatus())
+    answer = send_command(NAME, StatusCommand())
     assert isinstance(answer, RobotStatus)
     return answer
 
@@ -231,10 +237,10 @@ def is_steady() -> bool:
 
 def is_better_elsewhere() -> bool:
     try:
-        answer = ask(NAME, AskBalance(0.01, dry=True))
+        answer = send_command(NAME, RebalanceCommand(0.01, dry=True))
     except UsageError:  # right after a shift, it may seem to need too much
         return False
-    assert isinstance(answer, Balanced)
+    assert isinstance(answer, Rebalanced)
     return bool(answer.proposal.steps)
 
 

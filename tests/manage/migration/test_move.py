@@ -667,7 +667,7 @@ def test_the_gate_opens_without_waiting_for_why_an_agent_is_silent(
         return why(self, computer, limit, patience)
 
     monkeypatch.setattr(Agents, "_why_silent", noting)
-    monkeypatch.setattr("poise.manage.agents._NEWS", LIMIT)
+    monkeypatch.setattr("poise.manage.agents._LOSS_DELAY", LIMIT)
     monkeypatch.setattr("poise.manage.migration.coordinator.GATE_LIMIT", 0.5)
     run = mortal.start("Counter")
     right = mortals.processes["right"]
