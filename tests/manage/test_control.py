@@ -26,7 +26,7 @@ from poise.manage.control_socket.records import (
     StopCommand,
     StopReport,
 )
-from poise.manage.control_socket.server import ControlServer
+from poise.manage.control_socket.server import ControlServer, Submit
 from poise.wire import record_channel
 from tests.runtime.conftest import wait_until
 
@@ -63,12 +63,10 @@ class Manager:
         return future
 
 
-def answering(result: Result | Refusal) -> Manager:
-    manager = Manager()
+def answering(result: Result | Refusal) -> Submit:
     done: Future[Result | Refusal] = Future()
     done.set_result(result)
-    manager.submit = lambda _: done  # type: ignore[method-assign]
-    return manager
+    return lambda _: done
 
 
 def test_returns_the_managers_result(server: ControlServer) -> None:
@@ -102,7 +100,7 @@ def test_a_refusal_is_the_clients_error(
     server: ControlServer, error: type[Exception]
 ) -> None:
     refusal = Refusal.from_error(error("not today"))  # type: ignore[arg-type]
-    server.start(answering(refusal).submit)
+    server.start(answering(refusal))
     with pytest.raises(error, match="not today"):
         send_command("first", StopCommand())
 
@@ -133,7 +131,7 @@ def test_a_client_that_waits_is_refused_when_the_robot_stops(folder: Path) -> No
 
 
 def test_a_silent_client_holds_up_nobody(server: ControlServer, folder: Path) -> None:
-    server.start(answering(StopReport()).submit)
+    server.start(answering(StopReport()))
     with contextlib.ExitStack() as stack:
         for _ in range(20):
             client = stack.enter_context(socket.socket(socket.AF_UNIX))
