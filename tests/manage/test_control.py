@@ -28,7 +28,7 @@ from poise.manage.control_socket.records import (
 )
 from poise.manage.control_socket.server import ControlServer, Submit
 from poise.wire import record_channel
-from tests.runtime.conftest import wait_until
+from tests.waiting import wait_until
 
 pytestmark = pytest.mark.slow
 
