@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 NATIVE := $(shell find src CMakeLists.txt -name '*.cpp' -o -name '*.h' -o -name CMakeLists.txt)
 
-.PHONY: setup demo quick test soak coverage lint sanitize clean
+.PHONY: setup demo test lint stubs sanitize clean
 setup: .venv/.ready
 
 .venv/.ready: pyproject.toml $(NATIVE)
@@ -16,32 +16,21 @@ setup: .venv/.ready
 demo: setup
 	@$(BIN)/poise demo
 
-# what takes long comes first (tests/order.py), so that both workers end together
-PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadgroup --no-loadscope-reorder
 test: setup
-	@$(PYTEST)
-
-# no process, no socket, no sleep
-quick: setup
-	@$(PYTEST) -m "not slow"
-
-# again and again, in random order, beside other work: make soak FOR=2h
-FOR ?= 1h
-soak: setup
-	@$(BIN)/python -m tests.soak $(FOR)
-
-# lines and branches of src/poise that no test reaches, in all processes
-coverage: setup
-	@rm -rf build/coverage && mkdir -p build/coverage
-	@$(BIN)/coverage run -m pytest -q -n 2 --dist loadgroup --no-loadscope-reorder
-	@$(BIN)/coverage combine --quiet
-	@$(BIN)/coverage report
+	@$(BIN)/python -m pytest -q -n 2 --dist loadfile
 
 lint: setup
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
+
+# The stub of the planner's core, as its signatures in module.cpp say. Those of the other
+# native modules are written by hand; tests/test_stubs.py holds all of them to the code.
+stubs: setup
+	@$(BIN)/python -m nanobind.stubgen -q -m poise.plan._core -o src/poise/plan/_core.pyi
+	@$(BIN)/ruff check -q --fix src/poise/plan/_core.pyi
+	@$(BIN)/ruff format -q src/poise/plan/_core.pyi
 
 # All native code under the address and undefined-behaviour sanitizers; without pytest's
 # capture, which would swallow what they say.
@@ -56,7 +45,7 @@ sanitize: setup
 	  cp build/sanitize/src/poise/$$part/native/*.so build/sanitize/site/poise/$$part; done
 	@LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" ASAN_OPTIONS=detect_leaks=0 \
 	  PYTHONPATH=build/sanitize/site:$(SITE) $(BIN)/python -S -m pytest -q -s --timeout 600 \
-	  tests/plan/test_engine.py tests/plan/test_core_boundary.py \
+	  tests/plan/test_native.py tests/plan/test_feasibility.py tests/plan/test_core_boundary.py \
 	  tests/wire/test_filling.py tests/wire/test_frame.py tests/wire/connections/test_connection.py \
 	  tests/wire/connections/test_channel.py \
 	  tests/runtime/connectors tests/runtime/execution/test_histogram.py tests/runtime/hosting/test_stats_page.py \

@@ -5,8 +5,8 @@ from __future__ import annotations
 from random import Random
 from typing import Literal
 
-from poise.model.robot import Objective
-from poise.plan import Component, Computer, Connector, Problem
+from poise.model.robot import Computer, Objective
+from poise.plan import Edge, Item, Problem
 
 
 def random_robot(  # noqa: PLR0913 - the knobs of the generator
@@ -40,7 +40,7 @@ def random_robot(  # noqa: PLR0913 - the knobs of the generator
     pairs = _connectors(random, components, degree)
     return Problem(
         components=tuple(
-            Component(
+            Item(
                 name=name,
                 demand={r: amounts[i] for r, amounts in demands.items()},
                 only=_only(random, names, pinned),
@@ -52,7 +52,7 @@ def random_robot(  # noqa: PLR0913 - the knobs of the generator
             for name, size in zip(names, capacity, strict=True)
         ),
         connectors=tuple(
-            Connector(between=(parts[i], parts[j]), overhead=random.uniform(0.1, 3))
+            Edge(between=(parts[i], parts[j]), overhead=random.uniform(0.1, 3))
             for i, j in pairs
         ),
         objective=Objective(spread=spread),

@@ -1,72 +1,43 @@
-"""Fleets of up to a million components, straight into the core."""
+"""How good a placement of a fleet is, and how long that takes."""
 
 from __future__ import annotations
 
-from array import array
-from random import Random
+from benchmarks.placement.table import seconds, show
+from benchmarks.random_robots import random_robot
+from poise import plan
 
-from poise.plan._core import Core
+FLEETS = ((1_000, 20), (1_000, 100), (10_000, 100))
+"""Components and computers."""
+LOAD = 0.75
+PINNED = (0.0, 0.02)
+BUDGET = 5.0
 
 
-def agents(components: int, computers: int, seed: int = 1, load: float = 0.7) -> Core:
-    """Return a fleet of robots like those of `random_robots`, as flat tables."""
-    random = Random(seed)
-    demand = array("d", (random.lognormvariate(0, 0.7) for _ in range(2 * components)))
-    for k in (0, 1):
-        factor = load * computers / sum(demand[k::2])
-        for i in range(k, 2 * components, 2):
-            demand[i] *= factor
-    first, second, overhead = _connectors(random, components)
-    size = array("d", (demand[2 * i] + demand[2 * i + 1] for i in range(components)))
-    capacity = array("d", [1.0]) * (2 * computers)
-    none, nobody = array("d"), array("i")
-    return Core(
-        components,
-        computers,
-        2,
-        demand,
-        capacity,
-        capacity,
-        size,
-        nobody,
-        array("i", [0]),
-        nobody,
-        first,
-        second,
-        overhead,
-        array("d", bytes(8 * len(first))),
-        none,
-        none,
-        none,
-        nobody,
-        nobody,
-        0.5 / sum(overhead),
-        array("d", [0.25, 0.25]),
-        True,
-        False,
+def run(*, quick: bool) -> list[list[str]]:
+    """Return a row for each fleet: F by the greedy, and by `auto` in five seconds."""
+    rows = []
+    for n, m in FLEETS[:1] if quick else FLEETS:
+        for pinned in PINNED:
+            problem = random_robot(1, n, m, load=LOAD, pinned=pinned)
+            greedy = plan.solve(problem, method="greedy")
+            best = plan.solve(problem, BUDGET, why=False)
+            rows.append(
+                [
+                    f"{n} x {m}",
+                    f"{pinned:.0%}",
+                    _total(greedy),
+                    seconds(greedy.seconds),
+                    _total(best),
+                    seconds(best.seconds),
+                ]
+            )
+    show(
+        f"Fleets at {LOAD:.0%} load",
+        ["size", "pinned", "F, greedy", "in", "F, `auto`", "in"],
+        rows,
     )
+    return rows
 
 
-def _connectors(
-    random: Random, components: int
-) -> tuple[array[int], array[int], array[float]]:
-    first, second, overhead = array("i"), array("i"), array("d")
-
-    def connect(i: int, j: int) -> None:
-        first.append(i)
-        second.append(j)
-        overhead.append(random.uniform(0.1, 3))
-
-    start = 0
-    while start < components:
-        size = min(random.randint(3, 8), components - start)
-        for i in range(start + 1, start + size):
-            connect(random.randrange(start, i), i)
-        for _ in range(size // 2):
-            i, j = (random.randrange(start, start + size) for _ in range(2))
-            if i != j:
-                connect(i, j)
-        if start:
-            connect(random.randrange(start), start)
-        start += size
-    return first, second, overhead
+def _total(result: plan.Result) -> str:
+    return "none" if result.objective is None else f"{result.objective.total:.4f}"

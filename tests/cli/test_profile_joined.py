@@ -10,7 +10,8 @@ import pytest
 from poise.estimate.profile import Profile
 from poise.estimate.profile import file as profile_file
 from poise.estimate.profile.store import Store
-from tests.command import Poise
+
+from .conftest import Poise
 
 ROBOT = """\
 robot: joined

@@ -10,7 +10,8 @@ from poise.estimate.profile import file as profile_file
 from poise.manage.observe.recording import load
 from poise.runtime.component.implementation import find_type
 from poise.runtime.connectors.interface import methods
-from tests.command import Poise
+
+from .conftest import Poise
 
 ROBOT = """\
 robot: asked

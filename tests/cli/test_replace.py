@@ -5,16 +5,16 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from poise.manage.control_socket.client import send_command
-from poise.manage.control_socket.records import RobotStatus, StatusCommand
-from tests.command import robot_up, run_poise
+from poise.manage.control import AskStatus, RobotStatus, ask
+from tests.command import LIMIT, robot_up, run_poise
 from tests.manage.agents import Told
 from tests.manage.migration.test_replacement import CODE
-from tests.waiting import wait_long
+from tests.runtime.conftest import wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -63,6 +63,7 @@ connectors:
 tasks:
   add: {{actions: [{{name: add, functions: [ends, adding]}}]}}
 """
+wait_long = partial(wait_until, limit=LIMIT)
 
 
 @pytest.fixture
@@ -81,7 +82,7 @@ def replace(*words: str) -> tuple[int, str]:
 
 
 def run_now(*names: str) -> bool:
-    answer = send_command(NAME, StatusCommand())
+    answer = ask(NAME, AskStatus())
     assert isinstance(answer, RobotStatus)
     there = {
         component.name

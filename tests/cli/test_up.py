@@ -6,31 +6,27 @@ import json
 import os
 import sqlite3
 import textwrap
+import threading
+import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from poise.errors import PoiseError, UsageError
-from poise.manage.control_socket.client import send_command
-from poise.manage.control_socket.records import (
-    RebalanceCommand,
-    Rebalanced,
-    RobotStatus,
-    StatusCommand,
-)
+from poise.manage.control import AskBalance, AskStatus, Balanced, RobotStatus, ask
 from poise.manage.journal import Journal
 from poise.manage.migration.transition import plan_transition
 from poise.manage.migration.transition_run import transit
 from poise.model import load
 from poise.session.start import started
 from tests.command import robot_up, run_poise
-from tests.runtime.conftest import free_port
-from tests.waiting import wait_long, wait_until
+from tests.runtime.conftest import free_port, wait_until
 
 pytestmark = pytest.mark.slow
 
+LIMIT = 60.0
 NAME = f"asked{os.getpid()}"
 
 CODE = '''
@@ -143,7 +139,7 @@ def poise(*words: str) -> tuple[int, str]:
 
 
 def status() -> RobotStatus:
-    answer = send_command(NAME, StatusCommand())
+    answer = ask(NAME, AskStatus())
     assert isinstance(answer, RobotStatus)
     return answer
 
@@ -237,10 +233,10 @@ def is_steady() -> bool:
 
 def is_better_elsewhere() -> bool:
     try:
-        answer = send_command(NAME, RebalanceCommand(0.01, dry=True))
+        answer = ask(NAME, AskBalance(0.01, dry=True))
     except UsageError:  # right after a shift, it may seem to need too much
         return False
-    assert isinstance(answer, Rebalanced)
+    assert isinstance(answer, Balanced)
     return bool(answer.proposal.steps)
 
 
@@ -255,6 +251,14 @@ def at_last(*words: str) -> str:
 
     wait_long(is_done)
     return said[-1]
+
+
+def wait_long(holds: Callable[[], bool]) -> None:
+    """Look a few times a second: how soon a shift is certain hangs on the machine."""
+    deadline = time.monotonic() + LIMIT
+    while not holds():
+        assert time.monotonic() < deadline
+        threading.Event().wait(0.2)
 
 
 def test_steps_taken_are_taken_back_when_one_fails(robot: Path) -> None:

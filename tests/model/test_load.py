@@ -81,7 +81,7 @@ def test_reads_computers_devices_and_links(robot_file: Path) -> None:
             name="main",
             capacity={"cpu": 1.0, "memory": 1024.0**3, "gpu": 1.0},
             speed=0.5,
-            reserve={"cpu": 0.05, "memory": 0.05, "gpu": 0.05},
+            reserve={"cpu": 0.05, "memory": 0.05},
         ),
         Computer(
             name="vision",

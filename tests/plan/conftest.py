@@ -2,8 +2,8 @@
 
 import pytest
 
-from poise.model.robot import Objective
-from poise.plan import Component, Computer, Connector, Problem
+from poise.model.robot import Computer, Objective
+from poise.plan import Edge, Item, Problem
 
 
 @pytest.fixture
@@ -13,7 +13,7 @@ def paper_example() -> Problem:
     overheads = {("C1", "C2"): 1.5, ("C1", "C3"): 1.0, ("C2", "C3"): 2.0}
     return Problem(
         components=tuple(
-            Component(name=name, demand={"cpu": cpu, "memory": memory})
+            Item(name=name, demand={"cpu": cpu, "memory": memory})
             for name, (cpu, memory) in demands.items()
         ),
         computers=tuple(
@@ -21,7 +21,7 @@ def paper_example() -> Problem:
             for name in ("SBC1", "SBC2")
         ),
         connectors=tuple(
-            Connector(between=pair, overhead=overhead)
+            Edge(between=pair, overhead=overhead)
             for pair, overhead in overheads.items()
         ),
         objective=Objective(
@@ -38,14 +38,14 @@ def two_computers() -> Problem:
     """Return two chatting pairs on a large and a small computer."""
     return Problem(
         components=tuple(
-            Component(name=name, demand={"cpu": 1.0}) for name in ("a", "b", "c", "d")
+            Item(name=name, demand={"cpu": 1.0}) for name in ("a", "b", "c", "d")
         ),
         computers=(
             Computer(name="large", capacity={"cpu": 4.0}),
             Computer(name="small", capacity={"cpu": 2.0}),
         ),
         connectors=(
-            Connector(between=("a", "b"), overhead=3.0),
-            Connector(between=("c", "d"), overhead=1.0),
+            Edge(between=("a", "b"), overhead=3.0),
+            Edge(between=("c", "d"), overhead=1.0),
         ),
     )

@@ -2,8 +2,8 @@
 
 from hypothesis import strategies as st
 
-from poise.model.robot import Objective
-from poise.plan import Component, Computer, Connector, Link, Problem
+from poise.model.robot import Computer, Objective
+from poise.plan import Edge, Item, LinkCapacity, Problem
 
 AMOUNTS = st.sampled_from([0.0, 0.1, 0.25, 0.5, 1.0, 1.5, 3.0])
 SHARES = st.sampled_from([0.0, 0.5, 1.0, 2.0])
@@ -25,7 +25,7 @@ def problems(
     )
     return Problem(
         components=tuple(
-            Component(
+            Item(
                 name=name,
                 demand={r: draw(AMOUNTS) for r in resources},
                 only=tuple(draw(_some(computers))),
@@ -44,7 +44,7 @@ def problems(
             for name in computers
         ),
         connectors=tuple(
-            Connector(between=pair, overhead=draw(AMOUNTS), traffic=draw(AMOUNTS))
+            Edge(between=pair, overhead=draw(AMOUNTS), traffic=draw(AMOUNTS))
             for pair in (draw(pairs) if n else [])
         ),
         links=tuple(draw(_links(computers))),
@@ -85,11 +85,11 @@ def _groups(names: list[str]) -> st.SearchStrategy[tuple[tuple[str, ...], ...]]:
 
 
 @st.composite
-def _links(draw: st.DrawFn, names: list[str]) -> list[Link]:
+def _links(draw: st.DrawFn, names: list[str]) -> list[LinkCapacity]:
     if len(names) < 2 or draw(st.integers(0, 3)):
         return []
     bandwidth = draw(st.sampled_from([0.0, 1.0, 3.0]))
-    return [Link(between=(names[0], names[1]), bandwidth=bandwidth)]
+    return [LinkCapacity(between=(names[0], names[1]), bandwidth=bandwidth)]
 
 
 @st.composite

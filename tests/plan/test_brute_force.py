@@ -8,9 +8,10 @@ import pytest
 from msgspec.structs import replace
 
 from poise import plan
-from poise.model.robot import Objective
-from poise.plan import Architecture, Component, Computer, Connector, Problem, objective
-from poise.plan.limits import violations
+from poise.model.robot import Computer, Objective
+from poise.plan import Bundle, Edge, Item, Problem
+from poise.plan.reference import objective
+from poise.plan.reference.limits import violations
 from poise.plan.tables import tabulate
 
 
@@ -21,7 +22,7 @@ def problem(random: Random, components: int, computers: int) -> Problem:
     ties = itertools.combinations(names, 2)
     return Problem(
         components=tuple(
-            Component(
+            Item(
                 name=name,
                 demand={r: random.choice([0.0, 0.5, 1.0, 1.5]) for r in ("cpu", "x")},
                 only=(random.choice(places),) if random.random() < 0.2 else (),
@@ -37,7 +38,7 @@ def problem(random: Random, components: int, computers: int) -> Problem:
             for name in places
         ),
         connectors=tuple(
-            Connector(between=pair, overhead=random.random())
+            Edge(between=pair, overhead=random.random())
             for pair in ties
             if random.random() < 0.4
         ),
@@ -109,11 +110,11 @@ def test_smallest_counts_only_the_alternative_that_is_chosen() -> None:
     """Both alternatives together need more than one computer has; one fits."""
     asked = Problem(
         components=tuple(
-            Component(name=name, demand={"cpu": 1.0}) for name in ("good", "plain")
+            Item(name=name, demand={"cpu": 1.0}) for name in ("good", "plain")
         ),
         computers=tuple(Computer(name=h, capacity={"cpu": 1.0}) for h in ("a", "b")),
         architectures=tuple(
-            Architecture(name=name, components=(name,), function="see", quality=quality)
+            Bundle(name=name, components=(name,), function="see", quality=quality)
             for name, quality in (("good", 1.0), ("plain", 0.5))
         ),
     )
@@ -127,7 +128,7 @@ def with_architectures(random: Random, functions: list[str]) -> Problem:
         asked,
         components=tuple(replace(c, only=()) for c in asked.components),
         architectures=tuple(
-            Architecture(
+            Bundle(
                 name=f"a{i}",
                 components=(f"c{2 * i}", f"c{2 * i + 1}"),
                 function=function,
@@ -139,7 +140,7 @@ def with_architectures(random: Random, functions: list[str]) -> Problem:
     )
 
 
-def without(asked: Problem, dropped: tuple[Architecture, ...]) -> Problem:
+def without(asked: Problem, dropped: tuple[Bundle, ...]) -> Problem:
     parts = {name for a in dropped for name in a.components}
     return plan.keep_components(asked, {c.name for c in asked.components} - parts)
 

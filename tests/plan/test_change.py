@@ -5,7 +5,8 @@ from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import UsageError
-from poise.plan import Computer, Problem
+from poise.model.robot import Computer
+from poise.plan import Problem
 
 
 def test_without_a_computer_all_goes_to_the_others(two_computers: Problem) -> None:

@@ -12,23 +12,22 @@ from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import PoiseError, RobotError, UsageError
-from poise.model.robot import Objective
-from poise.plan import Architecture, Component, Computer, Connector, Link, Problem
+from poise.model.robot import Computer, Objective
+from poise.plan import Bundle, Edge, Item, LinkCapacity, Problem
 from tests.plan.plan_problems import problems
 
 
 def test_reports_all_problems_at_once() -> None:
-    problem = Problem(
-        components=(
-            Component(name="camera", demand={"cpu": nan}, only=("mian",)),
-            Component(name="camera"),
-        ),
-        computers=(Computer(name="main", capacity={"cpu": -1}, speed=0),),
-        connectors=(Connector(between=("camera", "tracker"), overhead=inf),),
-        objective=Objective(communication=nan),
-    )
     with pytest.raises(RobotError) as caught:
-        plan.solve(problem)
+        Problem(
+            components=(
+                Item(name="camera", demand={"cpu": nan}, only=("mian",)),
+                Item(name="camera"),
+            ),
+            computers=(Computer(name="main", capacity={"cpu": -1}, speed=0),),
+            connectors=(Edge(between=("camera", "tracker"), overhead=inf),),
+            objective=Objective(communication=nan),
+        )
     for expected in (
         "component 'camera' is there 2 times",
         "demand of cpu is nan",
@@ -45,12 +44,13 @@ def test_reports_all_problems_at_once() -> None:
 def robot(number: float = 1.0, **more: Any) -> Problem:
     """Return a component on two computers that asks for `number`."""
     return Problem(
-        components=(Component(name="a", demand={"cpu": number}), Component(name="b")),
+        components=(Item(name="a", demand={"cpu": number}), Item(name="b")),
         computers=(Computer(name="one", capacity={"cpu": 1.0}), Computer(name="two")),
         **more,
     )
 
 
+text: Any = "1"
 HUGE = pytest.param(-(10**5000), id="huge")
 WRONG = [nan, inf, -inf, -1.0, 1e31, 1e300, 5e-324, 10**400, HUGE]
 
@@ -97,7 +97,7 @@ def _component(**fields: Any) -> Problem:
 
 
 def _joined(**fields: Any) -> Problem:
-    return robot(connectors=(Connector(**{"between": ("a", "b"), **fields}),))
+    return robot(connectors=(Edge(**{"between": ("a", "b"), **fields}),))
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.0, nan, inf])
@@ -115,53 +115,58 @@ def test_refuses_a_cost_out_of_range(cost: float) -> None:
 @pytest.mark.parametrize("bandwidth", [nan, -1.0, -inf, 1e31])
 def test_refuses_a_bandwidth_out_of_range(bandwidth: float) -> None:
     with pytest.raises(RobotError, match="link one - two: bandwidth"):
-        plan.solve(robot(links=(Link(between=("one", "two"), bandwidth=bandwidth),)))
+        plan.solve(
+            robot(links=(LinkCapacity(between=("one", "two"), bandwidth=bandwidth),))
+        )
 
 
 @pytest.mark.parametrize(
     ("problem", "message"),
     [
-        (robot("1"), r"Expected `float`, got `str` - at `\$.components"),  # type: ignore[arg-type]
-        (robot(None), "got `null`"),  # type: ignore[arg-type]
-        (replace(robot(), components=("a",)), r"got `str` - at `\$.components"),
-        (_computer(name=7), "computer 7: a name must be text"),
-        (robot(together=(("a", "a"),)), "together: 'a' is there 2 times"),
-        (robot(apart=(("b", "a", "b"),)), "apart: 'b' is there 2 times"),
-        (robot(apart=(("a", "c"),)), "apart: no component is called 'c'"),
+        (lambda: robot("1"), r"Expected `float`, got `str` - at `components"),  # type: ignore[arg-type]
+        (lambda: robot(None), "got `null`"),  # type: ignore[arg-type]
+        (lambda: replace(robot(), components=("a",)), r"got `str` - at `components"),
+        (lambda: _computer(name=7), "computer 7: a name must be text"),
+        (lambda: robot(together=(("a", "a"),)), "together: 'a' is there 2 times"),
+        (lambda: robot(apart=(("b", "a", "b"),)), "apart: 'b' is there 2 times"),
+        (lambda: robot(apart=(("a", "c"),)), "apart: no component is called 'c'"),
         (
-            _component(only="one"),
+            lambda: _component(only="one"),
             "component 'a': only is the text 'one', must be names",
         ),
-        (_joined(between="ab"), "connector: between is the text 'ab'"),
-        (robot(together=("ab",)), "together: a set is the text 'ab'"),
-        (robot(apart="ab"), r"apart is the text 'ab', .* such as \['ab'\]$"),
-        (_component(present="tow"), "did you mean 'two'"),
-        (_joined(between=("a",)), "connector between a: it must join two"),
-        (robot(objective=Objective(scale="papr")), "scale is 'papr', must be"),  # type: ignore[arg-type]
-        (robot(objective=Objective(spread="std")), "spread is 'std', must be"),  # type: ignore[arg-type]
+        (lambda: _joined(between="ab"), "connector: between is the text 'ab'"),
+        (lambda: robot(together=("ab",)), "together: a set is the text 'ab'"),
+        (lambda: robot(apart="ab"), r"apart is the text 'ab', .* such as \['ab'\]$"),
+        (lambda: _component(present="tow"), "did you mean 'two'"),
+        (lambda: _joined(between=("a",)), "connector between a: it must join two"),
+        (lambda: robot(objective=Objective(scale="papr")), "scale is 'papr', must be"),  # type: ignore[arg-type]
+        (lambda: robot(objective=Objective(spread="std")), "spread is 'std', must be"),  # type: ignore[arg-type]
         (
-            robot(links=(Link(between=("one", "one"), bandwidth=1.0),)),
+            lambda: robot(links=(LinkCapacity(between=("one", "one"), bandwidth=1.0),)),
             "link between one, one: it must join two",
         ),
         (
-            robot(architectures=(Architecture(name="A", components=("x",)),)),
+            lambda: robot(architectures=(Bundle(name="A", components=("x",)),)),
             "architecture 'A': no component is called 'x'",
         ),
         (
-            robot(architectures=(Architecture(name="A", components=(), priority="1"),)),  # type: ignore[arg-type]
+            lambda: robot(
+                architectures=(Bundle(name="A", components=(), priority=text),)
+            ),
             "priority is '1', must be a whole number",
         ),
     ],
 )
-def test_refuses_what_makes_no_sense(problem: Problem, message: str) -> None:
+def test_refuses_what_makes_no_sense(
+    problem: Callable[[], Problem], message: str
+) -> None:
     with pytest.raises(RobotError, match=message):
-        plan.solve(problem)
+        problem()
 
 
 EXTREMES = st.sampled_from([0.0, 1e-30, 1e-15, 1.0, 1e15, 1e30, 10**29])
 
 
-@pytest.mark.slow
 @settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
 @given(problems(most_components=5, most_computers=3), st.data())
 def test_every_number_in_range_is_solved(problem: Problem, data: st.DataObject) -> None:
@@ -187,18 +192,19 @@ def test_every_number_in_range_is_solved(problem: Problem, data: st.DataObject) 
             problem.objective, **some(communication="", balance="", weights="map")
         ),
     )
+    parts = problem.components
     for method in ("auto", "greedy", "search"):
         result = plan.solve(problem, steps=500, method=method)
         assert result.feasible == (len(result.placement) == len(problem.components))
         if result.objective is not None:
             assert isfinite(result.objective.total)
-            assert result.bound is not None
-            assert result.bound <= result.objective.total
+            assert result.bound is not None or not any(c.demand for c in parts)
+            assert (result.bound or 0.0) <= result.objective.total
 
 
 def test_components_may_ask_for_nothing() -> None:
     problem = Problem(
-        components=(Component(name="a"), Component(name="b")),
+        components=(Item(name="a"), Item(name="b")),
         computers=(Computer(name="one"), Computer(name="two")),
     )
     for method in ("auto", "greedy", "exact", "search"):
@@ -213,7 +219,7 @@ def test_places_nothing_when_there_is_nothing_to_place() -> None:
 
 def test_refuses_components_without_computers() -> None:
     with pytest.raises(RobotError, match="no computers"):
-        plan.solve(Problem(components=(Component(name="a"),)))
+        plan.solve(Problem(components=(Item(name="a"),)))
 
 
 def test_an_empty_problem_is_solved() -> None:
@@ -232,35 +238,32 @@ def test_takes_any_other_budget(two_computers: Problem, budget: float) -> None:
 
 
 def test_refuses_a_matrix_of_the_wrong_shape() -> None:
-    problem = Problem(
-        components=(Component(name="a"),),
-        computers=(Computer(name="one"), Computer(name="two")),
-        distance=((0.0, 1.0),),
-        cost=((0.0,),),
-    )
     with pytest.raises(RobotError, match="distance is 1 x") as caught:
-        plan.solve(problem)
+        Problem(
+            components=(Item(name="a"),),
+            computers=(Computer(name="one"), Computer(name="two")),
+            distance=((0.0, 1.0),),
+            cost=((0.0,),),
+        )
     assert "cost is 1 x" in str(caught.value)
 
 
 def test_refuses_a_lopsided_distance() -> None:
-    problem = Problem(
-        components=(Component(name="a"),),
-        computers=(Computer(name="one"), Computer(name="two")),
-        distance=((0.0, 1.0), (2.0, 0.0)),
-    )
     with pytest.raises(RobotError, match="one way"):
-        plan.solve(problem)
+        Problem(
+            components=(Item(name="a"),),
+            computers=(Computer(name="one"), Computer(name="two")),
+            distance=((0.0, 1.0), (2.0, 0.0)),
+        )
 
 
 def test_refuses_a_distance_of_a_computer_to_itself() -> None:
-    problem = Problem(
-        components=(Component(name="a"),),
-        computers=(Computer(name="one"), Computer(name="two")),
-        distance=((0.0, 1.0), (1.0, 0.5)),
-    )
     with pytest.raises(RobotError, match="'two' to itself is 0"):
-        plan.solve(problem)
+        Problem(
+            components=(Item(name="a"),),
+            computers=(Computer(name="one"), Computer(name="two")),
+            distance=((0.0, 1.0), (1.0, 0.5)),
+        )
 
 
 @pytest.mark.parametrize(

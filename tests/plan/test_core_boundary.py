@@ -1,6 +1,6 @@
 """The boundary of the C++ core: whatever comes in, an error or an answer comes out."""
 
-from array import array
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,13 +14,15 @@ GOOD: dict[str, Any] = {
     "n": 2,
     "m": 2,
     "r": 1,
+    "index": {"a": 0, "b": 1},
+    "unit_of": [0, 1],
+    "resources": ("cpu",),
+    "component_demand": [1.0, 1.0],
     "demand": [1.0, 1.0],
     "capacity": [2.0, 2.0],
     "limit": [2.0, 2.0],
-    "size": [1.0, 1.0],
-    "restricted": [0],
-    "offsets": [0, 1],
-    "allowed": [1],
+    "size_weight": [1.0],
+    "allowed": {0: (1,)},
     "first": [0],
     "second": [1],
     "overhead": [1.0],
@@ -28,13 +30,19 @@ GOOD: dict[str, Any] = {
     "distance": [],
     "cost": [],
     "bandwidth": [],
-    "apart_first": [],
-    "apart_second": [],
+    "apart": [],
     "communication": 0.5,
     "spread": [0.5],
     "share": True,
     "variance": False,
 }
+
+
+def core_of(**wrong: Any) -> Core:
+    """Return the core of two components on two computers, but for what is wrong."""
+    return Core(SimpleNamespace(**{**GOOD, **wrong}))
+
+
 NUMBERS = st.one_of(
     st.floats(), st.integers(-3, 3), st.sampled_from([1 << 31, 1 << 63, -1, 1 << 80])
 )
@@ -55,28 +63,27 @@ ANYTHING = st.one_of(
 )
 
 
-@pytest.mark.slow
 @settings(max_examples=600, suppress_health_check=[HealthCheck.too_slow])
 @given(st.dictionaries(st.sampled_from(sorted(GOOD)), ANYTHING, max_size=3), ANYTHING)
 def test_nothing_crashes_the_interpreter(wrong: dict[str, Any], known: object) -> None:
     try:
-        core = Core(**{**GOOD, **wrong})
+        core = core_of(**wrong)
         core.greedy()
         core.bound()
         core.exact([], 0.01, 1000)
         core.search([], 0.01, 1000, 1)
+        core.update({"a": {"cpu": 2.0}})
+        core.update(known)  # type: ignore[arg-type]
         core.exact(known, 0.01, 1000)  # type: ignore[arg-type]
         core.terms(known)  # type: ignore[arg-type]
         core.feasible(known)  # type: ignore[arg-type]
-        core.walk(known, [([0], [], 0, 1)])  # type: ignore[arg-type]
-    except (TypeError, ValueError, OverflowError, MemoryError, BufferError):
+    except (TypeError, ValueError, OverflowError, MemoryError, RuntimeError):
         pass
 
 
 EXTREME = st.sampled_from([0.0, 5e-324, 1e-300, 0.5, 1.0, 2.0, 1e60, 1e150])
 
 
-@pytest.mark.slow
 @settings(max_examples=1000, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
 def test_every_shape_and_size_has_an_answer(data: st.DataObject) -> None:
@@ -90,30 +97,28 @@ def test_every_shape_and_size_has_an_answer(data: st.DataObject) -> None:
         unit = st.integers(0, max(n - 1, 0))
         return data.draw(st.lists(unit, min_size=edges, max_size=edges))
 
-    core = Core(
-        **{
-            **GOOD,
-            "n": n,
-            "m": m,
-            "r": r,
-            "share": data.draw(st.booleans()),
-            "demand": numbers(n * r),
-            "size": numbers(n),
-            "spread": numbers(r),
-            "capacity": numbers(m * r),
-            "limit": numbers(m * r),
-            "restricted": [],
-            "offsets": [0],
-            "allowed": [],
-            "first": units(),
-            "second": units(),
-            "overhead": numbers(edges),
-            "traffic": numbers(edges),
-            "variance": data.draw(st.booleans()),
-            "bandwidth": numbers(m * m) if data.draw(st.booleans()) else [],
-            "apart_first": (some := units()),
-            "apart_second": some[::-1],
-        }
+    core = core_of(
+        n=n,
+        m=m,
+        r=r,
+        index={str(i): i for i in range(n)},
+        unit_of=list(range(n)),
+        resources=tuple(map(str, range(r))),
+        component_demand=numbers(n * r),
+        share=data.draw(st.booleans()),
+        demand=numbers(n * r),
+        size_weight=numbers(r),
+        spread=numbers(r),
+        capacity=numbers(m * r),
+        limit=numbers(m * r),
+        allowed={},
+        first=units(),
+        second=units(),
+        overhead=numbers(edges),
+        traffic=numbers(edges),
+        variance=data.draw(st.booleans()),
+        bandwidth=numbers(m * m) if data.draw(st.booleans()) else [],
+        apart=list(zip(some := units(), some[::-1], strict=True)),
     )
     known = data.draw(st.lists(st.integers(-1, m - 1), min_size=n, max_size=n))
     core.greedy()
@@ -123,7 +128,6 @@ def test_every_shape_and_size_has_an_answer(data: st.DataObject) -> None:
     for placed in (
         core.exact([], 1.0, 500)[0],
         core.search([], 1.0, 500, 1)[0],
-        core.multilevel(1),
     ):
         assert len(placed) in {0, n}
 
@@ -133,32 +137,24 @@ def test_every_shape_and_size_has_an_answer(data: st.DataObject) -> None:
     [
         ({"demand": [1.0]}, "demand has 1 entries, must have 2"),
         ({"first": [7]}, "first has the index 7"),
-        ({"allowed": [-1]}, "allowed has the index -1"),
-        ({"overhead": [float("nan")]}, "overhead has the value"),
-        ({"distance": [0.0, 1.0, 2.0, 0.0]}, "not symmetric"),
-        ({"distance": [0.0, 1.0, 1.0, 0.5]}, "to itself is not 0"),
-        ({"offsets": [0, 9]}, "allowed has 1 entries"),
-        ({"n": -1}, "too many units"),
-        ({"demand": array("f", [1.0, 1.0])}, "demand has the wrong type"),
+        ({"allowed": {0: (-1,)}}, "allowed has the index -1"),
+        ({"n": -1}, "n is -1"),
+        ({"unit_of": [0, 7]}, "no such unit"),
+        ({"index": {"a": 0, "b": 9}}, "no such component"),
     ],
 )
 def test_says_what_is_wrong(wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        Core(**{**GOOD, **wrong})
-
-
-def test_takes_buffers_as_well_as_lists() -> None:
-    core = Core(**{**GOOD, "demand": array("d", [1.0, 1.0]), "first": array("i", [0])})
-    assert core.greedy() == Core(**GOOD).greedy()
+        core_of(**wrong)
 
 
 def test_a_placement_of_some_units_is_not_feasible() -> None:
     """The core read the traffic of the unit that has no computer."""
-    core = Core(**{**GOOD, "bandwidth": [9.0] * 4})
+    core = core_of(bandwidth=[9.0] * 4)
     assert not core.feasible([1, -1])
     assert core.feasible([1, 0])
 
 
 def test_refuses_a_known_placement_that_breaks_a_limit() -> None:
     with pytest.raises(ValueError, match="breaks a limit"):
-        Core(**GOOD).exact([0, 0], 1.0, 10)
+        core_of().exact([0, 0], 1.0, 10)

@@ -9,15 +9,8 @@ import pytest
 
 from poise import plan
 from poise.errors import RobotError
-from poise.model.robot import Objective
-from poise.plan import (
-    Architecture,
-    Component,
-    Computer,
-    Connector,
-    Link,
-    Problem,
-)
+from poise.model.robot import Computer, Objective
+from poise.plan import Bundle, Edge, Item, LinkCapacity, Problem
 
 DOCS = Path(__file__).parents[2] / "docs"
 REFERENCE = (DOCS / "problem-file.md").read_text()
@@ -34,11 +27,11 @@ def test_the_example_is_a_problem_with_a_placement(tmp_path: Path) -> None:
     ("record", "heading"),
     [
         (Problem, "The top level"),
-        (Component, "components"),
+        (Item, "components"),
         (Computer, "computers"),
-        (Connector, "connectors"),
-        (Link, "links"),
-        (Architecture, "architectures"),
+        (Edge, "connectors"),
+        (LinkCapacity, "links"),
+        (Bundle, "architectures"),
         (Objective, "objective"),
     ],
 )

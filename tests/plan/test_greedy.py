@@ -3,7 +3,8 @@
 from msgspec.structs import replace
 
 from poise import plan
-from poise.plan import Component, Computer, Problem
+from poise.model.robot import Computer
+from poise.plan import Item, Problem
 
 
 def test_follows_the_papers_worked_example(paper_example: Problem) -> None:
@@ -15,7 +16,7 @@ def test_follows_the_papers_worked_example(paper_example: Problem) -> None:
     result = plan.solve(paper_example, method="greedy")
     tried = {
         step.component: [trial.total for trial in step.trials]
-        for step in plan.trace(paper_example)
+        for step in plan.solve(paper_example, method="greedy").trace
     }
     assert tried == {"C2": [40, 40], "C1": [60, 27.5], "C3": [47.5, 22.5]}
     assert result.placement == {"C2": "SBC1", "C1": "SBC2", "C3": "SBC2"}
@@ -26,14 +27,18 @@ def test_follows_the_papers_worked_example(paper_example: Problem) -> None:
 
 
 def test_places_the_largest_first(paper_example: Problem) -> None:
-    assert [s.component for s in plan.trace(paper_example)] == ["C2", "C1", "C3"]
+    assert [s.component for s in plan.solve(paper_example, method="greedy").trace] == [
+        "C2",
+        "C1",
+        "C3",
+    ]
 
 
 def test_places_pinned_components_before_larger_ones(two_computers: Problem) -> None:
     pinned = replace(two_computers.components[3], only=("small",))
     problem = replace(two_computers, components=(*two_computers.components[:3], pinned))
     result = plan.solve(problem, method="greedy")
-    assert plan.trace(problem)[0].component == "d"
+    assert plan.solve(problem, method="greedy").trace[0].component == "d"
     assert result.placement["d"] == "small"
 
 
@@ -42,7 +47,7 @@ def test_places_components_that_must_be_together_as_one(
 ) -> None:
     problem = replace(two_computers, together=(("a", "d"),))
     result = plan.solve(problem, method="greedy")
-    assert plan.trace(problem)[0].component == "a+d"
+    assert plan.solve(problem, method="greedy").trace[0].component == "a+d"
     assert result.placement["a"] == result.placement["d"]
 
 
@@ -55,7 +60,7 @@ def test_keeps_components_apart(two_computers: Problem) -> None:
 def test_leaves_the_reserve_free() -> None:
     """A demand of 0.6 fits 1 core, but not 1 core of which half is kept free."""
     problem = Problem(
-        components=(Component(name="a", demand={"cpu": 0.6}),),
+        components=(Item(name="a", demand={"cpu": 0.6}),),
         computers=(
             Computer(name="one", capacity={"cpu": 1.0}, reserve={"cpu": 0.5}),
             Computer(name="two", capacity={"cpu": 1.0}),
@@ -67,15 +72,15 @@ def test_leaves_the_reserve_free() -> None:
 def test_counts_speed_into_cpu_capacity_only() -> None:
     """0.5 cores at speed 2 carry a demand of 1; 0.5 of memory does not."""
     fast = Computer(name="fast", capacity={"cpu": 0.5, "memory": 0.5}, speed=2.0)
-    cpu = Component(name="a", demand={"cpu": 1.0})
-    memory = Component(name="a", demand={"memory": 1.0})
+    cpu = Item(name="a", demand={"cpu": 1.0})
+    memory = Item(name="a", demand={"memory": 1.0})
     assert plan.solve(Problem(components=(cpu,), computers=(fast,))).feasible
     assert not plan.solve(Problem(components=(memory,), computers=(fast,))).feasible
 
 
 def test_says_what_no_computer_could_take() -> None:
     problem = Problem(
-        components=(Component(name="giant", demand={"cpu": 9.0}),),
+        components=(Item(name="giant", demand={"cpu": 9.0}),),
         computers=(Computer(name="one", capacity={"cpu": 1.0}),),
     )
     result = plan.solve(problem, method="greedy")

@@ -4,8 +4,8 @@ import pytest
 from msgspec.structs import replace
 
 from poise import plan
-from poise.model.robot import Objective
-from poise.plan import Component, Computer, Connector, Problem
+from poise.model.robot import Computer, Objective
+from poise.plan import Edge, Item, Problem
 
 
 def test_normalised_terms_are_shares(two_computers: Problem) -> None:
@@ -45,7 +45,7 @@ def test_distance_scales_overhead(two_computers: Problem) -> None:
 def test_linear_costs_and_moves_add_up() -> None:
     """Cost matrix 2 on `right`, and 5 for leaving `left`."""
     problem = Problem(
-        components=(Component(name="a", present="left", move_cost=5.0),),
+        components=(Item(name="a", present="left", move_cost=5.0),),
         computers=(Computer(name="left"), Computer(name="right")),
         cost=((1.0, 2.0),),
     )
@@ -61,9 +61,9 @@ def test_every_pair_counts_once(two_computers: Problem) -> None:
     split = replace(
         two_computers,
         connectors=(
-            Connector(between=("a", "b"), overhead=1.0),
-            Connector(between=("b", "a"), overhead=2.0),
-            Connector(between=("c", "d"), overhead=1.0),
+            Edge(between=("a", "b"), overhead=1.0),
+            Edge(between=("b", "a"), overhead=2.0),
+            Edge(between=("c", "d"), overhead=1.0),
         ),
     )
     placement = {"a": "large", "b": "small", "c": "large", "d": "large"}

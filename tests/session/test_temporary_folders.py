@@ -12,9 +12,7 @@ from pathlib import Path
 import pytest
 
 from poise.session.temporary_folders import scratch_folder
-from tests.waiting import wait_until
-
-pytestmark = pytest.mark.slow
+from tests.runtime.conftest import wait_until
 
 PREFIX = "poise-test-"
 OWNER = f"""

@@ -13,7 +13,6 @@ from typing import Annotated, Any
 
 import msgspec
 import typer
-from msgspec.structs import replace
 from rich.console import Console
 
 from poise import plan
@@ -26,6 +25,7 @@ from poise.session.render.plan import (
     show,
     show_comparison,
     show_explanation,
+    show_rejection,
     show_smallest,
 )
 
@@ -46,7 +46,8 @@ def plan_command(
         typer.Option("--fewer", help="Put aside what does not fit, by priority."),
     ] = False,
     explain: Annotated[
-        str | None, typer.Option(help="Say why this component is where it is.")
+        str | None,
+        typer.Option(help="Why is this component there, or this architecture not?"),
     ] = None,
     compare: Annotated[
         str | None, typer.Option(help="Methods side by side: static,greedy,search.")
@@ -116,11 +117,7 @@ def plan_command(
         else:
             few = plan.smallest(problem, solve) if smallest else None
             result = few.result if few else solved(method)
-            problem = _placed_part(problem, result, few)
-            # Who pressed Ctrl-C waits for the placement, not for how it began.
-            if not (asked.is_set() or result.aside or result.architectures):
-                result = replace(result, trace=plan.trace(problem))
-            _answer(problem, result, few, explain, json=json)
+            _answer(_on_computers(problem, few), result, few, explain, json=json)
             feasible = result.feasible
     if asked.is_set():
         raise typer.Exit(128 + signal.SIGINT)
@@ -165,28 +162,17 @@ def read(
     return None, plan.load(file)
 
 
-def as_json(result: plan.Result) -> dict[str, Any]:
-    """Return a result as plain values, with its gap."""
-    fields: dict[str, Any] = msgspec.to_builtins(result)
-    return {**fields, "gap": result.gap}
-
-
 def _static(robot: Robot | None, problem: plan.Problem) -> dict[str, str]:
     if robot is None:
         raise UsageError("'static' needs a robot file: a plain problem has no homes")
     return plan.static(robot, problem)
 
 
-def _placed_part(
-    problem: plan.Problem, result: plan.Result, few: plan.Smallest | None
-) -> plan.Problem:
-    """Return the problem of what was placed, on the computers that it was placed on."""
-    if not result.placement:
-        return problem
-    if few:
-        dropped = [h.name for h in problem.computers if h.name not in few.computers]
-        problem = plan.without(problem, dropped) if dropped else problem
-    return plan.keep_components(problem, result.placement)
+def _on_computers(problem: plan.Problem, few: plan.Smallest | None) -> plan.Problem:
+    """Return the problem on the computers that were chosen."""
+    kept = few.computers if few else ()
+    dropped = [h.name for h in problem.computers if kept and h.name not in kept]
+    return plan.without(problem, dropped) if dropped else problem
 
 
 def _answer(
@@ -205,22 +191,24 @@ def _answer(
         explanation = plan.explain(problem, result.placement, explain)
         extra["explanation"] = explanation
     if json:
-        _print_json({**as_json(result), **extra})
+        _print_json({**result.to_dict(), **extra})
         return
     console = Console()
     if few:
         show_smallest(few, console)
-    if explanation is not None:
+    if isinstance(explanation, plan.Rejection):
+        show_rejection(explanation, console)
+    elif explanation is not None:
         show_explanation(explanation, console)
     else:
-        show(problem, result, console)
+        show(result, console)
 
 
 def _answer_comparison(
     problem: plan.Problem, results: dict[str, plan.Result], *, json: bool
 ) -> None:
     if json:
-        _print_json({"results": {name: as_json(r) for name, r in results.items()}})
+        _print_json({"results": {name: r.to_dict() for name, r in results.items()}})
     else:
         show_comparison(problem, results, Console())
 

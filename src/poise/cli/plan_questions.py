@@ -6,6 +6,7 @@ from math import isfinite
 
 from poise import plan, units
 from poise.errors import UsageError
+from poise.model.robot import Computer
 
 
 def changed(
@@ -27,13 +28,13 @@ def changed(
     return problem
 
 
-def computer(text: str) -> plan.Computer:
+def computer(text: str) -> Computer:
     """Return the computer that ``NAME:cpu=2,memory=4GiB`` describes."""
     name, colon, rest = text.partition(":")
     if not name or not colon:
         raise UsageError(f"--add {text!r}: write NAME:cpu=2,memory=4GiB")
     pairs = [_pair(f"--add {text!r}", part) for part in rest.split(",") if part]
-    return plan.Computer(
+    return Computer(
         name=name,
         capacity={key: _amount(f"--add {text!r}", key, value) for key, value in pairs},
     )

@@ -5,9 +5,8 @@ from __future__ import annotations
 import logging
 import sqlite3
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import msgspec
 from msgspec import Struct
@@ -16,24 +15,11 @@ from poise.errors import UsageError
 
 log = logging.getLogger(__name__)
 
-Kind = Literal["seen", "decided", "done", "failed", "wrong", "right"]
-"""What an entry is about.
-
-seen
-    Something was noticed that needs no action.
-decided
-    The manager decided what to do next.
-done, failed
-    It did that, or could not.
-wrong, right
-    Something is not as the robot file says any more, or is so again.
-"""
-
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS entries (
     id INTEGER PRIMARY KEY,
     at REAL NOT NULL,     -- seconds since the epoch
-    kind TEXT NOT NULL,   -- seen, decided, done, failed, wrong, right
+    kind TEXT NOT NULL,   -- seen, decided, done, failed
     what TEXT NOT NULL,   -- one sentence for people
     facts TEXT NOT NULL   -- JSON for machines
 )
@@ -41,30 +27,24 @@ CREATE TABLE IF NOT EXISTS entries (
 
 
 class Entry(Struct, frozen=True):
-    """An entry of the journal; `at` in seconds since 1970."""
+    """A line of the journal; `at` in seconds since the epoch."""
 
     at: float
-    kind: Kind
+    kind: str
     what: str
     facts: Any
-
-    def __str__(self) -> str:
-        """Return time and sentence, for people."""
-        return f"{time.strftime('%H:%M:%S', time.localtime(self.at))} {self.what}"
 
 
 class Journal:
     """Written by one thread at a time; any program may read it meanwhile.
 
-    An entry that cannot be written is logged instead, because the robot goes on: the
-    disk may be full, or another program may hold the file.
+    A line that cannot be written is logged instead, for the robot goes on: its disk
+    may be full, or somebody may hold the file.
 
     Parameters
     ----------
     path
-        The file; created when it does not exist. ``:memory:`` keeps it in memory.
-    show
-        Called with each entry, in order; must not block.
+        The file; made when it is not there. ``:memory:`` keeps it in memory.
 
     Raises
     ------
@@ -72,10 +52,7 @@ class Journal:
         It cannot be opened, or is something else.
     """
 
-    def __init__(
-        self, path: Path | str, show: Callable[[Entry], object] | None = None
-    ) -> None:
-        self._show = show
+    def __init__(self, path: Path | str) -> None:
         try:
             self._database = sqlite3.connect(
                 path, isolation_level=None, timeout=1.0, check_same_thread=False
@@ -89,22 +66,19 @@ class Journal:
                 "folder that is there, may be written, and has room"
             ) from error
 
-    def note(self, kind: Kind, what: str, **facts: object) -> None:
-        """Add an entry: `what` for people, `facts` for machines."""
-        now = time.time()
-        if self._show is not None:
-            self._show(Entry(now, kind, what, facts))
+    def note(self, kind: str, what: str, **facts: object) -> None:
+        """Add a line: `what` for people, `facts` for machines."""
         text = msgspec.json.encode(facts).decode()
         try:
             self._database.execute(
                 "INSERT INTO entries (at, kind, what, facts) VALUES (?, ?, ?, ?)",
-                (now, kind, what, text),
+                (time.time(), kind, what, text),
             )
         except sqlite3.Error as error:
             log.warning("not in the journal (%s): %s: %s", error, kind, what)
 
     def entries(self) -> list[Entry]:
-        """Return all entries, oldest first."""
+        """Return all lines, oldest first."""
         rows = self._database.execute(
             "SELECT at, kind, what, facts FROM entries ORDER BY id"
         )

@@ -28,6 +28,7 @@ def build(source: sections.RobotSection, folder: str) -> robot.Robot:
         ),
         tasks=tuple(_task(n, t) for n, t in source.tasks.items()),
         objective=_objective(source.objective),
+        quality_weight=source.objective.quality,
         together=tuple(map(tuple, source.together)),
         apart=tuple(map(tuple, source.apart)),
         simulator=_simulator(source.simulator),
@@ -41,12 +42,14 @@ def _computer(name: str, source: sections.ComputerSection) -> robot.Computer:
     capacity = _amounts(source)
     reserve = source.reserve
     if not isinstance(reserve, Mapping):
-        reserve = dict.fromkeys(capacity, reserve) if reserve else {}
+        # Of a countable resource, a share would leave a part that nothing can use.
+        reserve = dict.fromkeys(("cpu", "memory"), reserve) if reserve else {}
     return robot.Computer(
         name=name,
         capacity=capacity,
         speed=source.speed,
         reserve=reserve,
+        price=source.price,
         address=source.address,
     )
 

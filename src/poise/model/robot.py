@@ -19,7 +19,7 @@ Arrivals = Literal["regular", "poisson"]
 PortKind = Literal["provides", "requires", "publishes", "subscribes"]
 
 
-class Computer(Struct, frozen=True, kw_only=True):
+class Computer(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A computer of the robot (the paper's SBC).
 
     Parameters
@@ -31,14 +31,17 @@ class Computer(Struct, frozen=True, kw_only=True):
         ``cpu`` capacity only.
     reserve
         Resource -> share of the capacity that placements leave free, in [0, 1).
+    price
+        What it costs, in any unit; the smallest set of computers is the cheapest.
     address
         Host name or IP address of its agent, or None when it is to be emulated.
     """
 
     name: str
-    capacity: Mapping[str, float]
+    capacity: Mapping[str, float] = {}
     speed: float = 1.0
     reserve: Mapping[str, float] = {}
+    price: float = 1.0
     address: str | None = None
 
     def usable(self, resource: str) -> float:
@@ -319,6 +322,9 @@ class Robot(Struct, frozen=True, kw_only=True):
         Connectors between components of different architectures.
     together, apart
         Sets of components that must share a computer, or must not.
+    quality_weight
+        What F grows by for every unit of quality lost by choosing an architecture
+        that is not the best one for its function; >= 0.
     workload
         Input of components while they are profiled; None: from the simulator and the
         other components.
@@ -337,6 +343,7 @@ class Robot(Struct, frozen=True, kw_only=True):
     chains: tuple[Chain, ...] = ()
     tasks: tuple[Task, ...] = ()
     objective: Objective = Objective()
+    quality_weight: float = 1.0
     together: tuple[tuple[str, ...], ...] = ()
     apart: tuple[tuple[str, ...], ...] = ()
     simulator: Simulator | None = None

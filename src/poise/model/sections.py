@@ -112,8 +112,15 @@ class ComputerSection(Section, frozen=True, kw_only=True):
     ] = 1.0
     reserve: Annotated[
         Annotated[Share, Meta(lt=1)] | dict[Name, Annotated[Share, Meta(lt=1)]],
-        _says("The share that placements leave free: 5%, or {cpu: 5%, memory: 10%}."),
+        _says(
+            "The share that placements leave free: 5% of cpu and memory, or by "
+            "resource, as in {cpu: 5%, disk: 10%}."
+        ),
     ] = 0.0
+    price: Annotated[
+        Amount,
+        _says("What it costs, in any unit; `poise plan --smallest` seeks the least."),
+    ] = 1.0
     address: Annotated[
         Address | None,
         _says("Host or host:port of its agent. Without it the computer is emulated."),
@@ -289,6 +296,9 @@ class ObjectiveSection(Section, frozen=True, kw_only=True):
     sizes: Annotated[
         dict[Name, Amount], _says("Weight of each resource in a component's size.")
     ] = {}
+    quality: Annotated[
+        Amount, _says("Weight of the quality lost by a lesser alternative.")
+    ] = 1.0
 
 
 class SimulatorSection(Section, frozen=True, kw_only=True):

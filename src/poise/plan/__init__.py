@@ -1,34 +1,27 @@
 """Where each component runs: the objective, the greedy, search, proof, explanation."""
 
-from poise.plan.change import add, keep_components, scale, without
-from poise.plan.describe import evaluate
-from poise.plan.explain import Explanation, Option, explain
-from poise.plan.load import load
-from poise.plan.problem import (
-    Architecture,
-    Component,
-    Computer,
-    Connector,
-    Link,
-    Problem,
-)
-from poise.plan.result import Conflict, More, Result, Step, Terms, Tightest, Trial
-from poise.plan.robot import problem_of, static
-from poise.plan.schema import schema
-from poise.plan.smallest import Smallest, smallest
-from poise.plan.solve import solve, trace
+from poise.plan.from_robot import problem_of, static
+from poise.plan.load import load, schema
+from poise.plan.planner import Planner, evaluate, solve
+from poise.plan.problem import Bundle, Edge, Item, LinkCapacity, Problem
+from poise.plan.records import Conflict, More, Step, Terms, Tightest, Trial
+from poise.plan.result import Result
+from poise.plan.what_if.change import add, keep_components, scale, without
+from poise.plan.what_if.smallest import Smallest, smallest
+from poise.plan.why.explain import Explanation, Option, Rejection, explain
 
 __all__ = [
-    "Architecture",
-    "Component",
-    "Computer",
+    "Bundle",
     "Conflict",
-    "Connector",
+    "Edge",
     "Explanation",
-    "Link",
+    "Item",
+    "LinkCapacity",
     "More",
     "Option",
+    "Planner",
     "Problem",
+    "Rejection",
     "Result",
     "Smallest",
     "Step",
@@ -46,6 +39,5 @@ __all__ = [
     "smallest",
     "solve",
     "static",
-    "trace",
     "without",
 ]

@@ -1,4 +1,4 @@
-"""Everything that is wrong with a problem, all at once, before it is solved."""
+"""Everything that is wrong with a problem, all at once."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from math import inf
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
-from msgspec import ValidationError, convert, to_builtins
+from msgspec import ValidationError, convert, structs, to_builtins
 
 from poise.errors import RobotError
 from poise.model.robot import Scale, Spread
-from poise.plan.problem import Problem
+
+if TYPE_CHECKING:
+    from poise.plan.problem import Problem
 
 LEAST, MOST = 1e-30, 1e30
 """Numbers beyond these would overflow as they are divided, squared and summed."""
@@ -23,14 +25,19 @@ def check(problem: Problem) -> None:
     try:
         found = list(problems(problem))
     except (AttributeError, TypeError, ValueError):
-        # Something in it is of the wrong type: say what.
-        try:
-            convert(to_builtins(problem), Problem)
-        except (ValidationError, TypeError, OverflowError) as error:
-            raise RobotError(f"the problem is wrong: {error}") from None
+        _check_types(problem)
         raise
     if found:
         raise RobotError("the problem is wrong:\n  " + "\n  ".join(found))
+
+
+def _check_types(problem: Problem) -> None:
+    for field in structs.fields(problem):
+        try:
+            convert(to_builtins(getattr(problem, field.name)), field.type)
+        except (ValidationError, TypeError, OverflowError) as error:
+            text = str(error).replace("`$", f"`{field.name}")
+            raise RobotError(f"the problem is wrong: {text}") from None
 
 
 def problems(problem: Problem) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Read a plain problem from a JSON file (docs/problem-file.md)."""
+"""The problem file (docs/problem-file.md): reading it, and its JSON Schema."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 import msgspec
 
 from poise.errors import RobotError
-from poise.plan.check import check
 from poise.plan.problem import Problem
 
 
@@ -20,13 +19,17 @@ def load(path: str | Path) -> Problem:
         When it cannot be read or anything in it is wrong; the message lists all.
     """
     try:
-        problem = msgspec.json.decode(Path(path).read_bytes(), type=Problem)
+        return msgspec.json.decode(Path(path).read_bytes(), type=Problem)
     except OSError as error:
         raise RobotError(f"{path}: {error.strerror or error}") from error
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise RobotError(f"{path}: {error}") from error
-    try:
-        check(problem)
     except RobotError as error:
         raise RobotError(f"{path}: {error}") from None
-    return problem
+
+
+def schema() -> str:
+    """Return the JSON Schema of what `load` reads, as indented JSON."""
+    found = msgspec.json.schema(Problem)
+    whole = {"$schema": "https://json-schema.org/draft/2020-12/schema", **found}
+    return msgspec.json.format(msgspec.json.encode(whole), indent=2).decode() + "\n"

@@ -1,8 +1,8 @@
-"""What is to be decided: components, computers, connectors and an objective.
+"""What is to be decided: items, computers, edges and an objective.
 
-A `Problem` knows no robot. It comes from a robot file through `poise.plan.robot`, from
-a JSON file through `poise.plan.load`, or is written by hand. It is plain data:
-`poise.plan.check` reports everything that is wrong with it before it is solved.
+A `Problem` knows no robot. It comes from a robot file through `problem_of`, from a JSON
+file through `load`, or is written by hand. It is plain data, and correct from birth: a
+wrong one raises a RobotError that lists everything that is wrong with it.
 """
 
 from __future__ import annotations
@@ -12,14 +12,15 @@ from itertools import chain
 
 from msgspec import Struct
 
-from poise.model.robot import Objective
+from poise.model.robot import Computer, Objective
+from poise.plan.check import check
 
 SLACK = 1e-9
 """How far a limit may be passed, relative to it (at least to 1): rounding only."""
 
 
-class Component(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A component that is to get a computer.
+class Item(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A component, as the planner sees it: what is to get a computer.
 
     Parameters
     ----------
@@ -43,31 +44,8 @@ class Component(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     why: str = ""
 
 
-class Computer(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A computer that components may be put on.
-
-    Parameters
-    ----------
-    capacity
-        Resource -> amount it has, >= 0; 0 where not named.
-    speed
-        How fast one core is, relative to the reference computer; > 0. It scales
-        ``cpu`` only.
-    reserve
-        Resource -> share of the capacity that is kept free, in [0, 1).
-    price
-        What it costs, in any unit; `poise.plan.smallest` weighs computers by it.
-    """
-
-    name: str
-    capacity: Mapping[str, float] = {}
-    speed: float = 1.0
-    reserve: Mapping[str, float] = {}
-    price: float = 1.0
-
-
-class Connector(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Joins two components; several between the same two add up.
+class Edge(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A connector between two components; several between the same two add up.
 
     Parameters
     ----------
@@ -82,15 +60,15 @@ class Connector(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     traffic: float = 0.0
 
 
-class Link(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class LinkCapacity(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How much the connectors between two computers may send together [bytes/s]."""
 
     between: tuple[str, str]
     bandwidth: float
 
 
-class Architecture(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Components that are of use only all together.
+class Bundle(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """An architecture: components that are of use only all together.
 
     Parameters
     ----------
@@ -100,6 +78,8 @@ class Architecture(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         The higher, the later it is put aside when not all fits.
     quality
         How well it provides its function, in (0, 1].
+    required
+        Whether it is never put aside.
     """
 
     name: str
@@ -107,6 +87,7 @@ class Architecture(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     function: str = ""
     priority: int = 0
     quality: float = 1.0
+    required: bool = False
 
 
 class Problem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -132,17 +113,21 @@ class Problem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         that is not the best one for its function; >= 0.
     """
 
-    components: tuple[Component, ...] = ()
+    components: tuple[Item, ...] = ()
     computers: tuple[Computer, ...] = ()
-    connectors: tuple[Connector, ...] = ()
-    links: tuple[Link, ...] = ()
+    connectors: tuple[Edge, ...] = ()
+    links: tuple[LinkCapacity, ...] = ()
     distance: tuple[tuple[float, ...], ...] = ()
     cost: tuple[tuple[float, ...], ...] = ()
     objective: Objective = Objective()
     together: tuple[tuple[str, ...], ...] = ()
     apart: tuple[tuple[str, ...], ...] = ()
-    architectures: tuple[Architecture, ...] = ()
+    architectures: tuple[Bundle, ...] = ()
     quality: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Raise a RobotError that lists everything that is wrong."""
+        check(self)
 
     @property
     def resources(self) -> tuple[str, ...]:

@@ -1,159 +1,232 @@
-"""What a solver answers: a placement that explains itself."""
+"""What a solver answers: a placement that explains itself when it is asked."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
+from functools import cached_property
+from math import inf
+from typing import Any, NamedTuple, cast
 
-from msgspec import Struct
+import msgspec
 
-Stopped = Literal["done", "proven", "budget", "interrupted", "infeasible"]
-"""Why a solver stopped: it had no more to do, proved its answer, used up its budget,
-was interrupted by the user, or proved that nothing can hold."""
+from poise.errors import UsageError
+from poise.plan import _core
+from poise.plan.problem import Problem
+from poise.plan.records import Ask, Conflict, Step, Stopped, Terms, Tightest
+from poise.plan.reference import objective
+from poise.plan.reference.greedy import dead_end, greedy
+from poise.plan.reference.limits import tightest, violations
+from poise.plan.tables import Placed, Tables, placed_by_name, tabulate
+from poise.plan.why.conflict import conflict
 
+LONGEST_TRACE = 2_000
+"""How many trials (components x computers) a trace is worked out for."""
 
-class Terms(Struct, frozen=True, kw_only=True):
-    """F and its parts, weights included: they add up to `total`.
-
-    `move` holds every linear cost: of leaving the present computer, and of the
-    problem's cost matrix. `quality` is what a lesser alternative costs.
-    """
-
-    total: float
-    communication: float
-    balance: float
-    move: float = 0.0
-    quality: float = 0.0
-
-
-class Trial(Struct, frozen=True, kw_only=True):
-    """One computer tried for a component: F over all placed so far.
-
-    `total` is None where the component may not go; `reason` then says why.
-    """
-
-    computer: str
-    total: float | None
-    reason: str = ""
+NONE_FOUND = "no placement was found in the time given; there may be one"
+IMPOSSIBLE = "no placement keeps all limits"
 
 
-class Step(Struct, frozen=True, kw_only=True):
-    """One step of the greedy: a component, what was tried, and what was chosen.
-
-    Components that must share a computer are placed as one; their names are joined
-    with ``+``. `chosen` is None when no computer could take it.
-    """
-
-    component: str
-    trials: tuple[Trial, ...]
-    chosen: str | None
-
-
-class Tightest(Struct, frozen=True, kw_only=True):
-    """The resource that is closest to its limit; `used` is its share of that limit."""
-
-    computer: str
-    resource: str
-    used: float
-
-
-class More(Struct, frozen=True, kw_only=True):
-    """A limit to be raised.
+class Choice(NamedTuple):
+    """What was chosen besides the placement.
 
     Parameters
     ----------
-    on
-        A computer, or the two ends of a link.
-    resource
-        Of the computer; or ``bandwidth``.
-    amount
-        By how much its capacity [the resource's unit] or the link's bandwidth
-        [bytes/s] must rise.
-    """
-
-    on: tuple[str, ...]
-    resource: str
-    amount: float
-
-
-class Conflict(Struct, frozen=True, kw_only=True):
-    """Why nothing can hold.
-
-    Parameters
-    ----------
-    components
-        A small set that cannot be placed, even alone.
-    limits
-        The limits that they cannot keep together, for people.
-    way_out
-        What has to give way so that the whole problem holds, for people: the smallest
-        rise of one capacity where that is enough.
-    more
-        The rises in `way_out`.
-    """
-
-    components: tuple[str, ...]
-    limits: tuple[str, ...]
-    way_out: str
-    more: tuple[More, ...] = ()
-
-
-class Result(Struct, frozen=True, kw_only=True):
-    """A placement and everything that can be said about it.
-
-    Parameters
-    ----------
-    placement
-        Component -> computer; empty when none was found.
-    feasible
-        Whether it keeps every limit.
-    reason
-        Why it is not feasible, or why architectures were put aside, for people; empty
-        when it is feasible with all of them.
-    conflict
-        Which components and limits cannot hold together, with those put aside; None
-        when not known.
-    objective
-        The terms of F; None without a placement.
-    method
-        What found the placement.
-    seconds
-        How long deciding took [s].
-    bound
-        No placement has a lower F than this; None when nothing is known.
-    proven
-        Whether no placement is better (or, when infeasible, none exists).
-    stopped_by
-        Why the solver stopped.
-    scale, spread
-        How F was measured (docs/design/objective.md).
-    tightest
-        The resource closest to its limit; None without a placement.
-    trace
-        What the greedy tried first, step by step.
     architectures
         Function -> the architecture chosen for it, where there was a choice.
     aside
         Architectures put aside because not all fits.
+    lost
+        What F grows by for the quality that was lost.
+    whole
+        The problem with all architectures; None when nothing was put aside.
+    why
+        Why something was put aside, for people.
     """
 
-    placement: Mapping[str, str]
-    feasible: bool
-    reason: str = ""
-    conflict: Conflict | None = None
-    objective: Terms | None = None
-    method: str = "greedy"
-    seconds: float = 0.0
-    bound: float | None = None
-    proven: bool = False
-    stopped_by: Stopped = "done"
-    seed: int = 0
-    scale: str = "normalised"
-    spread: str = "range"
-    tightest: Tightest | None = None
-    trace: tuple[Step, ...] = ()
     architectures: Mapping[str, str] = {}
     aside: tuple[str, ...] = ()
+    lost: float = 0.0
+    whole: Problem | None = None
+    why: str = ""
+
+
+class Result:
+    """A placement, and everything that can be said about it.
+
+    It is light: what is a property here is worked out when it is first asked for. It
+    stays as it is when its planner is given other demands.
+
+    Attributes
+    ----------
+    method
+        What found the placement.
+    proven
+        Whether no placement is better (or, when infeasible, none exists).
+    stopped_by
+        Why the solver stopped.
+    seconds
+        How long deciding took [s].
+    seed
+        Of the search.
+    """
+
+    method = "greedy"
+    proven = False
+    stopped_by: Stopped = "done"
+    seed = 0
+    _choice = Choice()
+    _bound: float | None = None
+    _conflict: Conflict | None = None
+    _given = False
+
+    def __init__(  # a keyword would cost a tenth of a greedy decision
+        self,
+        snapshot: Snapshot,
+        placed: Placed,
+        complete: bool,  # noqa: FBT001
+        seconds: float = 0.0,
+    ) -> None:
+        self._snapshot = snapshot
+        self._placed = placed
+        self._complete = complete
+        self.seconds = seconds
+
+    @classmethod
+    def of(
+        cls,
+        snapshot: Snapshot,
+        placed: Placed,
+        method: str,
+        *,
+        proven: bool = False,
+        stopped_by: Stopped = "done",
+        bound: float | None = None,
+        given: bool = False,
+    ) -> Result:
+        """Return a result; `placed` is empty when there is no placement."""
+        result = cls(snapshot, placed, bool(placed) or not snapshot.size)
+        result.method = method
+        result.proven = proven and snapshot.known
+        result.stopped_by = stopped_by
+        result._bound = bound
+        result._given = given
+        return result
+
+    @property
+    def choice(self) -> Choice:
+        """What was chosen besides the placement."""
+        return self._choice
+
+    def chosen(self, choice: Choice) -> Result:
+        """Return it as the result of this choice."""
+        self._choice = choice
+        return self
+
+    def settle(self, bound: float, *, proven: bool) -> None:
+        """Say what is known of all choices together, when this is the best of them."""
+        self._bound = bound - self._choice.lost
+        self.__dict__.pop("bound", None)
+        self.proven = proven
+        if proven:
+            self.stopped_by = "proven" if self.feasible else "infeasible"
+        elif self.stopped_by in {"proven", "infeasible"}:
+            self.stopped_by = "budget"
+
+    def __repr__(self) -> str:
+        """Return what matters most on one line."""
+        if self.objective is None:
+            return f"<Result: no placement, {self.reason}>"
+        return f"<Result: F = {self.objective.total:.6g} by {self.method}>"
+
+    @property
+    def _tables(self) -> Tables:
+        return self._snapshot.tables
+
+    @cached_property
+    def placement(self) -> Mapping[str, str]:
+        """Component -> computer; empty when none was found."""
+        if not self._complete:
+            return {}
+        unit_of, problem = self._tables.unit_of, self._tables.problem
+        names = [computer.name for computer in problem.computers]
+        return {
+            c.name: names[self._placed[unit]]
+            for c, unit in zip(problem.components, unit_of, strict=True)
+        }
+
+    @cached_property
+    def _broken(self) -> list[str]:
+        load = objective.loads(self._tables, self._placed)
+        return violations(self._tables, self._placed, load)
+
+    @property
+    def feasible(self) -> bool:
+        """Whether it keeps every limit."""
+        return self._complete and not (self._given and self._broken)
+
+    @property
+    def reason(self) -> str:
+        """Why it is not feasible, or why architectures were put aside, for people.
+
+        Empty when it is feasible with all of them.
+        """
+        if self._conflict is not None:
+            return _sentence(self._conflict)
+        if self._complete and self._given:
+            return "; ".join(self._broken)
+        if self._complete:
+            return self._choice.why
+        if self.method == "greedy" and not self.proven:
+            return dead_end(self._tables)
+        return IMPOSSIBLE if self.proven else NONE_FOUND
+
+    @property
+    def conflict(self) -> Conflict | None:
+        """What cannot hold together where nothing holds, or not all that was put aside.
+
+        None when nothing was missed, or when it is not known. Finding it takes up to a
+        second or two.
+        """
+        return self.find_conflict()
+
+    def find_conflict(self, stop: Ask | None = None) -> Conflict | None:
+        """Return `conflict`; `stop` says when to give up looking for it."""
+        aside, whole = self._choice.aside, self._choice.whole
+        if self._conflict is not None or (self._complete and not aside) or self._given:
+            return self._conflict
+        problem = whole if aside and whole is not None else self._tables.problem
+        if aside and self._choice.architectures:
+            return None
+        self._conflict = conflict(problem, stop)
+        if self._conflict is not None and not self._complete:
+            self.proven, self.stopped_by = True, "infeasible"
+        return self._conflict
+
+    @cached_property
+    def objective(self) -> Terms | None:
+        """The terms of F; None without a placement."""
+        if not self._complete:
+            return None
+        terms = objective.terms(self._tables, self._placed)
+        lost = self._choice.lost
+        if not lost:
+            return terms
+        return msgspec.structs.replace(terms, total=terms.total + lost, quality=lost)
+
+    @cached_property
+    def bound(self) -> float | None:
+        """No placement has a lower F than this; None when nothing is known.
+
+        A bound that rounding has put above F is F.
+        """
+        if self.objective is None or not (self.feasible and self._snapshot.known):
+            return None
+        bound = self._bound
+        if bound is None:
+            bound = _core.Core(self._tables).bound()
+        if bound == -inf:
+            return None
+        return min(bound + self._choice.lost, self.objective.total)
 
     @property
     def gap(self) -> float | None:
@@ -163,3 +236,157 @@ class Result(Struct, frozen=True, kw_only=True):
         if self.proven or self.objective.total <= self.bound:
             return 0.0
         return (self.objective.total - self.bound) / abs(self.objective.total)
+
+    @cached_property
+    def tightest(self) -> Tightest | None:
+        """The resource closest to its limit; None without a placement."""
+        if not self._complete:
+            return None
+        return tightest(self._tables, objective.loads(self._tables, self._placed))
+
+    @cached_property
+    def trace(self) -> tuple[Step, ...]:
+        """What the greedy tries, step by step; empty beyond 2,000 trials."""
+        if self._tables.n * self._tables.m > LONGEST_TRACE:
+            return ()
+        return greedy(self._tables)[1]
+
+    @property
+    def problem(self) -> Problem:
+        """The problem that was decided: with the architectures that were chosen."""
+        return self._tables.problem
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Components of which no demand is known."""
+        return tuple(c.name for c in self.problem.components if not c.demand)
+
+    @property
+    def scale(self) -> str:
+        """How F was measured (docs/design/objective.md)."""
+        return self.problem.objective.scale
+
+    @property
+    def spread(self) -> str:
+        """How the spread of residues was measured (docs/design/objective.md)."""
+        return self.problem.objective.spread
+
+    @property
+    def architectures(self) -> Mapping[str, str]:
+        """Function -> the architecture chosen for it, where there was a choice."""
+        return self._choice.architectures
+
+    @property
+    def aside(self) -> tuple[str, ...]:
+        """Architectures put aside because not all fits."""
+        return self._choice.aside
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all of it as plain values, for JSON; the conflict if it was found."""
+        values = {name: getattr(self, name) for name in _PUBLIC}
+        return cast(
+            "dict[str, Any]",
+            msgspec.to_builtins({**values, "conflict": self._conflict}),
+        )
+
+
+_PUBLIC = (
+    "placement",
+    "feasible",
+    "reason",
+    "objective",
+    "method",
+    "proven",
+    "bound",
+    "gap",
+    "stopped_by",
+    "seconds",
+    "seed",
+    "tightest",
+    "trace",
+    "architectures",
+    "aside",
+    "unknown",
+    "scale",
+    "spread",
+)
+
+
+class Snapshot:
+    """A problem as it was when it was decided: its tables are made when asked for.
+
+    `demand` holds what its components need now, (n_components, n_resources), when that
+    is not what the problem says.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        tables: Tables | None = None,
+        demand: list[float] | None = None,
+    ) -> None:
+        self._problem = problem
+        self._tables = tables
+        self._demand = demand
+        self.known = demand is not None or _is_known(problem)
+
+    def with_demand(self, demand: list[float]) -> Snapshot:
+        """Return the same problem with another demand."""
+        return Snapshot(self._problem, None, demand)
+
+    @cached_property
+    def present(self) -> Placed:
+        """Where all components run now, or nothing when some component has no place."""
+        components = self._problem.components
+        if any(c.present is None for c in components):
+            return []
+        try:
+            now = {c.name: c.present for c in components if c.present is not None}
+            return placed_by_name(self.tables, now)
+        except UsageError:  # what must share a computer does not
+            return []
+
+    @property
+    def size(self) -> int:
+        """How many components there are."""
+        return len(self._problem.components)
+
+    @property
+    def problem(self) -> Problem:
+        """The problem, with its present demand."""
+        if self._demand is not None:
+            self._problem = _with_demand(self._problem, self._demand)
+            self._demand = None
+        return self._problem
+
+    @property
+    def tables(self) -> Tables:
+        """The problem in numbers."""
+        if self._tables is None:
+            self._tables = tabulate(self.problem)
+        return self._tables
+
+
+def _is_known(problem: Problem) -> bool:
+    return not problem.components or any(c.demand for c in problem.components)
+
+
+def _with_demand(problem: Problem, demand: list[float]) -> Problem:
+    resources = problem.resources
+    if not resources:
+        return problem
+    rows = zip(*[iter(demand)] * len(resources), strict=True)
+    return msgspec.structs.replace(
+        problem,
+        components=tuple(
+            msgspec.structs.replace(c, demand=dict(zip(resources, row, strict=True)))
+            for c, row in zip(problem.components, rows, strict=True)
+        ),
+    )
+
+
+def _sentence(found: Conflict) -> str:
+    names, limits = ", ".join(found.components), "; ".join(found.limits)
+    if not limits.startswith(names):
+        limits = f"{names} cannot hold together: {limits}"
+    return f"{limits}. It would fit with {found.relaxation}"

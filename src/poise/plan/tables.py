@@ -1,14 +1,22 @@
-"""A problem in numbers: what both the Python reference and the C++ core work on.
+"""A problem in numbers: what both the Python reference and the C++ core read.
 
 Components that must share a computer become one *unit*; everything below is by unit.
-Tables are flat, row by row, so that they can be handed to C++ as they are.
+Tables are flat, row by row.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from math import inf
+
 from msgspec import Struct
 
+from poise.errors import UsageError
 from poise.plan.problem import SLACK, Problem
+
+LEAST_LINK_USE = 0.1
+"""What communication counts for at least, however little of the links it takes: a
+message between computers costs time on both of them, too."""
 
 Placed = list[int]
 """For every unit the index of its computer, or -1 while it has none."""
@@ -23,12 +31,16 @@ class Tables(Struct, frozen=True):
         Unit -> indexes of its components.
     unit_of
         Component -> its unit.
+    index
+        Name of a component -> its place among the components.
+    component_demand
+        (components, r).
     demand
         (n, r).
     capacity, limit
         (m, r): what a computer has, and what placements may use of it.
-    size
-        (n,): by which the greedy orders, largest first.
+    size_weight
+        (r,): the greedy orders by the sum of demand times this, largest first.
     allowed
         Unit -> computers it may run on; units that are not named may run on any.
     first, second, overhead, traffic
@@ -54,11 +66,13 @@ class Tables(Struct, frozen=True):
     problem: Problem
     members: list[tuple[int, ...]]
     unit_of: list[int]
+    index: dict[str, int]
+    component_demand: list[float]
     resources: tuple[str, ...]
     demand: list[float]
     capacity: list[float]
     limit: list[float]
-    size: list[float]
+    size_weight: list[float]
     allowed: dict[int, tuple[int, ...]]
     first: list[int]
     second: list[int]
@@ -78,7 +92,7 @@ class Tables(Struct, frozen=True):
 
 
 def tabulate(problem: Problem) -> Tables:
-    """Turn a problem, found correct by `poise.plan.check`, into numbers."""
+    """Turn a problem into numbers."""
     components, computers = problem.components, problem.computers
     resources = problem.resources
     index = {c.name: i for i, c in enumerate(components)}
@@ -92,24 +106,20 @@ def tabulate(problem: Problem) -> Tables:
         for k in resources
     ]
     limit = _limits(problem, resources, capacity)
-    if n < len(components):
-        demand = _summed(demand, unit_of, n, r)
-    if problem.together:
-        index = {name: unit_of[i] for name, i in index.items()}
-    first, second, overhead, traffic = _pairs(problem, index)
+    unit = {name: unit_of[i] for name, i in index.items()} if n < len(index) else index
+    first, second, overhead, traffic = _pairs(problem, unit)
     objective = problem.objective
-    scale = 1.0
-    if objective.scale == "normalised":
-        scale = sum(overhead) + _inside(problem, index)
     return Tables(
         problem,
         members,
         unit_of,
-        resources,
+        index,
         demand,
+        resources,
+        demand if unit is index else _summed(demand, unit_of, n, r),
         capacity,
         limit,
-        _sizes(problem, resources, demand, limit) if r else [0.0] * n,
+        _size_weights(problem, resources, limit),
         _allowed(problem, place, unit_of),
         first,
         second,
@@ -118,8 +128,8 @@ def tabulate(problem: Problem) -> Tables:
         [d for row in problem.distance for d in row],
         _linear(problem, place, unit_of, n),
         _bandwidths(problem, place, m),
-        _apart(problem, index),
-        objective.communication / scale if scale > 0 else 0.0,
+        _apart(problem, unit),
+        objective.communication * _overhead_scale(problem, overhead, traffic),
         [objective.balance * w for w in _balance_weights(problem, resources)],
         objective.scale == "normalised",
         objective.spread == "variance",
@@ -127,6 +137,30 @@ def tabulate(problem: Problem) -> Tables:
         m,
         r,
     )
+
+
+def _overhead_scale(
+    problem: Problem, overhead: list[float], traffic: list[float]
+) -> float:
+    """Return what a unit of overhead counts for in the communication term.
+
+    In the normalised scale all overhead together counts for the share of the narrowest
+    link that all traffic together would take, between a tenth and 1; for 1 where no
+    bandwidth or no traffic is known.
+    """
+    if problem.objective.scale == "paper":
+        return 1.0
+    if problem.together:  # overhead within a unit is part of all, though never paid
+        between = [k for k in problem.connectors if k.between[0] != k.between[1]]
+        overhead = [k.overhead for k in between]
+        traffic = [k.traffic for k in between]
+    total = sum(overhead)
+    if total <= 0:
+        return 0.0
+    narrowest = min((link.bandwidth for link in problem.links), default=inf)
+    sent = sum(traffic)
+    use = sent / narrowest if sent > 0 and 0 < narrowest < inf else 1.0
+    return min(1.0, max(LEAST_LINK_USE, use)) / total
 
 
 def _units(
@@ -189,14 +223,6 @@ def _pairs(
     return [i for i, _ in rows], [j for _, j in rows], overhead, traffic
 
 
-def _inside(problem: Problem, unit: dict[str, int]) -> float:
-    """Return the overhead between components of one unit: part of all, never paid."""
-    if not problem.together:
-        return 0.0
-    ends = ((c.overhead, *c.between) for c in problem.connectors)
-    return sum(w for w, a, b in ends if a != b and unit[a] == unit[b])
-
-
 def _balance_weights(problem: Problem, resources: tuple[str, ...]) -> list[float]:
     """Return the weight of each resource's spread (docs/design/objective.md)."""
     given = problem.objective.weights
@@ -209,31 +235,17 @@ def _balance_weights(problem: Problem, resources: tuple[str, ...]) -> list[float
     return [w / total for w in weights] if total > 0 else weights
 
 
-def _sizes(
-    problem: Problem,
-    resources: tuple[str, ...],
-    demand: list[float],
-    limit: list[float],
+def _size_weights(
+    problem: Problem, resources: tuple[str, ...], limit: list[float]
 ) -> list[float]:
-    """Return the paper's weighted sum of demand, by which the greedy orders."""
+    """Return the paper's weights of demand in a size, by which the greedy orders."""
     given = problem.objective.sizes
     weights = [given.get(k, 0.0) if given else 1.0 for k in resources]
+    if problem.objective.scale == "paper":
+        return weights
     r = len(resources)
-    if problem.objective.scale == "normalised":
-        totals = [sum(limit[k::r]) for k in range(r)]
-        weights = [
-            w / t if t > 0 else 0.0 for w, t in zip(weights, totals, strict=True)
-        ]
-    if r == 1:
-        return [weights[0] * d for d in demand]
-    if r == 2:  # noqa: PLR2004 - cpu and memory: the usual case, and a third faster
-        a, b = weights
-        pairs = zip(demand[::2], demand[1::2], strict=True)
-        return [a * x + b * y for x, y in pairs]
-    size = [0.0] * (len(demand) // r)
-    for k, weight in enumerate(weights):
-        size = [s + weight * d for s, d in zip(size, demand[k::r], strict=True)]
-    return size
+    totals = [sum(limit[k::r]) for k in range(r)]
+    return [w / t if t > 0 else 0.0 for w, t in zip(weights, totals, strict=True)]
 
 
 def _allowed(
@@ -290,6 +302,34 @@ def _apart(problem: Problem, unit: dict[str, int]) -> list[tuple[int, int]]:
             for j in units[x + 1 :]:
                 pairs[min(i, j), max(i, j)] = None
     return list(pairs)
+
+
+def placed_by_name(tables: Tables, placement: Mapping[str, str]) -> Placed:
+    """Return a placement by name as one by index.
+
+    Raises
+    ------
+    UsageError
+        When a component has no computer, or one that is not there, or components that
+        must share a computer do not.
+    """
+    problem = tables.problem
+    index = {h.name: i for i, h in enumerate(problem.computers)}
+    placed = [-1] * tables.n
+    for i, component in enumerate(problem.components):
+        name = placement.get(component.name)
+        if name not in index:
+            choices = ", ".join(index)
+            raise UsageError(
+                f"component {component.name!r} is placed on {name!r} "
+                f"(there are: {choices})"
+            )
+        unit = tables.unit_of[i]
+        if placed[unit] not in {-1, index[name]}:
+            names = [problem.components[j].name for j in tables.members[unit]]
+            raise UsageError(f"{', '.join(names)} must share a computer")
+        placed[unit] = index[name]
+    return placed
 
 
 def fits(load: float, limit: float) -> bool:

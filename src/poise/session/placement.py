@@ -56,14 +56,16 @@ class Placement(Shown, Struct, frozen=True, kw_only=True):
         """Return the computer of a component."""
         return self.where[component]
 
-    def explain(self, component: str) -> plan.Explanation:
-        """Say why a component is where it is, and what each other computer costs."""
-        problem = plan.keep_components(self.problem, self.where)
-        return plan.explain(problem, self.where, component)
+    def explain(self, name: str) -> plan.Explanation | plan.Rejection:
+        """Say why a component is where it is, and what each other computer costs.
+
+        Of an architecture that was not chosen: why not, and what it costs.
+        """
+        return plan.explain(self.problem, self.where, name)
 
     def parts(self) -> tuple[RenderableType, ...]:
         """Return what is printed."""
-        return plan_parts(self.problem, self.result)
+        return plan_parts(self.result)
 
 
 def place(

@@ -5,26 +5,26 @@ from __future__ import annotations
 from typing import TypeVar
 
 from poise.errors import RunError
-from poise.manage.control_socket.client import send_command
-from poise.manage.control_socket.records import (
-    Command,
-    MoveCommand,
+from poise.manage.control import (
+    Answer,
+    Ask,
+    AskAlternative,
+    AskBalance,
+    AskMove,
+    AskReplace,
+    AskStatus,
+    AskStop,
+    Balanced,
     Moved,
-    RebalanceCommand,
-    Rebalanced,
-    ReplaceArchitectureCommand,
-    ReplaceCommand,
     Replaced,
-    Result,
     RobotStatus,
-    StatusCommand,
-    StopCommand,
-    StopReport,
+    Stopping,
+    ask,
 )
 from poise.manage.migration.move import MoveReport
 from poise.manage.migration.replacement import ReplaceReport
 
-R = TypeVar("R", bound=Result)
+A = TypeVar("A", bound=Answer)
 
 
 class Running:
@@ -44,28 +44,23 @@ class Running:
 
     def status(self) -> RobotStatus:
         """Return where components run, and how they and their computers are."""
-        return self._send(StatusCommand(), RobotStatus)
+        return self._ask(AskStatus(), RobotStatus)
 
-    def move(self, component: str, computer: str, *, force: bool = False) -> MoveReport:
+    def move(self, component: str, computer: str) -> MoveReport:
         """Move a component to another computer, with its state.
-
-        Parameters
-        ----------
-        force
-            Whether to move it even where it does not fit beside what runs.
 
         Raises
         ------
         RunError
             It failed; the component goes on where it was.
         """
-        report = self._send(MoveCommand(component, computer, force), Moved).report
+        report = self._ask(AskMove(component, computer), Moved).report
         if not report.committed:
             raise RunError(f"{component} stays on {report.source}: {report.reason}")
         return report
 
     def replace(
-        self, what: str, by: str, *, adapt: str = "", fresh: bool = False
+        self, what: str, by: str, *, adapt: str = ""
     ) -> MoveReport | ReplaceReport:
         """Swap a component's implementation, or an architecture for another.
 
@@ -77,8 +72,6 @@ class Running:
             ``package.module:Class``, or another architecture of the same function.
         adapt
             ``package.module:function`` that maps the old state to the new one.
-        fresh
-            Whether the old state is dropped.
 
         Raises
         ------
@@ -87,16 +80,14 @@ class Running:
         """
         report: MoveReport | ReplaceReport
         if ":" in by:
-            command = ReplaceCommand(what, by, adapt, fresh)
-            report = self._send(command, Moved).report
+            report = self._ask(AskReplace(what, by, adapt), Moved).report
         else:
-            architecture = ReplaceArchitectureCommand(what, by, adapt, fresh)
-            report = self._send(architecture, Replaced).report
+            report = self._ask(AskAlternative(what, by, adapt), Replaced).report
         if not report.committed:
             raise RunError(f"{what} is not replaced: {report.reason}")
         return report
 
-    def balance(self, *, cost: float = 0.01, dry_run: bool = False) -> Rebalanced:
+    def balance(self, *, cost: float = 0.01, dry_run: bool = False) -> Balanced:
         """Place the robot again, from what its components need now.
 
         Parameters
@@ -111,28 +102,20 @@ class Running:
         RunError
             A move failed; everything is where it was.
         """
-        answer = self._send(RebalanceCommand(cost, dry_run), Rebalanced)
+        answer = self._ask(AskBalance(cost, dry_run), Balanced)
         if answer.report is not None and not answer.report.committed:
             raise RunError(f"the robot is as before: {answer.report.reason}")
         return answer
 
     def stop(self) -> None:
-        """Stop the robot, and wait until it has stopped.
+        """Stop the robot; returns before all has ended."""
+        self._ask(AskStop(), Stopping)
 
-        Raises
-        ------
-        RunError
-            Something still runs on a computer that is out of reach.
-        """
-        remaining = self._send(StopCommand(), StopReport).remaining
-        if remaining:
-            raise RunError("\n".join(remaining))
-
-    def _send(self, command: Command, type_: type[R]) -> R:
-        result = send_command(self.name, command)
-        if not isinstance(result, type_):
-            raise RunError(f"the manager answered {result!r} to {command!r}")
-        return result
+    def _ask(self, what: Ask, type_: type[A]) -> A:
+        answer = ask(self.name, what)
+        if not isinstance(answer, type_):
+            raise RunError(f"the manager answered {answer!r} to {what!r}")
+        return answer
 
 
 def connect(name: str | None = None) -> Running:

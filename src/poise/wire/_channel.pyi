@@ -92,3 +92,6 @@ def segments(
 
 def address(memory: Bytes) -> int:
     """Return where `memory` begins."""
+
+class Lent:
+    """Bytes of shared memory that a message holds; given back when nobody does."""

@@ -22,7 +22,7 @@ from poise.wire.records.migration import (
     Rest,
     Step,
 )
-from tests.waiting import LIMIT
+from tests.runtime.conftest import LIMIT
 
 
 class Nothing(Component):

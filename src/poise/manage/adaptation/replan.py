@@ -86,7 +86,7 @@ def propose(
         With the demands it was placed by.
     now
         Component -> computer.
-    demand_estimates
+    standings
         What the components need now.
     move
         What F grows by for every component that moves, plus as much for each MB of
@@ -100,16 +100,16 @@ def propose(
     shifted = dict(_shifted(robot, demand_estimates))
     needy = _with_cpu(robot, {name: need.counted for name, need in shifted.items()})
     problem = plan.problem_of(needy, task, present=now, move=move)
-    is_placed = {component.name for component in problem.components} <= now.keys()
-    if not is_placed:  # of alternative architectures only one runs: keep to it
-        problem = plan.keep_components(problem, now.keys())
-    result = plan.solve(problem, SOLVE_FOR)
+    # Of alternative architectures only one runs: keep to it.
+    planner = plan.Planner(plan.keep_components(problem, now.keys()))
+    result = planner.decide(budget=SOLVE_FOR)
     if not result.feasible or result.objective is None:
+        result.find_conflict()
         needs = "".join(f"; {name} needs {need}" for name, need in shifted.items())
         raise RobotError(
             f"task '{task}' has no placement any more: {result.reason}{needs}"
         )
-    present = plan.evaluate(problem, now)
+    present = plan.evaluate(planner.problem, now)
     assert present.objective is not None  # noqa: S101, a given placement has terms
     return Proposal(
         shifted=shifted,
@@ -120,14 +120,6 @@ def propose(
         steps=plan_transition(needy, now, result.placement),
         proven=result.proven,
     )
-
-
-def with_present_needs(
-    robot: Robot, demand_estimates: Iterable[DemandEstimate]
-) -> Robot:
-    """Return the robot with the CPU demands that its components have now [cores]."""
-    shifted = _shifted(robot, demand_estimates)
-    return _with_cpu(robot, {name: need.counted for name, need in shifted})
 
 
 def _shifted(

@@ -1,16 +1,12 @@
 // The paper's greedy: the mirror of ../greedy.py, decision for decision.
 #pragma once
 
-#include "problem.h"
+#include "problem/problem.h"
 
 namespace poise {
 
-// Its tables are kept between runs: at 24 units, allocating costs more than deciding.
-//
-// Over many computers that are alike, most have room for a unit without becoming the
-// fullest, and F is the same on all of them. So computers stand in blocks of which the
-// largest residues are known: what F would be with those is a lower bound of F on the
-// whole block, and a block whose bound is no better than what was found is left out.
+// Its tables are kept between runs: at 24 units, allocating costs more than deciding. Where
+// the compiler knows the number of computers M (0: any), it is half again as quick.
 class Greedy {
  public:
   explicit Greedy(const Problem& problem);
@@ -19,51 +15,43 @@ class Greedy {
   // with all after it.
   bool run(Placement& placed);
 
+ private:
   // What placing a unit needs to know of one resource's residues.
   struct Balance {
     double low, high, second;     // smallest, largest and second largest share
     double sum, squares, centre;  // of the shares, less `centre`
-    double weight, part;          // part: 1 / how many computers are counted
   };
-
- private:
   struct Tie {  // a connector to a unit that is placed
     std::int32_t computer;
     double overhead, traffic;
   };
 
+  Span<Tie> ties() const { return {ties_.data(), ties_.data() + tie_count_}; }
   void start();
-  int decide(int unit, const Placement& placed);
-  void gather(int unit, const Placement& placed);
-  void weigh(const double* need, int count, double* total, const double* share,
-             const double* room, const double* scale, int stride) const;
-  int best_of_all(int unit);
-  int best_of_blocks(const double* need);
-  void weigh_block(const double* need, int block);
-  void shut(int unit);
+  template <int M>
+  bool place_all(Placement& placed);
+  template <int M>
+  void pay_for_ties(int unit, const Placement& placed);
+  template <int M>
+  void add_balance(int resource, double need);
+  void shut(int unit, const Placement& placed);
   void shut_full_links();
-  void pay(int unit, int computer);
-  void use(const double* need, int computer);
-  void find_block(int resource, int block);
-  void find_high(int resource);
+  template <int M>
+  int best() const;
+  template <int M>
+  void put(int unit, int computer);
+  template <int M>
+  void find_extremes(int resource);
 
   const Problem& p_;
-  int blocks_ = 0;                    // 0: every computer is always weighed
   std::vector<double> first_share_;   // (r, m) with nothing placed
   std::vector<double> share_, room_;  // (r, m): residue; what of it may still be used
   std::vector<double> total_;         // (m): F with the unit there
-  std::vector<double> extra_;         // (m): what the unit pays there besides `all_`
   std::vector<Balance> balance_, first_balance_;
   std::vector<double> traffic_;       // (m, m), when bandwidth is limited
-  std::vector<Tie> ties_;             // of the unit
+  std::vector<Tie> ties_;             // of the unit, the first `tie_count_`
+  int tie_count_ = 0;
   double paid_ = 0;                   // communication and linear cost so far
-  double all_ = 0;                    // that, with every tie of the unit paid for
-
-  // Of blocks of computers, when there are any.
-  std::vector<double> top_, second_, top_room_;  // (r, blocks): the largest in there
-  std::vector<double> bound_;     // (blocks): no total in there is lower
-  std::vector<double> least_;     // (blocks): the lowest total; infinite: not weighed
-  std::vector<std::int32_t> touched_;  // computers with something in `extra_`
 };
 
 }  // namespace poise

@@ -1,89 +1,60 @@
 // The one place where C++ meets Python.
 #include <nanobind/nanobind.h>
+#include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
-#include <cstring>
+#include <atomic>
 #include <memory>
-#include <mutex>
 #include <stdexcept>
 
-#include "exact.h"
-#include "fleet.h"
-#include "fluid.h"
+#include "exact/exact.h"
 #include "greedy.h"
-#include "search.h"
-#include "state.h"
+#include "problem/relaxation.h"
+#include "search/search.h"
 
 namespace nb = nanobind;
 using namespace poise;
 
 namespace {
 
-// Copies a list, or anything with a buffer of the right type (array.array, NumPy).
-template <typename T>
-std::vector<T> numbers(nb::handle from, const char* name) {
-  std::vector<T> out;
-  if (PyList_CheckExact(from.ptr())) {
-    const Py_ssize_t size = PyList_GET_SIZE(from.ptr());
-    out.resize(static_cast<std::size_t>(size));
-    for (Py_ssize_t i = 0; i < size; ++i) {
-      PyObject* item = PyList_GET_ITEM(from.ptr(), i);
-      if constexpr (std::is_same_v<T, double>) {
-        out[i] = PyFloat_AsDouble(item);
-        if (out[i] == -1.0 && PyErr_Occurred()) throw nb::python_error();
-      } else {
-        const long value = PyLong_AsLong(item);
-        if (value == -1 && PyErr_Occurred()) throw nb::python_error();
-        if (value != static_cast<T>(value)) {
-          throw std::invalid_argument(std::string(name) + " has an index out of range");
-        }
-        out[i] = static_cast<T>(value);
-      }
-    }
-    return out;
+constexpr double kLeast = 1e-30, kMost = 1e30;  // as in poise.plan.check
+
+// Reads the fields of `poise.plan.tables.Tables`.
+Numbers read(nb::handle tables) {
+  Numbers in;
+  const auto get = [&](auto& to, const char* name) {
+    to = nb::cast<std::decay_t<decltype(to)>>(tables.attr(name));
+  };
+  get(in.n, "n");
+  get(in.m, "m");
+  get(in.r, "r");
+  get(in.demand, "demand");
+  get(in.capacity, "capacity");
+  get(in.limit, "limit");
+  get(in.size_weight, "size_weight");
+  get(in.first, "first");
+  get(in.second, "second");
+  get(in.overhead, "overhead");
+  get(in.traffic, "traffic");
+  get(in.distance, "distance");
+  get(in.cost, "cost");
+  get(in.bandwidth, "bandwidth");
+  get(in.communication, "communication");
+  get(in.spread, "spread");
+  get(in.share, "share");
+  get(in.variance, "variance");
+  for (const auto& [unit, computers] : nb::cast<nb::dict>(tables.attr("allowed"))) {
+    in.allowed.emplace_back(nb::cast<std::int32_t>(unit),
+                            nb::cast<std::vector<std::int32_t>>(computers));
   }
-  Py_buffer view;
-  if (PyObject_GetBuffer(from.ptr(), &view, PyBUF_FORMAT | PyBUF_C_CONTIGUOUS) != 0) {
-    throw nb::python_error();
+  for (const nb::handle pair : tables.attr("apart")) {
+    const auto [a, b] = nb::cast<std::pair<std::int32_t, std::int32_t>>(pair);
+    in.apart_first.push_back(a);
+    in.apart_second.push_back(b);
   }
-  const char* wanted = std::is_same_v<T, double> ? "d" : "i";
-  const bool right = view.format != nullptr && std::strcmp(view.format, wanted) == 0 &&
-                     view.itemsize == sizeof(T);
-  if (right) {
-    out.resize(static_cast<std::size_t>(view.len) / sizeof(T));
-    if (view.len > 0) std::memcpy(out.data(), view.buf, static_cast<std::size_t>(view.len));
-  }
-  PyBuffer_Release(&view);
-  if (!right) throw std::invalid_argument(std::string(name) + " has the wrong type");
-  return out;
+  return in;
 }
-
-// The interpreter's numbers from -1 to `m` - 1, made once: a short list of them then costs
-// no more than counting references.
-class Computers {
- public:
-  explicit Computers(int m) {
-    for (int h = -1; h < m && h < kMost; ++h) numbers_.push_back(nb::int_(h));
-  }
-
-  nb::list listed(const Placement& placed) const {
-    PyObject* list = PyList_New(static_cast<Py_ssize_t>(placed.size()));
-    if (list == nullptr) throw nb::python_error();
-    const auto made = static_cast<int>(numbers_.size()) - 1;
-    for (std::size_t i = 0; i < placed.size(); ++i) {
-      const int h = placed[i];
-      PyObject* number =
-          h < made ? numbers_[h + 1].inc_ref().ptr() : PyLong_FromLong(h);
-      PyList_SET_ITEM(list, static_cast<Py_ssize_t>(i), number);
-    }
-    return nb::steal<nb::list>(list);
-  }
-
- private:
-  static constexpr int kMost = 64;
-  std::vector<nb::object> numbers_;
-};
 
 const char* named(Reason reason) {
   switch (reason) {
@@ -123,230 +94,209 @@ struct Asked {
   }
 };
 
+// A problem compiled once, and its solvers. One thread at a time may use it.
 class Core {
  public:
-  explicit Core(Input input)
-      : problem_(std::move(input)), greedy_(problem_), computers_(problem_.m) {}
+  explicit Core(nb::handle tables)
+      : problem_(read(tables)), greedy_(problem_), index_(nb::cast<nb::dict>(tables.attr("index"))),
+        resources_(nb::cast<nb::tuple>(tables.attr("resources"))),
+        unit_of_(nb::cast<std::vector<std::int32_t>>(tables.attr("unit_of"))),
+        demand_(nb::cast<std::vector<double>>(tables.attr("component_demand"))) {
+    if (demand_.size() != unit_of_.size() * problem_.r || nb::len(index_) != unit_of_.size() ||
+        nb::len(resources_) != static_cast<std::size_t>(problem_.r)) {
+      throw std::invalid_argument("component_demand, unit_of and index do not agree");
+    }
+    for (const std::int32_t unit : unit_of_) {
+      if (unit < 0 || unit >= problem_.n) throw std::invalid_argument("no such unit");
+    }
+    for (const auto& [name, at] : index_) {
+      if (nb::cast<std::size_t>(at) >= unit_of_.size()) {
+        throw std::invalid_argument("no such component");
+      }
+    }
+  }
 
-  nb::list greedy() {
+  nb::tuple greedy() {
+    bool complete;
     if (static_cast<double>(problem_.n) * problem_.m < 65536) {
-      greedy_.run(placed_);
-      return computers_.listed(placed_);
-    }
-    // Long enough for others to run meanwhile; then it needs tables of its own.
-    Placement placed;
-    {
+      complete = greedy_.run(placed_);
+    } else {  // long enough for other threads to run meanwhile
+      const Busy busy(*this);
       nb::gil_scoped_release free;
-      Greedy(problem_).run(placed);
+      complete = greedy_.run(placed_);
     }
-    return computers_.listed(placed);
+    return nb::make_tuple(listed(placed_), complete);
   }
 
-  // How long a decision by the greedy takes with no Python around it, on average [s].
-  double rehearse(int times) {
-    if (times < 1) throw std::invalid_argument("times must be >= 1");
-    nb::gil_scoped_release free;
-    Greedy greedy(problem_);
-    Placement placed;
-    const Stop watch(0.0, 1, nullptr);
-    for (int i = 0; i < times; ++i) greedy.run(placed);
-    return watch.elapsed() / times;
-  }
-
-  nb::tuple exact(nb::handle known, double seconds, std::int64_t steps,
-                  nb::handle ask) {
+  nb::tuple exact(nb::handle known, double seconds, std::int64_t steps, nb::handle stop) {
     const Placement start = complete(known);
-    if (!Exact::takes(problem_)) throw std::invalid_argument("too large for `exact`");
+    if (!provable()) throw std::invalid_argument("too large for `exact`");
     if (!start.empty() && !feasible(problem_, start)) {
       throw std::invalid_argument("the placement to start from breaks a limit");
     }
-    return solve(seconds, steps, ask, [&](Stop& stop) {
-      // One prepared tree is kept; a second thread that comes meanwhile grows its own.
-      const std::unique_lock<std::mutex> lock(exact_mutex_, std::try_to_lock);
-      if (!lock) return Exact(problem_).run(start, stop);
+    return solve(seconds, steps, stop, [&](Stop& until) {
       if (!exact_) exact_ = std::make_unique<Exact>(problem_);
-      return exact_->run(start, stop);
+      return exact_->run(start, until);
     });
   }
 
   nb::tuple search(nb::handle known, double seconds, std::int64_t steps,
-                   std::uint64_t seed, nb::handle ask, bool thread_time) {
+                   std::uint64_t seed, nb::handle stop) {
     const Placement start = complete(known);
-    return solve(seconds, steps, ask, [&](Stop& stop) {
-      return poise::search(problem_, start, stop, seed);
-    }, thread_time ? Clock::kThread : Clock::kWall);
+    return solve(seconds, steps, stop, [&](Stop& until) {
+      return poise::search(problem_, start, until, seed);
+    });
   }
 
-  // Apply search moves one by one: what each was weighed at, and what is kept after it.
-  nb::list walk(nb::handle known, nb::list moves) {
-    const Placement start = partial(known);
-    check(start, 0);
-    State state(problem_);
-    state.reset(start);
-    nb::list out;
-    for (const nb::handle item : moves) {
-      const nb::tuple move = nb::cast<nb::tuple>(item);
-      if (move.size() != 4) throw std::invalid_argument("a move is (out, back, a, b)");
-      const int a = nb::cast<int>(move[2]), b = nb::cast<int>(move[3]);
-      if (a == b) throw std::invalid_argument("a move joins two computers");
-      const Units there = moving(state, move[0], a), back = moving(state, move[1], b);
-      const Change change = state.weigh(there, back, a, b);
-      state.apply(there, back, a, b);
-      out.append(nb::make_tuple(change.objective, change.excess, state.paid(),
-                                state.balance(), state.excess(), state.feasible()));
+  // Change demands: component -> resource -> amount; returns all of them, as they are
+  // then. All is checked before any changes.
+  nb::list update(nb::dict demands) {
+    const Busy busy(*this);
+    std::vector<std::pair<std::size_t, double>> changes;
+    for (const auto& [name, amounts] : demands) {
+      PyObject* at = PyDict_GetItemWithError(index_.ptr(), name.ptr());
+      if (at == nullptr) {
+        throw std::invalid_argument("no component is called " + text(name));
+      }
+      const auto first = static_cast<std::size_t>(PyLong_AsLong(at)) * problem_.r;
+      for (const auto& [resource, amount] : nb::cast<nb::dict>(amounts)) {
+        const double value = PyFloat_AsDouble(amount.ptr());
+        if (value == -1.0 && PyErr_Occurred()) throw nb::python_error();
+        if (!(value == 0 || (value >= kLeast && value <= kMost))) {
+          throw std::invalid_argument("component " + text(name) + ": demand of " +
+                                      text(resource) + " is " + text(amount) +
+                                      ", must be 0, or in [1e-30, 1e+30]");
+        }
+        changes.emplace_back(first + resource_index(resource, name), value);
+      }
     }
-    return out;
-  }
-
-  nb::list multilevel(std::uint64_t seed) {
-    Placement placed;
-    {
-      nb::gil_scoped_release free;
-      Stop stop(1e18, std::int64_t{1} << 62, nullptr);
-      Random random(seed);
-      placed = poise::multilevel(problem_, stop, random);
+    for (const auto& [entry, value] : changes) demand_[entry] = value;
+    std::fill(problem_.demand.begin(), problem_.demand.end(), 0.0);
+    for (std::size_t i = 0; i < unit_of_.size(); ++i) {
+      for (int k = 0; k < problem_.r; ++k) {
+        problem_.demand[static_cast<std::size_t>(unit_of_[i]) * problem_.r + k] +=
+            demand_[i * problem_.r + k];
+      }
     }
-    return computers_.listed(placed);
+    problem_.sort_units();
+    exact_.reset();
+    return list_of(demand_, PyFloat_FromDouble);
   }
 
   nb::tuple terms(nb::handle known) {
-    const Terms out = poise::terms(problem_, partial(known));
+    const Terms out = poise::terms(problem_, checked(known, -1));
     return nb::make_tuple(out.communication, out.balance, out.linear);
   }
 
-  bool feasible_(nb::handle known) { return feasible(problem_, partial(known)); }
-
+  bool keeps_limits(nb::handle known) { return feasible(problem_, checked(known, -1)); }
   bool provable() { return Exact::takes(problem_); }
-  double bound() { return fluid_bound(problem_); }
-  std::size_t bytes() { return problem_.bytes(); }
+  double bound() { return relaxation_bound(problem_); }
 
  private:
+  // Refuses a second thread, which would change what the first one works on.
+  struct Busy {
+    explicit Busy(Core& core) : busy(core.busy_) {
+      if (busy.exchange(true)) throw std::invalid_argument("a solver is running already");
+    }
+    ~Busy() { busy = false; }
+    std::atomic<bool>& busy;
+  };
+
   template <typename Solver>
-  nb::tuple solve(double seconds, std::int64_t steps, nb::handle ask, Solver solver,
-                  Clock clock = Clock::kWall) {
+  nb::tuple solve(double seconds, std::int64_t steps, nb::handle stop, Solver solver) {
     if (!(seconds >= 0)) throw std::invalid_argument("seconds must be >= 0");
-    Asked asked{ask, {}};
+    const Busy busy(*this);
+    Asked asked{stop, {}};
     Outcome out;
     {
       nb::gil_scoped_release free;
-      Stop stop(seconds, steps, [&] { return asked(); }, clock);
-      out = solver(stop);
+      Stop until(seconds, steps, [&] { return asked(); });
+      out = solver(until);
     }
     if (asked.raised.is_valid()) {
       PyErr_SetObject(reinterpret_cast<PyObject*>(Py_TYPE(asked.raised.ptr())),
                       asked.raised.ptr());
       throw nb::python_error();
     }
-    return nb::make_tuple(computers_.listed(out.placed), out.bound, out.proven,
+    return nb::make_tuple(listed(out.placed), out.objective, out.bound, out.proven,
                           named(out.reason), out.steps);
   }
 
-  Units moving(const State& state, nb::handle from, int computer) {
-    Units units = numbers<std::int32_t>(from, "move");
-    std::vector<char> seen(problem_.n, 0);
-    if (computer < 0 || computer >= problem_.m) throw std::invalid_argument("no computer");
-    for (const std::int32_t unit : units) {
-      const bool known = unit >= 0 && unit < problem_.n && !seen[unit];
-      if (!known || state.at(unit) != computer) {
-        throw std::invalid_argument("a move has the unit " + std::to_string(unit));
-      }
-      seen[unit] = 1;
+  static std::string text(nb::handle value) { return nb::repr(value).c_str(); }
+
+  int resource_index(nb::handle resource, nb::handle component) {
+    for (int k = 0; k < problem_.r; ++k) {
+      PyObject* known = PyTuple_GET_ITEM(resources_.ptr(), k);
+      if (known == resource.ptr() || resource.equal(nb::handle(known))) return k;
     }
-    return units;
+    throw std::invalid_argument("component " + text(component) + ": no resource is called " +
+                                text(resource));
   }
 
-  // A placement of all units or of none.
+  template <typename T, typename Make>
+  static nb::list list_of(const std::vector<T>& values, Make make) {
+    PyObject* list = PyList_New(static_cast<Py_ssize_t>(values.size()));
+    if (list == nullptr) throw nb::python_error();
+    for (std::size_t i = 0; i < values.size(); ++i) {
+      PyList_SET_ITEM(list, static_cast<Py_ssize_t>(i), make(values[i]));
+    }
+    return nb::steal<nb::list>(list);
+  }
+  static nb::list listed(const Placement& placed) { return list_of(placed, PyLong_FromLong); }
+
+  // A placement of all units, or of none.
   Placement complete(nb::handle from) {
-    Placement placed = numbers<std::int32_t>(from, "placement");
-    if (placed.empty()) return placed;
-    check(placed, 0);
-    return placed;
+    if (nb::len(from) == 0) return {};
+    return checked(from, 0);
   }
-  Placement partial(nb::handle from) {
-    Placement placed = numbers<std::int32_t>(from, "placement");
-    check(placed, -1);
-    return placed;
-  }
-  void check(const Placement& placed, int lowest) {
+
+  Placement checked(nb::handle from, int lowest) {
+    Placement placed = nb::cast<Placement>(from);
     if (placed.size() != static_cast<std::size_t>(problem_.n)) {
       throw std::invalid_argument("placement has " + std::to_string(placed.size()) +
                                   " entries, must have " + std::to_string(problem_.n));
     }
     for (const std::int32_t computer : placed) {
-      if (computer < lowest || computer >= problem_.m) {
-        throw std::invalid_argument("placement has the computer " +
-                                    std::to_string(computer));
-      }
+      if (computer >= lowest && computer < problem_.m) continue;
+      throw std::invalid_argument("placement has the computer " + std::to_string(computer));
     }
+    return placed;
   }
 
   Problem problem_;
   Greedy greedy_;
-  Computers computers_;
-  std::mutex exact_mutex_;
+  nb::dict index_;       // component -> its place in `unit_of_`
+  nb::tuple resources_;
+  std::vector<std::int32_t> unit_of_;
+  std::vector<double> demand_;  // (components, r)
   std::unique_ptr<Exact> exact_;
   Placement placed_;
+  std::atomic<bool> busy_{false};
 };
 
 }  // namespace
 
 NB_MODULE(_core, module) {
-  module.doc() = "The placement engine in C++; see poise.plan.engine.";
-  nb::class_<Core>(module, "Core", "A problem in flat tables, compiled once.")
-      .def(
-          "__init__",
-          [](Core* self, std::int64_t n, std::int64_t m, std::int64_t r, nb::handle demand,
-             nb::handle capacity, nb::handle limit, nb::handle size,
-             nb::handle restricted, nb::handle offsets, nb::handle allowed,
-             nb::handle first, nb::handle second, nb::handle overhead, nb::handle traffic,
-             nb::handle distance, nb::handle cost, nb::handle bandwidth,
-             nb::handle apart_first, nb::handle apart_second, double communication,
-             nb::handle spread, bool share, bool variance) {
-            Input in;
-            in.n = n;
-            in.m = m;
-            in.r = r;
-            in.demand = numbers<double>(demand, "demand");
-            in.capacity = numbers<double>(capacity, "capacity");
-            in.limit = numbers<double>(limit, "limit");
-            in.size = numbers<double>(size, "size");
-            in.restricted = numbers<std::int32_t>(restricted, "restricted");
-            in.offsets = numbers<std::int32_t>(offsets, "offsets");
-            in.allowed = numbers<std::int32_t>(allowed, "allowed");
-            in.first = numbers<std::int32_t>(first, "first");
-            in.second = numbers<std::int32_t>(second, "second");
-            in.overhead = numbers<double>(overhead, "overhead");
-            in.traffic = numbers<double>(traffic, "traffic");
-            in.distance = numbers<double>(distance, "distance");
-            in.cost = numbers<double>(cost, "cost");
-            in.bandwidth = numbers<double>(bandwidth, "bandwidth");
-            in.apart_first = numbers<std::int32_t>(apart_first, "apart_first");
-            in.apart_second = numbers<std::int32_t>(apart_second, "apart_second");
-            in.communication = communication;
-            in.spread = numbers<double>(spread, "spread");
-            in.share = share;
-            in.variance = variance;
-            new (self) Core(std::move(in));
-          },
-          nb::arg("n"), nb::arg("m"), nb::arg("r"), nb::arg("demand"),
-          nb::arg("capacity"), nb::arg("limit"), nb::arg("size"), nb::arg("restricted"),
-          nb::arg("offsets"), nb::arg("allowed"), nb::arg("first"), nb::arg("second"),
-          nb::arg("overhead"), nb::arg("traffic"), nb::arg("distance"), nb::arg("cost"),
-          nb::arg("bandwidth"), nb::arg("apart_first"), nb::arg("apart_second"),
-          nb::arg("communication"), nb::arg("spread"), nb::arg("share"),
-          nb::arg("variance"))
-      .def("greedy", &Core::greedy)
-      .def("rehearse", &Core::rehearse, nb::arg("times"))
+  module.doc() = "The placement engine in C++; see poise.plan.planner.";
+  nb::class_<Core>(module, "Core", "A problem compiled from `Tables`, and its solvers.")
+      .def(nb::init<nb::handle>(), nb::arg("tables"))
+      .def("greedy", &Core::greedy,
+           nb::sig("def greedy(self) -> tuple[list[int], bool]"))
       .def("exact", &Core::exact, nb::arg("known"), nb::arg("seconds"), nb::arg("steps"),
-           nb::arg("stop").none() = nb::none())
+           nb::arg("stop").none() = nb::none(),
+           nb::sig("def exact(self, known: list[int], seconds: float, steps: int, stop: "
+                   "object = None) -> tuple[list[int], float, float, bool, str, int]"))
       .def("search", &Core::search, nb::arg("known"), nb::arg("seconds"),
            nb::arg("steps"), nb::arg("seed"), nb::arg("stop").none() = nb::none(),
-           nb::arg("thread_time") = false)
-      .def("walk", &Core::walk, nb::arg("placed"), nb::arg("moves"))
-      .def("multilevel", &Core::multilevel, nb::arg("seed"))
-      .def("terms", &Core::terms, nb::arg("placed"))
-      .def("feasible", &Core::feasible_, nb::arg("placed"))
-      .def("bound", &Core::bound)
-      .def_prop_ro("provable", &Core::provable)
-      .def_prop_ro("bytes", &Core::bytes);
+           nb::sig("def search(self, known: list[int], seconds: float, steps: int, seed: "
+                   "int, stop: object = None) -> "
+                   "tuple[list[int], float, float, bool, str, int]"))
+      .def("update", &Core::update, nb::arg("demands"),
+           nb::sig("def update(self, demands: dict[str, dict[str, float]]) -> list[float]"))
+      .def("terms", &Core::terms, nb::arg("placed"),
+           nb::sig("def terms(self, placed: list[int]) -> tuple[float, float, float]"))
+      .def("feasible", &Core::keeps_limits, nb::arg("placed"),
+           nb::sig("def feasible(self, placed: list[int]) -> bool"))
+      .def("bound", &Core::bound, nb::sig("def bound(self) -> float"))
+      .def_prop_ro("provable", &Core::provable);
 }

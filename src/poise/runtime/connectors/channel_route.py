@@ -72,9 +72,7 @@ class ChannelRoute:
             kind, tag, coder = Kind.ONEWAY, method.tag, method.arguments
         credit = self._credit
         number = credit.sent + 1
-        pieces = segments(
-            coder, value, kind, tag=tag, number=number, chain=credit.route
-        )
+        pieces = segments(coder, value, kind, tag=tag, number=number, chain=credit.life)
         if number == 1:
             self.ask()
         self._channel.push(pieces, self._limit)
@@ -87,7 +85,7 @@ class ChannelRoute:
 
     def ask(self) -> None:
         """Ask for a grant, behind all that went out."""
-        self._channel.push(self._credit.request(), self._limit)
+        self._channel.push(self._credit.question(), self._limit)
 
     def send_marker(self, number: int) -> None:
         """Send a mark."""
@@ -168,7 +166,7 @@ def receiving(
             return serve(received)
         try:
             if received.kind is Kind.CREDIT_REQUEST:
-                issuer.requested(received)
+                issuer.asked(received)
                 return None
             latency = received.age + remote.ahead
             counts.add_message(0, received.size, latency, remote.error)

@@ -18,7 +18,6 @@ from poise.runtime.component.ports import Kind, Port
 from poise.runtime.connectors.channel_route import ChannelRoute, receiving
 from poise.runtime.connectors.direct import DirectRoute
 from poise.runtime.connectors.flow_control import CREDITS, Credit, CreditIssuer, Credits
-from poise.runtime.connectors.io_thread import IoThread
 from poise.runtime.connectors.recorded_inputs import noting_calls
 from poise.runtime.connectors.remote_clock import RemoteClock, nobody_knows
 from poise.runtime.connectors.sender import Route, Sender
@@ -71,7 +70,6 @@ class Transports:
     def __init__(self, place: Place) -> None:
         self._place = place
         self._credits = Credits()
-        self.io = IoThread()
         self.server = ConnectionServer(Path(place.folder), place.container)
         self.server.open(CREDITS, self._credits.handle, shared=True)
 
@@ -97,7 +95,6 @@ class Transports:
     def close(self) -> None:
         """Close all that was opened."""
         self.server.close()
-        self.io.close()
 
 
 class OpenEndpoints:
@@ -280,11 +277,8 @@ class Wiring:
         spec = ends.spec
         port = _port(target, spec.target_port, TAKING)
         feed = target.endpoints.feed(port.name, ends.counts)
-        transports = self._transports
-        open_channel = partial(transports.channel, CREDITS, calls=False)
-        issuer = CreditIssuer(
-            spec.name, feed, ends.counts, open_channel, transports.io.post
-        )
+        open_pipe = partial(self._transports.channel, CREDITS, calls=False)
+        issuer = CreditIssuer(spec.name, feed, ends.counts, open_pipe)
         ends.closing.callback(issuer.close)
         handler = receiving(
             spec, target.endpoints, port, feed, issuer, ends.remote_clock
@@ -293,7 +287,7 @@ class Wiring:
             caller = f"{spec.source}.{spec.source_port}"
             handler, file = noting_calls(handler, caller, Path(spec.record))
             ends.closing.callback(file.close)
-        server = transports.server
+        server = self._transports.server
         server.open(spec.key, handler, ends.counts.refuse)
         ends.closing.callback(server.shut, spec.key)
 

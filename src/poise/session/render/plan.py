@@ -9,6 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from poise import plan, units
+from poise.model.robot import Computer
 from poise.session.render.tables import table
 
 BAR = 10
@@ -19,12 +20,11 @@ _MOST_BARS = 3
 """Bars of so many placements fit side by side."""
 
 
-def plan_parts(
-    problem: plan.Problem, result: plan.Result
-) -> tuple[RenderableType, ...]:
+def plan_parts(result: plan.Result) -> tuple[RenderableType, ...]:
     """Return a result: placement and load by computer, then the terms of F."""
     if result.objective is None:
         return (_line("no placement", result.reason),)
+    problem = result.problem
     resources = problem.resources
     rows = Table("computer", "components")
     for resource in resources:
@@ -43,16 +43,29 @@ def plan_parts(
         why = f", as not all fits: {result.reason}" if result.feasible else ""
         parts.append(_line("put aside", f"{', '.join(result.aside)}{why}"))
     parts += [f"{what}: by {by}" for what, by in result.architectures.items()]
-    return (*parts, _terms(result))
+    parts.append(_terms(result))
+    if result.unknown:
+        parts.append(_line("no demand is known", _missing(result)))
+    return tuple(parts)
+
+
+def _missing(result: plan.Result) -> str:
+    """Return which demands are not known, and what to do about it."""
+    is_all = len(result.unknown) == len(result.placement)
+    whose = "any component" if is_all else _some([*result.unknown])
+    return (
+        f"of {whose}, so none is counted: measure it with `poise profile`, or write it "
+        "into the file"
+    )
 
 
 def _line(head: str, text: str) -> str:
     return f"[bold red]{head}[/]: {escape(text)}"
 
 
-def show(problem: plan.Problem, result: plan.Result, console: Console) -> None:
+def show(result: plan.Result, console: Console) -> None:
     """Print a result: placement and load by computer, then the terms of F."""
-    for part in plan_parts(problem, result):
+    for part in plan_parts(result):
         console.print(part, highlight=False)
 
 
@@ -84,7 +97,7 @@ def _used(
     return used
 
 
-def _bar(computer: plan.Computer, resource: str, used: float) -> str:
+def _bar(computer: Computer, resource: str, used: float) -> str:
     """Return how much of a resource is used, as a bar and a share of the capacity."""
     text, capacity = _share(computer, resource, used), _capacity(computer, resource)
     if capacity <= 0:
@@ -93,7 +106,7 @@ def _bar(computer: plan.Computer, resource: str, used: float) -> str:
     return f"{'█' * full}{'░' * (BAR - full)} {text:>4}"
 
 
-def _share(computer: plan.Computer, resource: str, used: float) -> str:
+def _share(computer: Computer, resource: str, used: float) -> str:
     """Return which share of a capacity is used; where there is none, how much is."""
     capacity = _capacity(computer, resource)
     if capacity <= 0:
@@ -101,7 +114,7 @@ def _share(computer: plan.Computer, resource: str, used: float) -> str:
     return f"{used / capacity:.0%}"
 
 
-def _capacity(computer: plan.Computer, resource: str) -> float:
+def _capacity(computer: Computer, resource: str) -> float:
     speed = computer.speed if resource == "cpu" else 1.0
     return computer.capacity.get(resource, 0.0) * speed
 
@@ -112,7 +125,7 @@ def show_comparison(
     """Print results side by side: the terms of F, then load by computer."""
     names = list(results)
     rows = table("", *names)
-    for label in ("total", "communication", "balance", "move"):
+    for label in ("total", "communication", "balance", "move", "quality"):
         rows.add_row(label, *(_term(results[name], label) for name in names))
     rows.add_row("lower bound", *(_number(results[n].bound) for n in names))
     rows.add_row("proven", *("yes" if results[n].proven else "no" for n in names))
@@ -160,6 +173,23 @@ def show_explanation(explanation: plan.Explanation, console: Console) -> None:
             option.obstacle or ("here" if here else ""),
         )
     console.print(table)
+
+
+def show_rejection(rejection: plan.Rejection, console: Console) -> None:
+    """Print why an architecture was not chosen, and what it would cost."""
+    what = f"architecture {rejection.architecture} was not chosen"
+    if rejection.chosen:
+        what += f" ({rejection.chosen} provides its function)"
+    console.print(f"{what}: {rejection.reason}", highlight=False)
+    if rejection.objective is None or rejection.change is None:
+        return
+    names = ("total", "communication", "balance", "move", "quality")
+    rows = Table("", *("F" if name == "total" else name for name in names))
+    best = (f"{getattr(rejection.objective, name):.6g}" for name in names)
+    change = (f"{getattr(rejection.change, name):+.4g}" for name in names)
+    rows.add_row("with it, at best", *best)
+    rows.add_row("change", *change)
+    console.print(rows)
 
 
 def _terms(result: plan.Result) -> str:

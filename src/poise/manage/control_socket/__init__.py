@@ -1,1 +1,0 @@
-"""How commands such as `poise status` and `poise move` reach a running manager."""

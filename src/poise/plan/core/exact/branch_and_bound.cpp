@@ -1,0 +1,345 @@
+// Branch and bound on any number of computers.
+#include <algorithm>
+#include <memory>
+
+#include "exact/exact.h"
+#include "exact/frontier.h"
+#include "exact/tree.h"
+#include "problem/relaxation.h"
+
+namespace poise {
+namespace {
+
+// How much a component's weight in the balance counts, against its ties to placed ones,
+// as the next to be placed. Found by trial: 0.3 to 1.6 are about as good.
+constexpr double kSizeOverTie = 0.6;
+
+// The tree for M computers: knowing their number, the compiler unrolls every loop over
+// them, which makes small problems twice as fast. M = 0 takes any number.
+template <int M>
+class TreeOf final : public Exact::Tree {
+ public:
+  explicit TreeOf(const Problem& problem) : Tree(problem) {
+    if (!possible_) return;
+    sort_units();
+    connect();
+    find_twins();
+    measure();
+  }
+
+ private:
+  struct Later {  // a connector to a unit that is deeper in the tree
+    int depth;
+    double overhead;
+  };
+  struct Branch {
+    int computer;
+    double bound;
+  };
+
+  int m() const { return M > 0 ? M : m_; }
+
+  // Units with one choice first, then always the one with the most to say: by ties to
+  // those before it, so that a costly cut is seen early, and by size, so that an
+  // imbalance is.
+  void sort_units() {
+    std::vector<double> value(n_, 0.0);
+    for (int k = 0; k < r_; ++k) {
+      double scale = 0;
+      for (int h = 0; h < m(); ++h) scale += p_.scale[k * m() + h] / m();
+      for (int i = 0; i < n_; ++i) {
+        value[i] += kSizeOverTie * p_.weight[k] * p_.need(i)[k] * scale;
+      }
+    }
+    order_.reserve(n_);
+    depth_of_.resize(n_);
+    const auto take = [&](int unit) {
+      depth_of_[unit] = static_cast<std::int32_t>(order_.size());
+      order_.push_back(unit);
+      for (const Neighbour& other : p_.neighbours(unit)) value[other.unit] += other.overhead;
+    };
+    std::vector<std::int32_t> open;
+    for (const std::int32_t unit : p_.order) {
+      if (p_.choices(unit) == 1) take(unit);
+      else open.push_back(unit);
+    }
+    while (!open.empty()) {
+      const auto next = std::max_element(
+          open.begin(), open.end(), [&](int a, int b) { return value[a] < value[b]; });
+      take(*next);
+      open.erase(next);
+    }
+  }
+
+  void connect() {
+    for (int a = 0; a < m(); ++a) {
+      for (int b = 0; b < m(); ++b) far_.push_back(p_.far(a, b));
+    }
+    later_start_.assign(n_ + 1, 0);
+    for (int d = 0; d < n_; ++d) {
+      for (const Neighbour& other : p_.neighbours(order_[d])) {
+        const int depth = depth_of_[other.unit];
+        if (depth > d) later_.push_back({depth, other.overhead});
+      }
+      later_start_[d + 1] = later_.size();
+    }
+  }
+
+  // Of computers that are alike and still empty, only the first need be tried.
+  void find_twins() {
+    twin_.assign(m(), -1);
+    if (!p_.cost.empty() || !p_.distance.empty() || !p_.bandwidth.empty()) return;
+    for (int h = 1; h < m(); ++h) {
+      for (int g = h - 1; g >= 0 && twin_[h] < 0; --g) {
+        bool same = true;
+        for (int k = 0; k < r_ && same; ++k) {
+          same = p_.capacity[k * m() + h] == p_.capacity[k * m() + g] &&
+                 p_.floor[k * m() + h] == p_.floor[k * m() + g];
+        }
+        for (int i = 0; i < n_ && same; ++i) same = p_.allowed(i, h) == p_.allowed(i, g);
+        if (same) twin_[h] = g;
+      }
+    }
+  }
+
+  void measure() {
+    need_.resize(static_cast<std::size_t>(n_) * r_);
+    open_.assign(static_cast<std::size_t>(n_ + 1) * r_, 0.0);
+    for (int d = n_ - 1; d >= 0; --d) {
+      for (int k = 0; k < r_; ++k) {
+        need_[d * r_ + k] = p_.need(order_[d])[k];
+        open_[d * r_ + k] = open_[(d + 1) * r_ + k] + need_[d * r_ + k];
+      }
+    }
+    alike_.resize(r_);
+    width_.assign(r_, 0.0);
+    final_.assign(r_, 0.0);
+    size_.assign(static_cast<std::size_t>(r_) * m(), 0.0);
+    for (int k = 0; k < r_; ++k) {
+      alike_[k] = all_alike(p_, k);
+      final_[k] = -open_[k];
+      for (int h = 0; h < m(); ++h) {
+        const double scale = p_.scale[k * m() + h];
+        if (scale <= 0) continue;
+        size_[k * m() + h] = 1 / scale;
+        width_[k] += 1 / scale;
+        final_[k] += p_.capacity[k * m() + h];
+      }
+    }
+    saved_.resize(later_.size() * static_cast<std::size_t>(m() + 1));
+    branch_.resize(static_cast<std::size_t>(n_ + 1) * m());
+  }
+
+  void descend() override {
+    unary_.resize(static_cast<std::size_t>(n_) * m());
+    least_.resize(n_);
+    paid_ = least_sum_ = 0;
+    for (int d = 0; d < n_; ++d) {
+      double* row = &unary_[static_cast<std::size_t>(d) * m()];
+      for (int h = 0; h < m(); ++h) {
+        row[h] = p_.allowed(order_[d], h) ? p_.linear(order_[d], h) : kInfinity;
+      }
+      least_[d] = *std::min_element(row, row + m());
+      least_sum_ += least_[d];
+    }
+    left_ = p_.capacity;
+    units_on_.assign(m(), 0);
+    traffic_.assign(p_.bandwidth.size(), 0.0);
+    open(0);
+  }
+
+  void open(int depth) {
+    if (depth == n_) return found();
+    Branch* branch = branch_.data() + static_cast<std::size_t>(depth) * m();
+    const int count = branches(depth, branch);
+    stop_->after(1);
+    for (int i = 0; i < count; ++i) {
+      if (branch[i].bound >= threshold_) return;
+      if (stop_->stopped()) {
+        open_bound_ = std::min(open_bound_, branch[i].bound);
+        return;
+      }
+      if (enter(depth, branch[i].computer)) open(depth + 1);
+      leave(depth, branch[i].computer);
+    }
+  }
+
+  // The computers worth trying, most promising first.
+  int branches(int depth, Branch* out) const {
+    int count = 0;
+    const double rest = paid_ + least_sum_ - least_[depth];
+    const double* unary = unary_.data() + static_cast<std::size_t>(depth) * m();
+    for (int h = 0; h < m(); ++h) {
+      double bound = rest + unary[h];
+      if (bound >= threshold_ || !fits(depth, h)) continue;
+      for (int k = 0; k < r_ && bound < threshold_; ++k) {
+        if (p_.weight[k] > 0) bound += p_.weight[k] * imbalance(depth, k, h);
+      }
+      if (bound >= threshold_) continue;
+      int i = count++;
+      for (; i > 0 && out[i - 1].bound > bound; --i) out[i] = out[i - 1];
+      out[i] = {h, bound};
+    }
+    return count;
+  }
+
+  bool fits(int depth, int h) const {
+    if (units_on_[h] == 0 && twin_[h] >= 0 && units_on_[twin_[h]] == 0) return false;
+    const double* need = need_.data() + static_cast<std::size_t>(depth) * r_;
+    for (int k = 0; k < r_; ++k) {
+      if (left_[k * m() + h] - need[k] < p_.floor[k * m() + h]) return false;
+    }
+    for (const std::int32_t other : p_.apart(order_[depth])) {
+      if (depth_of_[other] == depth) return false;
+      if (depth_of_[other] < depth && at_[depth_of_[other]] == h) return false;
+    }
+    return true;
+  }
+
+  // The least spread of a resource when the unit at `depth` goes to `computer` and what
+  // is open flows freely: it flows where most is left. Then no computer has more than
+  // `level`, and the smallest residue cannot rise.
+  double imbalance(int depth, int k, int computer) const {
+    const double* scale = p_.scale.data() + static_cast<std::size_t>(k) * m();
+    const double* size = size_.data() + static_cast<std::size_t>(k) * m();
+    const double open = open_[(depth + 1) * r_ + k];
+    double share[M > 0 ? M : Exact::kMostComputers];
+    double low = kInfinity;
+    for (int h = 0; h < m(); ++h) {
+      share[h] = left_[k * m() + h] * scale[h];
+      if (h == computer) share[h] -= need_[depth * r_ + k] * scale[h];
+      if (scale[h] > 0 && share[h] < low) low = share[h];
+    }
+    // Begin level on all computers, leave out those that have less, and level again.
+    double level = final_[k] / width_[k];
+    for (;;) {
+      double left = -open, width = 0;
+      for (int h = 0; h < m(); ++h) {
+        const bool above = share[h] >= level;
+        left += above ? share[h] * size[h] : 0.0;
+        width += above ? size[h] : 0.0;
+      }
+      const double next = width > 0 ? left / width : level;
+      if (!(next > level + 1e-12)) break;
+      level = next;
+    }
+    const double range = level - low;
+    if (range <= 0) return 0;
+    if (!p_.variance) return range;
+    if (!alike_[k]) return range * range / (2.0 * m());
+    double sum = 0, squares = 0;
+    for (int h = 0; h < m(); ++h) {
+      const double off = std::min(share[h], level) - level;
+      sum += off;
+      squares += off * off;
+    }
+    return (squares - sum * sum / m()) / m();
+  }
+
+  // Place the unit at `depth`; false when it cannot become better than the best.
+  bool enter(int depth, int computer) {
+    at_[depth] = computer;
+    ++units_on_[computer];
+    paid_ += unary_[depth * m() + computer];
+    least_sum_ -= least_[depth];
+    const double* need = need_.data() + static_cast<std::size_t>(depth) * r_;
+    for (int k = 0; k < r_; ++k) left_[k * m() + computer] -= need[k];
+    double* saved = saved_.data() + later_start_[depth] * (m() + 1);
+    const double* far = far_.data() + static_cast<std::size_t>(computer) * m();
+    for (auto e = later_start_[depth]; e < later_start_[depth + 1]; ++e) {
+      const int d = later_[e].depth;
+      double* row = unary_.data() + static_cast<std::size_t>(d) * m();
+      double least = kInfinity;
+      for (int h = 0; h < m(); ++h) {
+        saved[h] = row[h];
+        row[h] += later_[e].overhead * far[h];
+        least = row[h] < least ? row[h] : least;
+      }
+      saved[m()] = least_[d];
+      saved += m() + 1;
+      least_sum_ += least - least_[d];
+      least_[d] = least;
+    }
+    const bool holds = p_.bandwidth.empty() || send(depth, computer, 1.0);
+    return holds && paid_ + least_sum_ < threshold_;
+  }
+
+  void leave(int depth, int computer) {
+    if (!p_.bandwidth.empty()) send(depth, computer, -1.0);
+    const double* saved = saved_.data() + later_start_[depth] * (m() + 1);
+    for (auto e = later_start_[depth]; e < later_start_[depth + 1]; ++e) {
+      const int d = later_[e].depth;
+      double* row = unary_.data() + static_cast<std::size_t>(d) * m();
+      for (int h = 0; h < m(); ++h) row[h] = saved[h];
+      least_sum_ += saved[m()] - least_[d];
+      least_[d] = saved[m()];
+      saved += m() + 1;
+    }
+    const double* need = need_.data() + static_cast<std::size_t>(depth) * r_;
+    for (int k = 0; k < r_; ++k) left_[k * m() + computer] += need[k];
+    least_sum_ += least_[depth];
+    paid_ -= unary_[depth * m() + computer];
+    --units_on_[computer];
+  }
+
+  // Add or take away the traffic of the unit at `depth` to those before it; whether all
+  // links hold it.
+  bool send(int depth, int computer, double sign) {
+    bool holds = true;
+    for (const Neighbour& other : p_.neighbours(order_[depth])) {
+      if (depth_of_[other.unit] >= depth) continue;
+      const int there = at_[depth_of_[other.unit]];
+      if (there == computer) continue;
+      const std::size_t link = static_cast<std::size_t>(std::max(there, computer)) * m() +
+                               std::min(there, computer);
+      traffic_[link] += sign * other.traffic;
+      const double limit = p_.bandwidth[link];
+      holds &= traffic_[link] <= limit + kSlack * std::max(1.0, limit);
+    }
+    return holds;
+  }
+
+  std::vector<std::int32_t> depth_of_;    // unit -> depth
+  std::vector<std::size_t> later_start_;  // (n + 1)
+  std::vector<Later> later_;
+  std::vector<double> far_;    // (m, m)
+  std::vector<double> need_;   // (n, r) by depth
+  std::vector<double> open_;   // (n + 1, r): demand from a depth on
+  std::vector<double> final_;  // (r): residue of all computers together at the end
+  std::vector<double> width_;  // (r): capacity of all computers together, or their number
+  std::vector<double> size_;   // (r, m): what a unit of share is of the resource
+  std::vector<int> twin_;      // (m): the computer before it that is just like it, or -1
+  std::vector<char> alike_;    // (r): residue is measured alike on all computers
+
+  // What changes from node to node.
+  std::vector<double> unary_;    // (n, m) by depth: towards placed units, and linear
+  std::vector<double> least_;    // (n): the smallest of each row
+  std::vector<double> saved_;    // (later, m + 1): rows and `least_` as they were
+  std::vector<double> left_;     // (r, m)
+  std::vector<double> traffic_;  // (m, m), of a larger and a smaller index
+  std::vector<int> units_on_;    // (m)
+  std::vector<Branch> branch_;   // (n, m)
+  double paid_ = 0, least_sum_ = 0;
+};
+
+std::unique_ptr<Exact::Tree> tree_for(const Problem& problem) {
+  if (FrontierTree::takes(problem)) {
+    auto tree = std::make_unique<FrontierTree>(problem);
+    if (tree->narrow()) return tree;
+  }
+  switch (problem.m) {
+    case 2: return std::make_unique<TreeOf<2>>(problem);
+    case 3: return std::make_unique<TreeOf<3>>(problem);
+    case 4: return std::make_unique<TreeOf<4>>(problem);
+    default: return std::make_unique<TreeOf<0>>(problem);
+  }
+}
+
+}  // namespace
+
+Exact::Exact(const Problem& problem) : tree_(tree_for(problem)) {}
+Exact::~Exact() = default;
+
+Outcome Exact::run(const Placement& known, Stop& stop) { return tree_->run(known, stop); }
+
+}  // namespace poise

@@ -1,0 +1,184 @@
+#include "multilevel/multilevel.h"
+
+#include <algorithm>
+#include <cmath>
+#include <memory>
+
+#include "multilevel/coarsening.h"
+#include "greedy.h"
+
+namespace poise {
+namespace {
+
+// Units left on the coarsest level, for each computer; few enough for the greedy to be
+// quick, enough for it to balance.
+constexpr int kUnitsPerComputer = 12;
+// What a joined unit may ask for, of a mean limit.
+constexpr double kLargest = 0.25;
+constexpr int kMostPasses = 4;
+
+// One level under refinement: residues, and the balance by its variance. Over many
+// computers the range is a poor guide, as only two of them have a say in it.
+class Level {
+ public:
+  Level(const Problem& problem, Placement& placed)
+      : p_(problem), placed_(placed), left_(residues(problem, placed)),
+        gain_(p_.m, 0.0), price_(p_.r, 0.0) {
+  }
+
+  // One pass over all units; how many moved.
+  std::int64_t pass(Stop& stop) {
+    reprice();
+    std::int64_t moved = 0;
+    for (int i = 0; i < p_.n; ++i) {
+      moved += improve(i);
+      if ((i & 1023) == 1023 && stop.after(1024)) break;
+    }
+    return moved;
+  }
+
+ private:
+  // What a unit of squared residue costs, so that the balance counts for as much as it
+  // does in F, and which computer has most left of anything.
+  void reprice() {
+    for (int k = 0; k < p_.r; ++k) {
+      if (p_.weight[k] <= 0) continue;
+      double low = kInfinity, high = -kInfinity, sum = 0, squares = 0;
+      for (int h = 0; h < p_.m; ++h) {
+        const double scale = p_.scale[k * p_.m + h];
+        if (scale <= 0) continue;
+        const double share = left_[k * p_.m + h] * scale;
+        low = std::min(low, share);
+        if (share > high) emptiest_ = h;
+        high = std::max(high, share);
+        sum += share;
+        squares += share * share;
+      }
+      const double mean = sum / p_.counted[k];
+      const double variance = std::max(squares / p_.counted[k] - mean * mean, 1e-12);
+      price_[k] = p_.weight[k] / p_.counted[k] *
+                  (p_.variance ? 1.0 : (high - low) / variance / 2);
+    }
+  }
+
+  bool improve(int unit) {
+    const int here = placed_[unit];
+    near_.clear();
+    for (const Neighbour& other : p_.neighbours(unit)) {
+      const int there = placed_[other.unit];
+      if (gain_[there] == 0) near_.push_back(there);
+      gain_[there] += other.overhead + 1e-300;
+    }
+    const double stays = gain_[here];
+    int best = here;
+    double least = -1e-12;
+    const auto consider = [&](int h) {
+      if (h == here || !fits(unit, h)) return;
+      const double change = paid(unit, here, h, stays) + balance(unit, here, h);
+      if (change < least) {
+        least = change;
+        best = h;
+      }
+    };
+    for (const int h : near_) consider(h);
+    if (gain_[emptiest_] == 0) consider(emptiest_);
+    for (const int h : near_) gain_[h] = 0;
+    if (best == here) return false;
+    move(unit, here, best);
+    return true;
+  }
+
+  double paid(int unit, int from, int to, double stays) const {
+    double change = p_.linear(unit, to) - p_.linear(unit, from);
+    if (p_.distance.empty()) return change + stays - gain_[to];
+    for (const int h : near_) change += gain_[h] * (p_.far(to, h) - p_.far(from, h));
+    return change;
+  }
+
+  double balance(int unit, int from, int to) const {
+    double change = 0;
+    for (int k = 0; k < p_.r; ++k) {
+      if (price_[k] <= 0) continue;
+      const double need = p_.demand[static_cast<std::size_t>(unit) * p_.r + k];
+      const double sa = p_.scale[k * p_.m + from], sb = p_.scale[k * p_.m + to];
+      const double a = left_[k * p_.m + from] * sa, b = left_[k * p_.m + to] * sb;
+      const double da = need * sa, db = need * sb;
+      change += price_[k] * (da * (da + 2 * a) + db * (db - 2 * b));
+    }
+    return change;
+  }
+
+  bool fits(int unit, int h) const {
+    for (int k = 0; k < p_.r; ++k) {
+      const double need = p_.demand[static_cast<std::size_t>(unit) * p_.r + k];
+      if (left_[k * p_.m + h] - need < p_.floor[k * p_.m + h]) return false;
+    }
+    if (!p_.allowed(unit, h)) return false;
+    for (const std::int32_t other : p_.apart(unit)) {
+      if (placed_[other] == h) return false;
+    }
+    return true;
+  }
+
+  void move(int unit, int from, int to) {
+    for (int k = 0; k < p_.r; ++k) {
+      const double need = p_.demand[static_cast<std::size_t>(unit) * p_.r + k];
+      left_[k * p_.m + from] += need;
+      left_[k * p_.m + to] -= need;
+    }
+    placed_[unit] = to;
+  }
+
+  const Problem& p_;
+  Placement& placed_;
+  std::vector<double> left_;
+  std::vector<double> gain_;  // (m): overhead towards each computer, of the unit at hand
+  std::vector<double> price_;
+  std::vector<int> near_;
+  int emptiest_ = 0;
+};
+
+}  // namespace
+
+void refine(const Problem& p, Placement& placed, Stop& stop) {
+  if (p.m < 2) return;
+  Level level(p, placed);
+  Placement best = placed;
+  double least = terms(p, placed).total();
+  for (int i = 0; i < kMostPasses && !stop.stopped(); ++i) {
+    const std::int64_t moved = level.pass(stop);
+    const double total = terms(p, placed).total();
+    // Moves are weighed without the links: what overfills one is not kept.
+    if (total < least && (p.bandwidth.empty() || feasible(p, placed))) {
+      least = total;
+      best = placed;
+    }
+    if (moved * 100 < p.n) break;
+  }
+  placed = best;
+}
+
+Placement multilevel(const Problem& problem, Stop& stop, Random& random) {
+  std::vector<std::unique_ptr<Coarse>> levels;
+  const Problem* now = &problem;
+  const std::int64_t enough = static_cast<std::int64_t>(kUnitsPerComputer) * problem.m;
+  while (now->n > enough && !stop.look()) {
+    levels.push_back(std::make_unique<Coarse>(coarsen(*now, kLargest, random)));
+    const int before = now->n;
+    now = &levels.back()->problem;
+    if (now->n > before * 0.95) break;
+  }
+  Placement placed;
+  if (!Greedy(*now).run(placed)) return {};
+  refine(*now, placed, stop);
+  for (std::size_t i = levels.size(); i-- > 0;) {
+    const Problem& finer = i > 0 ? levels[i - 1]->problem : problem;
+    const Placement coarse = std::move(placed);
+    placed.resize(finer.n);
+    for (int u = 0; u < finer.n; ++u) placed[u] = coarse[levels[i]->part_of[u]];
+    refine(finer, placed, stop);
+  }
+  return feasible(problem, placed) ? placed : Placement{};
+}
+
+}  // namespace poise

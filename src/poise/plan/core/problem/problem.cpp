@@ -1,0 +1,288 @@
+#include "problem/problem.h"
+
+#include <algorithm>
+#include <numeric>
+#include <stdexcept>
+#include <string>
+
+namespace poise {
+namespace {
+
+void check_length(std::size_t length, std::int64_t expected, const char* name) {
+  if (length == static_cast<std::size_t>(expected)) return;
+  throw std::invalid_argument(std::string(name) + " has " + std::to_string(length) +
+                              " entries, must have " + std::to_string(expected));
+}
+
+void check_indexes(const std::vector<std::int32_t>& values, std::int64_t end,
+                   const char* name) {
+  for (const std::int32_t value : values) {
+    if (value >= 0 && value < end) continue;
+    throw std::invalid_argument(std::string(name) + " has the index " +
+                                std::to_string(value) + ", must be in [0, " +
+                                std::to_string(end) + ")");
+  }
+}
+
+// What would make the solvers read where nothing is. Whether numbers make sense has been
+// looked at by `poise.plan.check`.
+void check(const Numbers& in) {
+  const auto size = [](std::int64_t value, std::int64_t most, const char* name) {
+    if (value >= 0 && value <= most) return;
+    throw std::invalid_argument(std::string(name) + " is " + std::to_string(value));
+  };
+  size(in.n, 1 << 28, "n");
+  size(in.m, 1 << 20, "m");
+  size(in.r, 1024, "r");
+  if (in.n > 0 && in.m == 0) throw std::invalid_argument("there are no computers");
+  check_length(in.demand.size(), in.n * in.r, "demand");
+  check_length(in.capacity.size(), in.m * in.r, "capacity");
+  check_length(in.limit.size(), in.m * in.r, "limit");
+  check_length(in.size_weight.size(), in.r, "size_weight");
+  check_length(in.spread.size(), in.r, "spread");
+  check_length(in.second.size(), in.first.size(), "second");
+  check_length(in.overhead.size(), in.first.size(), "overhead");
+  check_length(in.traffic.size(), in.first.size(), "traffic");
+  check_length(in.apart_second.size(), in.apart_first.size(), "apart");
+  if (!in.distance.empty()) check_length(in.distance.size(), in.m * in.m, "distance");
+  if (!in.bandwidth.empty()) check_length(in.bandwidth.size(), in.m * in.m, "bandwidth");
+  if (!in.cost.empty()) check_length(in.cost.size(), in.n * in.m, "cost");
+  check_indexes(in.first, in.n, "first");
+  check_indexes(in.second, in.n, "second");
+  check_indexes(in.apart_first, in.n, "apart");
+  check_indexes(in.apart_second, in.n, "apart");
+  for (const auto& [unit, computers] : in.allowed) {
+    check_indexes({unit}, in.n, "allowed");
+    check_indexes(computers, in.m, "allowed");
+  }
+}
+
+}  // namespace
+
+Problem::Problem(Numbers in) {
+  check(in);
+  n = static_cast<int>(in.n);
+  m = static_cast<int>(in.m);
+  r = static_cast<int>(in.r);
+  variance = in.variance;
+  const std::size_t entries = static_cast<std::size_t>(m) * r;
+  capacity.resize(entries);
+  floor.resize(entries);
+  scale.assign(entries, 1.0);
+  counted.assign(r, m);
+  weight = std::move(in.spread);
+  for (int k = 0; k < r; ++k) {
+    for (int h = 0; h < m; ++h) {
+      const double has = in.capacity[h * r + k], limit = in.limit[h * r + k];
+      capacity[k * m + h] = has;
+      floor[k * m + h] = has - limit - kSlack * std::max(1.0, limit);
+      if (!in.share) continue;
+      scale[k * m + h] = has > 0 ? 1.0 / has : 0.0;
+      if (has <= 0) --counted[k];
+    }
+    // Over one computer, or none, there is no spread.
+    if (counted[k] <= 1) weight[k] = 0;
+  }
+  neighbours_.fill(n, [&](auto add) {
+    for (std::size_t e = 0; e < in.first.size(); ++e) {
+      const std::int32_t a = in.first[e], b = in.second[e];
+      if (a == b) continue;
+      add(a, {b, in.communication * in.overhead[e], in.traffic[e]});
+      add(b, {a, in.communication * in.overhead[e], in.traffic[e]});
+    }
+  });
+  apart_.fill(n, [&](auto add) {
+    for (std::size_t e = 0; e < in.apart_first.size(); ++e) {
+      add(in.apart_first[e], in.apart_second[e]);
+      add(in.apart_second[e], in.apart_first[e]);
+    }
+  });
+  restrict_units(in);
+  demand = std::move(in.demand);
+  size_weight = std::move(in.size_weight);
+  distance = std::move(in.distance);
+  cost = std::move(in.cost);
+  bandwidth = std::move(in.bandwidth);
+  sort_units();
+}
+
+void Problem::restrict_units(const Numbers& in) {
+  if (in.allowed.empty()) return;
+  words_ = (static_cast<std::size_t>(m) + 63) / 64;
+  rows_.assign(n, -1);
+  masks_.assign(in.allowed.size() * words_, 0);
+  for (std::size_t i = 0; i < in.allowed.size(); ++i) {
+    const auto& [unit, computers] = in.allowed[i];
+    rows_[unit] = static_cast<std::int32_t>(i);
+    for (const std::int32_t h : computers) {
+      masks_[i * words_ + h / 64] |= std::uint64_t{1} << (h % 64);
+    }
+  }
+}
+
+void Problem::sort_units() {
+  std::vector<std::pair<bool, double>> sizes(n);  // whether it is pinned, and its size
+  for (int i = 0; i < n; ++i) {
+    double size = 0;
+    for (int k = 0; k < r; ++k) size += size_weight[k] * need(i)[k];
+    sizes[i] = {restricted(i) && choices(i) == 1, size};
+  }
+  order.resize(n);
+  std::iota(order.begin(), order.end(), 0);
+  std::sort(order.begin(), order.end(), [&](std::int32_t a, std::int32_t b) {
+    return sizes[a] != sizes[b] ? sizes[a] > sizes[b] : a < b;
+  });
+}
+
+int Problem::choices(int unit) const {
+  if (!restricted(unit)) return m;
+  int count = 0;
+  for (std::size_t w = 0; w < words_; ++w) {
+    count += __builtin_popcountll(masks_[rows_[unit] * words_ + w]);
+  }
+  return count;
+}
+
+bool Problem::may_join(int unit, int other) const {
+  if (!restricted(unit) || !restricted(other)) return true;
+  const auto row = [&](int i) { return masks_.begin() + rows_[i] * words_; };
+  return std::equal(row(unit), row(unit) + words_, row(other));
+}
+
+Problem Problem::joined(const std::vector<std::int32_t>& part, int count) const {
+  Problem out;
+  out.n = count;
+  out.m = m;
+  out.r = r;
+  out.capacity = capacity;
+  out.floor = floor;
+  out.scale = scale;
+  out.weight = weight;
+  out.size_weight = size_weight;
+  out.counted = counted;
+  out.distance = distance;
+  out.bandwidth = bandwidth;
+  out.variance = variance;
+  out.words_ = words_;
+  out.masks_ = masks_;
+  out.demand.assign(static_cast<std::size_t>(count) * r, 0.0);
+  if (!cost.empty()) out.cost.assign(static_cast<std::size_t>(count) * m, 0.0);
+  if (!rows_.empty()) out.rows_.assign(count, -1);
+  Lists<std::int32_t> members;
+  members.fill(count, [&](auto add) {
+    for (int i = 0; i < n; ++i) add(part[i], i);
+  });
+  for (int i = 0; i < n; ++i) {
+    const std::size_t c = part[i];
+    for (int k = 0; k < r; ++k) out.demand[c * r + k] += need(i)[k];
+    for (int h = 0; h < m && !cost.empty(); ++h) out.cost[c * m + h] += linear(i, h);
+    if (restricted(i)) out.rows_[c] = rows_[i];
+  }
+  // Connectors between the same parts add up; those within a part are gone.
+  std::vector<std::pair<std::int32_t, Neighbour>> ends;
+  std::vector<std::int64_t> seen(count, -1);
+  for (int c = 0; c < count; ++c) {
+    const auto first = static_cast<std::int64_t>(ends.size());
+    for (const std::int32_t i : members.of(c)) {
+      for (const Neighbour& other : neighbours(i)) {
+        const std::int32_t to = part[other.unit];
+        if (to == c) continue;
+        if (seen[to] < first) {
+          seen[to] = static_cast<std::int64_t>(ends.size());
+          ends.push_back({c, {to, 0.0, 0.0}});
+        }
+        ends[seen[to]].second.overhead += other.overhead;
+        ends[seen[to]].second.traffic += other.traffic;
+      }
+    }
+  }
+  out.neighbours_.fill(count, [&](auto add) {
+    for (const auto& [c, end] : ends) add(c, end);
+  });
+  out.apart_.fill(count, [&](auto add) {
+    for (int i = 0; i < n; ++i) {
+      for (const std::int32_t other : apart(i)) add(part[i], part[other]);
+    }
+  });
+  out.sort_units();
+  return out;
+}
+
+std::vector<double> residues(const Problem& p, const Placement& placed) {
+  std::vector<double> left = p.capacity;
+  for (int i = 0; i < p.n; ++i) {
+    if (placed[i] < 0) continue;
+    for (int k = 0; k < p.r; ++k) left[k * p.m + placed[i]] -= p.demand[i * p.r + k];
+  }
+  return left;
+}
+
+// Weighted spread of residues (r, m) over all computers.
+static double spread_of(const Problem& p, const std::vector<double>& left) {
+  double total = 0;
+  for (int k = 0; k < p.r; ++k) {
+    if (p.weight[k] <= 0) continue;
+    double low = kInfinity, high = -kInfinity, sum = 0, squares = 0;
+    for (int h = 0; h < p.m; ++h) {
+      const double scale = p.scale[k * p.m + h];
+      if (scale <= 0) continue;
+      const double share = left[k * p.m + h] * scale;
+      low = std::min(low, share);
+      high = std::max(high, share);
+      sum += share;
+    }
+    const double mean = sum / p.counted[k];
+    for (int h = 0; h < p.m && p.variance; ++h) {
+      const double scale = p.scale[k * p.m + h];
+      if (scale <= 0) continue;
+      const double off = left[k * p.m + h] * scale - mean;
+      squares += off * off;
+    }
+    total += p.weight[k] * (p.variance ? squares / p.counted[k] : high - low);
+  }
+  return total;
+}
+
+Terms terms(const Problem& p, const Placement& placed) {
+  Terms out;
+  for (int i = 0; i < p.n; ++i) {
+    if (placed[i] < 0) continue;
+    out.linear += p.linear(i, placed[i]);
+    for (const Neighbour& other : p.neighbours(i)) {
+      if (other.unit < i || placed[other.unit] < 0) continue;
+      out.communication += other.overhead * p.far(placed[i], placed[other.unit]);
+    }
+  }
+  out.balance = spread_of(p, residues(p, placed));
+  return out;
+}
+
+bool feasible(const Problem& p, const Placement& placed) {
+  std::vector<double> traffic(p.bandwidth.size(), 0.0);
+  for (int i = 0; i < p.n; ++i) {
+    if (placed[i] < 0 || !p.allowed(i, placed[i])) return false;
+  }
+  for (int i = 0; i < p.n; ++i) {
+    for (const std::int32_t other : p.apart(i)) {
+      if (placed[other] == placed[i]) return false;
+    }
+    if (traffic.empty()) continue;
+    for (const Neighbour& other : p.neighbours(i)) {
+      traffic[placed[i] * p.m + placed[other.unit]] += other.traffic;
+    }
+  }
+  for (int a = 0; a < p.m && !traffic.empty(); ++a) {
+    for (int b = 0; b < a; ++b) {
+      const double limit = p.bandwidth[a * p.m + b];
+      if (traffic[a * p.m + b] > limit + kSlack * std::max(1.0, limit)) return false;
+    }
+  }
+  const std::vector<double> left = residues(p, placed);
+  for (std::size_t e = 0; e < left.size(); ++e) {
+    // A computer that carries nothing breaks no limit.
+    if (left[e] < p.floor[e] && left[e] < p.capacity[e]) return false;
+  }
+  return true;
+}
+
+}  // namespace poise

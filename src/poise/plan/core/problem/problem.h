@@ -1,0 +1,157 @@
+// A problem in flat arrays, compiled once and solved many times.
+//
+// It mirrors `Tables` in ../../tables.py: "unit" is one or more components that share a
+// computer. Tables by resource and computer are (r, m), one resource after the other, so
+// that loops over computers run over consecutive memory.
+#pragma once
+
+#include <cstdint>
+#include <limits>
+#include <utility>
+#include <vector>
+
+namespace poise {
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+constexpr double kSlack = 1e-9;
+
+// The numbers of `Tables`; (m, r) where `Problem` has (r, m).
+struct Numbers {
+  std::int64_t n = 0, m = 0, r = 0;
+  std::vector<double> demand, capacity, limit, size_weight;
+  std::vector<std::pair<std::int32_t, std::vector<std::int32_t>>> allowed;
+  std::vector<std::int32_t> first, second, apart_first, apart_second;
+  std::vector<double> overhead, traffic, distance, cost, bandwidth, spread;
+  double communication = 0;
+  bool share = true, variance = false;
+};
+
+// One end of a connector, as seen from the other.
+struct Neighbour {
+  std::int32_t unit;
+  double overhead;  // what F grows by when the two are at distance 1
+  double traffic;   // [bytes/s]
+};
+
+template <typename T>
+struct Span {
+  const T* first;
+  const T* last;
+  const T* begin() const { return first; }
+  const T* end() const { return last; }
+  std::size_t size() const { return static_cast<std::size_t>(last - first); }
+};
+
+// A list for each unit, one list after the other in memory.
+template <typename T>
+class Lists {
+ public:
+  bool empty() const { return items_.empty(); }
+  Span<T> of(int unit) const {
+    if (items_.empty()) return {nullptr, nullptr};
+    return {items_.data() + starts_[unit], items_.data() + starts_[unit + 1]};
+  }
+  // Fill the lists of n units: `each` calls its argument with (unit, item) for all items,
+  // always in the same order.
+  template <typename Each>
+  void fill(int n, Each each) {
+    starts_.assign(n + 1, 0);
+    each([&](int unit, const T&) { ++starts_[unit + 1]; });
+    for (int i = 0; i < n; ++i) starts_[i + 1] += starts_[i];
+    items_.resize(starts_[n]);
+    std::vector<std::int64_t> next(starts_.begin(), starts_.end() - 1);
+    each([&](int unit, const T& item) { items_[next[unit]++] = item; });
+  }
+
+ private:
+  std::vector<std::int64_t> starts_;
+  std::vector<T> items_;
+};
+
+class Problem {
+ public:
+  // Throws std::invalid_argument when a size or an index is out of range.
+  explicit Problem(Numbers numbers);
+
+  int n, m, r;
+  std::vector<double> demand;       // (n, r)
+  std::vector<double> capacity;     // (r, m)
+  std::vector<double> floor;        // (r, m): residue must stay at or above this
+  std::vector<double> scale;        // (r, m): residue -> unit of the spread; 0: not counted
+  std::vector<double> weight;       // (r): what a unit of spread adds to F
+  std::vector<double> size_weight;  // (r): by demand times this, units are sorted
+  std::vector<int> counted;         // (r): number of computers that the spread is over
+  std::vector<double> distance;     // (m, m), or empty: 1 between any two computers
+  std::vector<double> cost;         // (n, m), or empty: 0
+  std::vector<double> bandwidth;    // (m, m), or empty: unlimited
+  std::vector<std::int32_t> order;  // units in the order in which the greedy places them
+  bool variance;
+
+  // Put units with one choice first, then by size; to be called when demands change.
+  void sort_units();
+
+  Span<Neighbour> neighbours(int unit) const { return neighbours_.of(unit); }
+  Span<std::int32_t> apart(int unit) const { return apart_.of(unit); }
+  bool has_apart() const { return !apart_.empty(); }
+  const double* need(int unit) const {
+    return demand.data() + static_cast<std::size_t>(unit) * r;
+  }
+  double room(int resource, int computer) const {
+    const std::size_t e = static_cast<std::size_t>(resource) * m + computer;
+    return capacity[e] - floor[e];
+  }
+  double mean_room(int resource) const {
+    double total = 0;
+    for (int h = 0; h < m; ++h) total += room(resource, h);
+    return total / m;
+  }
+  double far(int a, int b) const {
+    if (distance.empty()) return a == b ? 0.0 : 1.0;
+    return distance[static_cast<std::size_t>(a) * m + b];
+  }
+  double linear(int unit, int computer) const {
+    return cost.empty() ? 0.0 : cost[static_cast<std::size_t>(unit) * m + computer];
+  }
+  bool allowed(int unit, int computer) const {
+    const std::int32_t row = rows_.empty() ? -1 : rows_[unit];
+    if (row < 0) return true;
+    const std::size_t word = static_cast<std::size_t>(row) * words_ + computer / 64;
+    return (masks_[word] >> (computer % 64)) & 1U;
+  }
+  bool restricted(int unit) const { return !rows_.empty() && rows_[unit] >= 0; }
+  // How many computers a unit may run on.
+  int choices(int unit) const;
+  // Whether one of two units may run wherever the other may.
+  bool may_join(int unit, int other) const;
+  // The problem whose units are the `count` parts of this one's, unit -> part. The units
+  // of a part must be allowed to share a computer.
+  Problem joined(const std::vector<std::int32_t>& part, int count) const;
+
+ private:
+  Problem() = default;
+  void restrict_units(const Numbers& in);
+
+  Lists<Neighbour> neighbours_;
+  Lists<std::int32_t> apart_;
+  std::vector<std::int32_t> rows_;  // unit -> row of `masks_`, -1: may run anywhere
+  std::vector<std::uint64_t> masks_;
+  std::size_t words_ = 0;
+};
+
+using Placement = std::vector<std::int32_t>;  // unit -> computer, -1: none
+
+struct Terms {
+  double communication = 0, balance = 0, linear = 0;
+  double total() const { return communication + balance + linear; }
+};
+
+// Recompute F from nothing: what every shortcut is held against.
+Terms terms(const Problem& problem, const Placement& placed);
+
+// Whether a complete placement keeps every limit.
+bool feasible(const Problem& problem, const Placement& placed);
+
+// Residues (r, m) of a placement; units without a computer use nothing.
+std::vector<double> residues(const Problem& problem, const Placement& placed);
+
+}  // namespace poise

@@ -1,0 +1,121 @@
+#include "search/search.h"
+
+#include <algorithm>
+
+#include "multilevel/multilevel.h"
+#include "problem/relaxation.h"
+#include "search/feasibility.h"
+
+namespace poise {
+namespace {
+
+// Which part of the time goes into cooling, when there is local search to be done after it.
+constexpr int kCoolingShare = 5;
+// No first cooling is longer, though there be time for it: who stops the search early is
+// to have something good by then. Each later one may be twice as long.
+constexpr std::int64_t kLongestFirst = 1 << 20;
+// From here on, joining units first is worth it.
+constexpr int kManyUnits = 400;
+// How hot each cooling begins, in mean changes of F: the first keeps much of where it
+// starts, the others come back when local search leads no further. Found by trial.
+constexpr double kHeats[4] = {0.2, 0.5, 1.0, 2.0};
+// How often a pair of computers is shaken in vain before local search gives up.
+constexpr int kPatience = 8;
+// Below so many units a computer, sharing out two computers reaches less far: many short
+// searches, each from the start, find more than a long one.
+constexpr int kFewUnits = 6;
+constexpr int kShortPatience = 2;
+constexpr int kShortShare = 100;
+
+}  // namespace
+
+Search::Search(const Problem& problem, Stop& stop, std::uint64_t seed)
+    : p_(problem), stop_(stop), random_(seed), state_(problem), repartition_(problem),
+      seen_(p_.n, 0) {
+  for (int i = 0; i < p_.n; ++i) {
+    if (p_.choices(i) > 1) movable_.push_back(i);
+  }
+}
+
+void Search::offer(const Placement& placed) {
+  if (placed.empty()) return;
+  if (!feasible(p_, placed)) return;
+  const double total = terms(p_, placed).total();
+  if (total >= best_objective_) return;
+  best_ = placed;
+  best_objective_ = total;
+}
+
+void Search::run(const Placement& start) {
+  offer(start);
+  if (done()) return;
+  state_.reset(start);
+  std::int64_t length = 64 * static_cast<std::int64_t>(p_.n);
+  // A first short cooling also shows the pace, by which a later one fills its share.
+  // While nothing keeps all limits, many short ones find more than a long one.
+  for (cool(length, kHeats[0]); !found() && !stop_.look(); cool(length, kHeats[0])) {
+    length += length / 2;
+  }
+  if (p_.n < kFewUnits * p_.m) {
+    const std::int64_t share = stop_.steps_left() / kShortShare;
+    start_over(start, std::max(length, std::min(share, kLongestFirst)));
+    return;
+  }
+  length = std::max(64 * static_cast<std::int64_t>(p_.n),
+                    stop_.steps_left() / kCoolingShare);
+  if (p_.n >= kManyUnits) length = 64 * static_cast<std::int64_t>(p_.n);
+  for (int round = 0; !stop_.look(); ++round) {
+    if (round > 0) state_.reset(best_);
+    cool(std::min(length, kLongestFirst << std::min(round, 20)), kHeats[round % 4]);
+    local_search(kPatience);
+  }
+}
+
+// Cool and search locally from the same start over and over; none knows what another has found.
+void Search::start_over(const Placement& start, std::int64_t length) {
+  while (!stop_.look()) {
+    const Placement known = std::move(best_);
+    const double objective = best_objective_;
+    best_.clear();
+    best_objective_ = kInfinity;
+    state_.reset(start);
+    cool(length, kHeats[1]);
+    if (found()) local_search(kShortPatience);
+    if (objective > best_objective_) continue;
+    best_ = known;
+    best_objective_ = objective;
+  }
+}
+
+// Beyond this many units x computers single moves come to little in any time; refining by
+// passes over all units is what is left.
+constexpr std::int64_t kLargestSearch = 4'000'000;
+
+Outcome search(const Problem& p, const Placement& known, Stop& stop, std::uint64_t seed) {
+  Outcome out;
+  Random random(seed ^ 0x9e3779b97f4a7c15U);
+  Placement start = known;
+  if (p.n >= kManyUnits && !stop.stopped()) {
+    Placement joined = multilevel(p, stop, random);
+    const bool better = !joined.empty() &&
+                        (start.empty() || terms(p, joined).total() < terms(p, start).total());
+    if (better) start = std::move(joined);
+  }
+  if (start.empty()) start = Feasibility(p, stop, random).run();
+  if (static_cast<std::int64_t>(p.n) * p.m <= kLargestSearch) {
+    Search search(p, stop, seed);
+    if (static_cast<int>(start.size()) == p.n) search.run(start);
+    start = search.best();
+  } else if (!start.empty() && feasible(p, start)) {
+    refine(p, start, stop);
+  } else {
+    start.clear();
+  }
+  out.placed = start;
+  out.bound = relaxation_bound(p);
+  out.reason = stop.stopped() ? stop.reason() : Reason::kDone;
+  out.steps = stop.steps();
+  return out;
+}
+
+}  // namespace poise

@@ -1,0 +1,232 @@
+"""From a robot to the problem of where its components go."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+
+from poise.errors import RobotError
+from poise.model import robot as model
+from poise.plan.problem import Bundle, Edge, Item, LinkCapacity, Problem
+from poise.plan.solvers.alternatives import needs, part
+
+MEGABYTE = 1e6
+
+
+def problem_of(
+    robot: model.Robot,
+    task: str | None = None,
+    *,
+    functions: Iterable[str] | None = None,
+    present: Mapping[str, str] | None = None,
+    move: float = 0.0,
+) -> Problem:
+    """Return the problem of placing what a task of `robot` needs.
+
+    Parameters
+    ----------
+    task
+        Name of the task; None means all architectures of the robot.
+    functions
+        Names of functions, instead of a task.
+    present
+        Component -> computer, as it is now. Components that may not be moved while
+        they run stay there; computers that are gone are passed over.
+    move
+        What F grows by for moving a component, plus as much for each MB of its state.
+
+    Raises
+    ------
+    RobotError
+        When the task or a function is not there, or a component can run nowhere;
+        the message lists all.
+    """
+    chosen = _architectures(robot, task, functions)
+    faults: list[str] = []
+    components = tuple(
+        _component(robot, a, c, present or {}, move, faults)
+        for a in chosen
+        for c in a.components
+    )
+    if faults:
+        raise RobotError("no placement is possible:\n  " + "\n  ".join(faults))
+    names = {c.name for c in components}
+    return Problem(
+        components=components,
+        computers=robot.computers,
+        connectors=tuple(_connectors(robot, chosen, names)),
+        links=tuple(
+            LinkCapacity(between=k.between, bandwidth=k.bandwidth)
+            for k in robot.links
+            if k.bandwidth < float("inf")
+        ),
+        distance=_distances(robot),
+        objective=robot.objective,
+        together=_within(robot.together, names),
+        apart=_within(robot.apart, names),
+        quality=robot.quality_weight,
+        architectures=tuple(
+            Bundle(
+                name=a.name,
+                components=tuple(c.name for c in a.components),
+                function=a.function,
+                priority=a.priority,
+                quality=a.quality,
+                required=a.layer != "sequencing",
+            )
+            for a in chosen
+        ),
+    )
+
+
+def static(robot: model.Robot, problem: Problem) -> dict[str, str]:
+    """Return the static placement: every architecture on its home computer.
+
+    Of alternatives the best one is placed (the first of equals), as only one of them
+    runs. A component that cannot run on its home (its device is elsewhere) goes to the
+    first computer that it may run on; so does one without a home.
+    """
+    homes = {c.name: a.home for a in robot.architectures for c in a.components}
+    placement = {}
+    for component in part(problem, [need[0] for need in needs(problem)]).components:
+        home = homes.get(component.name)
+        choices = component.only or tuple(h.name for h in problem.computers)
+        placement[component.name] = home if home in choices else choices[0]
+    return placement
+
+
+def _architectures(
+    robot: model.Robot, task: str | None, functions: Iterable[str] | None
+) -> list[model.Architecture]:
+    if functions is None:
+        if task is None:
+            return _without_rivals(list(robot.architectures))
+        known = [t.name for t in robot.tasks]
+        if task not in known:
+            choices = ", ".join(known) or "it has none"
+            raise RobotError(f"robot {robot.name!r} has no task {task!r} ({choices})")
+        functions = robot.task(task).functions
+    wanted = set(functions)
+    missing = sorted(wanted - {a.function for a in robot.architectures})
+    if missing:
+        names = ", ".join(repr(name) for name in missing)
+        raise RobotError(f"no architecture of robot {robot.name!r} provides {names}")
+    return _without_rivals([a for a in robot.architectures if a.function in wanted])
+
+
+def _without_rivals(
+    architectures: list[model.Architecture],
+) -> list[model.Architecture]:
+    """Return them with one architecture for each reactive or deliberative function.
+
+    Only in the sequencing layer Poise chooses; elsewhere the first one listed runs.
+    """
+    first: dict[str, str] = {}
+    for a in architectures:
+        if a.layer != "sequencing":
+            first.setdefault(a.function, a.name)
+    return [a for a in architectures if first.get(a.function, a.name) == a.name]
+
+
+def _component(
+    robot: model.Robot,
+    architecture: model.Architecture,
+    component: model.Component,
+    present: Mapping[str, str],
+    move: float,
+    faults: list[str],
+) -> Item:
+    now = present.get(component.name)
+    if now is not None and all(now != h.name for h in robot.computers):
+        now = None
+    only: tuple[str, ...] = ()
+    why = ""
+    if (
+        component.only
+        or component.devices
+        or architecture.layer != "sequencing"
+        or now is not None
+    ):
+        only, why = _held(robot, architecture, component, now, faults)
+    return Item(
+        name=component.name,
+        demand=component.demand,
+        only=only,
+        present=now,
+        move_cost=move * (1 + component.state / MEGABYTE) if move else 0.0,
+        why=why,
+    )
+
+
+def _held(
+    robot: model.Robot,
+    architecture: model.Architecture,
+    component: model.Component,
+    now: str | None,
+    faults: list[str],
+) -> tuple[tuple[str, ...], str]:
+    """Return the computers that a component is held to, and why; none: to nothing."""
+    only: tuple[str, ...] = ()
+    reasons: list[str] = []
+    for names, why in _pins(robot, architecture, component, now):
+        only = tuple(h for h in only if h in names) if reasons else names
+        reasons.append(why)
+        if not only:
+            faults.append(
+                f"component {component.name!r} can run nowhere: {'; '.join(reasons)}"
+            )
+            break
+    return only, "; ".join(reasons)
+
+
+def _pins(
+    robot: model.Robot,
+    architecture: model.Architecture,
+    component: model.Component,
+    now: str | None,
+) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Yield each set of computers that a component is held to, and why."""
+    if component.only:
+        yield component.only, f"only {' or '.join(component.only)}"
+    for name in component.devices:
+        where = robot.device(name).computer
+        yield (where,), f"device {name} is on {where}"
+    if architecture.layer != "sequencing" and architecture.home is not None:
+        yield (architecture.home,), f"{architecture.layer} layer of {architecture.home}"
+    if now is not None and not component.movable:
+        yield (now,), f"runs on {now} and may not be moved"
+
+
+def _connectors(
+    robot: model.Robot, chosen: list[model.Architecture], names: set[str]
+) -> Iterator[Edge]:
+    for connectors in (*(a.connectors for a in chosen), robot.connectors):
+        for connector in connectors:
+            ends = connector.between
+            first, second = ends[0].component, ends[1].component
+            if first in names and second in names:
+                traffic = connector.message * connector.rate
+                overhead = connector.overhead
+                yield Edge(
+                    between=(first, second),
+                    overhead=traffic / MEGABYTE if overhead is None else overhead,
+                    traffic=traffic,
+                )
+
+
+def _distances(robot: model.Robot) -> tuple[tuple[float, ...], ...]:
+    if all(link.distance == 1 for link in robot.links):
+        return ()
+    index = {h.name: i for i, h in enumerate(robot.computers)}
+    table = [[float(a != b) for a in index.values()] for b in index.values()]
+    for link in robot.links:
+        a, b = (index[name] for name in link.between)
+        table[a][b] = table[b][a] = link.distance
+    return tuple(tuple(row) for row in table)
+
+
+def _within(
+    groups: tuple[tuple[str, ...], ...], names: set[str]
+) -> tuple[tuple[str, ...], ...]:
+    """Return the groups without the components that the task does not need."""
+    kept = (tuple(name for name in group if name in names) for group in groups)
+    return tuple(group for group in kept if len(group) > 1)

@@ -1,0 +1,268 @@
+"""`Planner`: a problem built once and decided many times."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import inf
+from time import perf_counter
+
+from msgspec.structs import replace
+
+from poise.errors import UsageError
+from poise.plan import _core
+from poise.plan.problem import Item, Problem
+from poise.plan.records import Ask
+from poise.plan.result import Result, Snapshot
+from poise.plan.solvers import alternatives, portfolio
+from poise.plan.solvers.portfolio import METHODS, UNLIMITED, Effort
+from poise.plan.tables import placed_by_name, tabulate
+from poise.plan.what_if.change import keep_components
+
+LONGEST = 1e9
+"""A budget beyond this is as good as none [s]."""
+BUDGET = 0.1
+"""How long to decide, unless told otherwise [s]."""
+
+
+class Planner:
+    """Decides where components run, again and again, as demands and pins change.
+
+    Building it takes some 50 microseconds for a small robot; then a decision by the
+    greedy takes one or two, and a proven optimum a dozen. One thread at a time may use
+    it; while a solver searches, other threads run.
+
+    Examples
+    --------
+    >>> planner = Planner(problem_of(load("robot.yaml")))
+    >>> planner.decide().placement
+    {'camera': 'head', 'planner': 'main'}
+    >>> planner.update({"planner": {"cpu": 1.5}})
+    >>> planner.place("camera", "main")
+    >>> planner.decide("greedy").objective
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self._held: dict[str, Item] = {}  # by `place`, as they were before
+        self._build(problem)
+
+    def _build(self, problem: Problem) -> None:
+        self._parts: dict[frozenset[str], Planner] = {}
+        self._has_alternatives = alternatives.has_choice(problem)
+        tables = tabulate(problem)
+        self._snapshot = Snapshot(problem, tables)
+        self._core = _core.Core(tables)
+        self._greedy = self._core.greedy
+
+    @property
+    def problem(self) -> Problem:
+        """The problem as it is now, with the demands and pins that were given."""
+        return self._snapshot.problem
+
+    def decide(
+        self,
+        method: str = "auto",
+        budget: float = BUDGET,
+        seed: int = 0,
+        *,
+        steps: int | None = None,
+        fewer: bool = False,
+        stop: Ask | None = None,
+    ) -> Result:
+        """Return the best placement found within `budget` [s].
+
+        Ctrl-C in the main thread ends the search, and the best placement so far is
+        returned.
+
+        Parameters
+        ----------
+        method
+            ``auto``: greedy, then proof and search as the budget allows; ``greedy``:
+            the paper's; ``exact``: branch and bound until proven or out of budget;
+            ``search``: the anytime search; ``cpsat``: OR-Tools, an independent
+            certificate.
+        budget
+            Time to decide [s], finite, >= 0; the greedy always runs to its end.
+        seed
+            Of the search, >= 0.
+        steps
+            Limit of search moves or nodes instead of the budget: then the same seed
+            gives the same placement.
+        fewer
+            Put architectures aside, lowest priority first, when not all fits.
+        stop
+            Asked up to 100 times a second, in any thread, whether to return the best
+            placement so far, such as ``threading.Event().is_set``. What it raises is
+            raised.
+
+        Raises
+        ------
+        UsageError
+            When the budget, method, seed or steps are not ones.
+        """
+        start = perf_counter()
+        if method == "greedy" and not (fewer or self._has_alternatives):
+            placed, complete = self._greedy()
+            return Result(self._snapshot, placed, complete, perf_counter() - start)
+        _check_call(budget, method, seed, steps, stop)
+        effort = Effort(min(budget, LONGEST), steps, seed, stop)
+        if fewer or self._has_alternatives:
+            result = alternatives.admit(
+                self.problem,
+                lambda names, share: self._decide_part(
+                    names, method, effort.share(share)
+                ),
+                fewer=fewer,
+            )
+        else:
+            result = portfolio.decide(self._core, self._snapshot, method, effort)
+        result.seconds = perf_counter() - start
+        result.seed = seed
+        return result
+
+    def _decide_part(
+        self, components: frozenset[str], method: str, effort: Effort
+    ) -> Result:
+        """Return the placement of some components, without a choice among them."""
+        part = self._parts.get(components)
+        if part is None:
+            part = Planner(keep_components(self.problem, components))
+            self._parts[components] = part
+        return portfolio.decide(part._core, part._snapshot, method, effort)
+
+    def update(self, demands: dict[str, dict[str, float]]) -> None:
+        """Change what components need, from the next decision on.
+
+        Parameters
+        ----------
+        demands
+            Component -> resource -> amount, >= 0; what is not named keeps its demand.
+
+        Raises
+        ------
+        UsageError
+            When a component or resource is not there, or an amount is not one; then
+            nothing has changed.
+        """
+        try:
+            demand = self._core.update(demands)
+        except (TypeError, ValueError, RuntimeError) as error:
+            raise UsageError(f"update: {error}") from None
+        self._snapshot = self._snapshot.with_demand(demand)
+        self._parts = {}
+
+    def place(self, component: str, computer: str) -> None:
+        """Hold a component to a computer, from the next decision on.
+
+        Raises
+        ------
+        UsageError
+            When there is no such component or computer, or it may not run there.
+        """
+        item = next((c for c in self.problem.components if c.name == component), None)
+        if item is None:
+            raise UsageError(f"no component is called {component!r}")
+        free = self._held.get(component, item)
+        choices = free.only or tuple(h.name for h in self.problem.computers)
+        if computer not in choices:
+            why = f" ({free.why})" if free.why else ""
+            raise UsageError(
+                f"{component!r} cannot be placed on {computer!r}: it may run on "
+                f"{', '.join(choices)}{why}"
+            )
+        self._replace(replace(item, only=(computer,), why=f"placed on {computer}"))
+        self._held[component] = free
+
+    def release(self, component: str) -> None:
+        """Let a component that `place` holds run again where it may.
+
+        Raises
+        ------
+        UsageError
+            When it is not held.
+        """
+        free = self._held.pop(component, None)
+        if free is None:
+            raise UsageError(f"{component!r} is not held to a computer by `place`")
+        self._replace(free)
+
+    def _replace(self, item: Item) -> None:
+        self._build(
+            replace(
+                self.problem,
+                components=tuple(
+                    replace(c, only=item.only, why=item.why)
+                    if c.name == item.name
+                    else c
+                    for c in self.problem.components
+                ),
+            )
+        )
+
+
+def _check_call(
+    budget: float, method: str, seed: int, steps: int | None, stop: Ask | None
+) -> None:
+    given: object = budget
+    if not (isinstance(given, float | int) and 0 <= given < inf):
+        raise UsageError(f"budget is {budget!r} s, must be finite and >= 0")
+    if method not in METHODS:
+        raise UsageError(f"no method {method!r} (there are: {', '.join(METHODS)})")
+    for name, count in (("seed", seed), ("steps", steps)):
+        if name == "steps" and count is None:
+            continue
+        if not (isinstance(count, int) and 0 <= count < UNLIMITED):
+            raise UsageError(
+                f"{name} is {count!r}, must be a whole number in [0, 2^62)"
+            )
+    if not (stop is None or callable(stop)):
+        raise UsageError(f"stop is {stop!r}, must be a function or None")
+
+
+def solve(  # noqa: PLR0913 - each says how to decide, and has a default
+    problem: Problem,
+    budget: float = BUDGET,
+    method: str = "auto",
+    seed: int = 0,
+    *,
+    steps: int | None = None,
+    fewer: bool = False,
+    stop: Ask | None = None,
+    why: bool = True,
+) -> Result:
+    """Return the best placement found within `budget` [s]: a `Planner` used once.
+
+    Parameters and errors are those of `Planner.decide`, besides:
+
+    Parameters
+    ----------
+    why
+        Look at once for what cannot hold together where nothing holds, or not all that
+        was put aside; that takes up to a second or two on top of the budget.
+    """
+    start = perf_counter()
+    planner = Planner(problem)
+    result = planner.decide(method, budget, seed, steps=steps, fewer=fewer, stop=stop)
+    if why and method != "greedy":
+        result.find_conflict(stop)
+    result.seconds = perf_counter() - start
+    return result
+
+
+def evaluate(
+    problem: Problem, placement: Mapping[str, str], method: str = "given"
+) -> Result:
+    """Return what can be said of a given placement, feasible or not.
+
+    Of alternatives, the placement holds exactly one.
+
+    Raises
+    ------
+    UsageError
+        When a component has no computer, or one that is not there, or components that
+        must share a computer do not.
+    """
+    choice, part = alternatives.chosen_by(problem, placement)
+    tables = tabulate(part)
+    placed = placed_by_name(tables, placement)
+    result = Result.of(Snapshot(part, tables), placed, method, given=True)
+    return result.chosen(choice)

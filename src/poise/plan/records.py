@@ -1,0 +1,104 @@
+"""Small records that results are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
+
+from msgspec import Struct
+
+Ask = Callable[[], bool]
+"""Tells a solver, which asks up to 100 times a second, whether to stop now."""
+
+Stopped = Literal["done", "proven", "budget", "interrupted", "infeasible"]
+"""Why a solver stopped: it had no more to do, proved its answer, used up its budget,
+was interrupted by the user, or proved that nothing can hold."""
+
+
+class Terms(Struct, frozen=True, kw_only=True):
+    """F and its parts, weights included: they add up to `total`.
+
+    `move` holds every linear cost: of leaving the present computer, and of the
+    problem's cost matrix. `quality` is what a lesser alternative costs.
+    """
+
+    total: float
+    communication: float
+    balance: float
+    move: float = 0.0
+    quality: float = 0.0
+
+
+class Trial(Struct, frozen=True, kw_only=True):
+    """One computer tried for a component: F over all placed so far.
+
+    `total` is None where the component may not go; `reason` then says why.
+    """
+
+    computer: str
+    total: float | None
+    reason: str = ""
+
+
+class Step(Struct, frozen=True, kw_only=True):
+    """One step of the greedy: a component, what was tried, and what was chosen.
+
+    Components that must share a computer are placed as one; their names are joined
+    with ``+``. `chosen` is None when no computer could take it.
+    """
+
+    component: str
+    trials: tuple[Trial, ...]
+    chosen: str | None
+
+
+class Tightest(Struct, frozen=True, kw_only=True):
+    """The resource that is closest to its limit; `used` is its share of that limit."""
+
+    computer: str
+    resource: str
+    used: float
+
+
+class More(Struct, frozen=True, kw_only=True):
+    """A limit to be raised.
+
+    Parameters
+    ----------
+    on
+        A computer, or the two ends of a link.
+    resource
+        Of the computer; or ``bandwidth``.
+    amount
+        By how much its capacity [the resource's unit] or the link's bandwidth
+        [bytes/s] must rise.
+    """
+
+    on: tuple[str, ...]
+    resource: str
+    amount: float
+
+
+class Conflict(Struct, frozen=True, kw_only=True):
+    """Why nothing can hold: an irreducible infeasible subset, and its relaxation.
+
+    Parameters
+    ----------
+    components
+        A set that cannot be placed, even alone.
+    limits
+        The limits that they cannot keep together, for people.
+    irreducible
+        Whether it is proven that without any one of them the others could hold.
+    relaxation
+        What has to give way so that the whole problem holds, for people: the smallest
+        rise of one capacity where that is enough.
+    more
+        The rises in `relaxation`.
+    """
+
+    components: tuple[str, ...]
+    limits: tuple[str, ...]
+    relaxation: str
+    irreducible: bool = True
+    more: tuple[More, ...] = ()

@@ -1,0 +1,1 @@
+"""Which solver when, which of several architectures, and an independent solver."""

@@ -1,0 +1,407 @@
+"""The placement by OR-Tools CP-SAT: an independent certificate (extra `exact`).
+
+CP-SAT counts in whole numbers, and errs when they are large: none here is above 10^7.
+So its model is a *relaxation*: demands, and what adds to F, are rounded down, and the
+square of the variance is replaced by tangents below it. Every placement that keeps the
+limits is one of the model, whose F is no lower there: what CP-SAT proves of the model,
+a bound or that there is no placement, holds. What it finds is looked at in real
+numbers. If it breaks a limit that rounding hid, or its F is more than the model says,
+the model gets a cut or a tangent there, and is solved again. A placement is proven when
+its F is above the bound by no more than what rounding alone may hide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from math import floor, inf
+from threading import Thread
+from time import perf_counter
+from typing import Any, NamedTuple
+
+from poise.errors import UsageError
+from poise.plan import _core
+from poise.plan.problem import SLACK
+from poise.plan.records import Ask
+from poise.plan.reference.limits import traffic
+from poise.plan.reference.objective import loads
+from poise.plan.tables import Placed, Tables, fits
+
+# OR-Tools may not be installed where this is checked.
+IntVar = Any
+LinearExprT = Any
+
+UNITS = 10_000_000
+"""In how many parts the scale of F is divided."""
+PARTS = 1_000_000
+"""In how many parts a limit is divided."""
+MOST_VARIABLES = 200_000
+"""With more, setting up the program takes longer than solving it here."""
+LOOK = 0.02
+"""How long it may take to notice that it should stop [s]."""
+
+
+class Certificate(NamedTuple):
+    """A placement (empty: none found), its F, and a bound of every placement's F."""
+
+    placed: Placed
+    objective: float
+    bound: float
+    proven: bool
+    stopped_by: str
+
+
+def solve(
+    core: _core.Core,
+    tables: Tables,
+    seconds: float,
+    seed: int,
+    known: Placed,
+    stop: Ask | None = None,
+    *,
+    workers: int = 2,
+) -> Certificate:
+    """Return the best placement that CP-SAT finds, and its bound.
+
+    Parameters
+    ----------
+    known
+        A placement to start from; empty: none.
+    stop
+        Asked 50 times a second whether to stop now.
+    workers
+        How many threads it may use.
+
+    Raises
+    ------
+    UsageError
+        When OR-Tools is not installed, or the problem is too large.
+    """
+    pairs = tables.m * tables.m if tables.distance or tables.bandwidth else 1
+    if tables.n * tables.m + len(tables.first) * pairs > MOST_VARIABLES:
+        raise UsageError(
+            f"{tables.n} components with {len(tables.first)} connectors on {tables.m} "
+            "computers are too many for 'cpsat'; take 'search'"
+        )
+    best = Certificate(known, _total(core, known), -inf, False, "budget")
+    if stop is not None and stop():
+        return best._replace(stopped_by="interrupted")
+    model = _Relaxation(tables)
+    end = perf_counter() + seconds
+    while True:
+        model.hint(best.placed)
+        left = max(end - perf_counter(), 1e-3)
+        answer = _run(model, left, seed, workers, stop)
+        if answer.status == "INFEASIBLE" and not best.placed:
+            return Certificate([], inf, -inf, True, "infeasible")
+        if answer.placed and core.feasible(answer.placed):
+            total = _total(core, answer.placed)
+            if total < best.objective:
+                best = best._replace(placed=answer.placed, objective=total)
+        best = best._replace(bound=max(best.bound, answer.bound))
+        if best.placed and best.objective - best.bound <= model.error:
+            return best._replace(proven=True, stopped_by="proven")
+        if answer.interrupted:
+            return best._replace(stopped_by="interrupted")
+        is_over = perf_counter() >= end or answer.status != "OPTIMAL"
+        if is_over or not model.refine(answer.placed):
+            return best
+
+
+def _total(core: _core.Core, placed: Placed) -> float:
+    return sum(core.terms(placed)) if placed else inf
+
+
+class _Answer(NamedTuple):
+    status: str
+    placed: Placed
+    bound: float
+    interrupted: bool
+
+
+def _run(
+    model: _Relaxation, seconds: float, seed: int, workers: int, stop: Ask | None
+) -> _Answer:
+    """Let the solver run until it is done, or time is up, or Ctrl-C or `stop` end it.
+
+    It runs in a thread of its own, as only from beside it can it be stopped. Its own
+    way with Ctrl-C is switched off: it leaves the process without Python's.
+    """
+    solver = _ortools().CpSolver()
+    solver.parameters.catch_sigint_signal = False
+    solver.parameters.max_time_in_seconds = seconds
+    solver.parameters.random_seed = seed & 0x7FFFFFFF
+    solver.parameters.num_workers = workers
+    ended: list[str] = []
+    thread = Thread(
+        target=lambda: ended.append(solver.solve(model.program).name), daemon=True
+    )
+    thread.start()
+    interrupted = False
+    while thread.is_alive():
+        try:
+            thread.join(LOOK)
+            interrupted = interrupted or (stop is not None and stop())
+        except KeyboardInterrupt:
+            interrupted = True
+        if interrupted:
+            solver.stop_search()
+    status = ended[0] if ended else "failed"
+    if status not in {"OPTIMAL", "FEASIBLE"}:
+        return _Answer(status, [], -inf, interrupted)
+    placed = [
+        next(h for h, here in enumerate(row) if solver.boolean_value(here))
+        for row in model.on
+    ]
+    bound = solver.best_objective_bound / model.scale
+    return _Answer(status, placed, bound, interrupted)
+
+
+def _ortools() -> Any:  # noqa: ANN401 - a module
+    try:
+        from ortools.sat.python import cp_model  # noqa: PLC0415 - an extra, and slow
+    except ImportError as error:
+        raise UsageError("cpsat needs OR-Tools: pip install 'poise[exact]'") from error
+    return cp_model
+
+
+class _Affine(NamedTuple):
+    """A constant, and what each unit adds on each computer, (n, m)."""
+
+    constant: float
+    slopes: list[list[float]]
+
+
+class _Relaxation:
+    """The 0-1 program: `on[unit][computer]`, limits, and F in whole numbers.
+
+    `error` is how far its F may be below that of a placement, by rounding alone.
+    """
+
+    def __init__(self, tables: Tables) -> None:
+        self.tables = tables
+        self.program = _ortools().CpModel()
+        self.on = [
+            [self.program.new_bool_var(f"u{u}h{h}") for h in range(tables.m)]
+            for u in range(tables.n)
+        ]
+        self.scale = UNITS / max(1e-12, self._largest())
+        self._roundings = 0
+        self._limits()
+        self._squares: list[tuple[IntVar, _Affine]] = []
+        self._tangents: set[tuple[int, int]] = set()
+        terms = [*self._connectors(), *self._costs(), *self._spreads()]
+        self.program.minimize(sum(terms))
+        self.error = (self._roundings + 1) / self.scale
+
+    def hint(self, known: Sequence[int]) -> None:
+        """Let the search begin at a placement."""
+        self.program.clear_hints()
+        for row, computer in zip(self.on, known, strict=False):
+            for h, here in enumerate(row):
+                self.program.add_hint(here, h == computer)
+
+    def refine(self, placed: Placed) -> bool:
+        """Cut off a placement that breaks a limit, or make its F right; else False."""
+        cuts = list(self._broken(placed))
+        for units in cuts:
+            held = [self.on[u][placed[u]] for u in units]
+            self.program.add(sum(held) <= len(held) - 1)
+        tangents = [self._tangent(i, placed) for i in range(len(self._squares))]
+        return bool(cuts) or any(tangents)
+
+    def _largest(self) -> float:
+        """Return about how large F may be."""
+        t = self.tables
+        far = max(t.distance, default=1.0)
+        tops = [
+            1.0 if t.share else max(t.capacity[k :: t.r], default=0.0)
+            for k in range(t.r)
+        ]
+        spreads = (
+            w * (top * top if t.variance else top)
+            for w, top in zip(t.spread, tops, strict=True)
+        )
+        costs = t.n * max((abs(c) for c in t.cost), default=0.0)
+        return t.communication * sum(t.overhead) * far + sum(spreads) + costs or 1.0
+
+    def _whole(self, value: float) -> int:
+        """Return a part of F in whole numbers, rounded down."""
+        self._roundings += 1
+        return floor(value * self.scale)
+
+    def _limits(self) -> None:
+        t = self.tables
+        for row in self.on:
+            self.program.add_exactly_one(row)
+        for u, computers in t.allowed.items():
+            for h in range(t.m):
+                if h not in computers:
+                    self.program.add(self.on[u][h] == 0)
+        for i, j in t.apart:
+            for h in range(t.m):
+                self.program.add(self.on[i][h] + self.on[j][h] <= 1)
+        for k in range(t.r):
+            for h in range(t.m):
+                column = [row[h] for row in self.on]
+                self._hold(t.demand[k :: t.r], column, t.limit[h * t.r + k])
+        if t.bandwidth:
+            self._links()
+
+    def _hold(
+        self, amounts: Sequence[float], used: Sequence[LinearExprT], limit: float
+    ) -> None:
+        """Keep the sum of what is used, rounded down, to a limit with its slack."""
+        part = (limit + SLACK * max(1.0, limit)) / PARTS
+        # More than the whole limit is too much, however much it is.
+        whole = [floor(min(amount / part, PARTS + 1)) for amount in amounts]
+        pairs = zip(whole, used, strict=True)
+        self.program.add(sum(w * x for w, x in pairs if w) <= PARTS)
+
+    def _links(self) -> None:
+        t = self.tables
+        pairs = zip(t.first, t.second, t.traffic, strict=True)
+        sending = [row for row in pairs if row[2] > 0]
+        for a in range(t.m):
+            for b in range(a):
+                limit = t.bandwidth[a * t.m + b]
+                if limit < inf:
+                    apart = [self._both(i, a, j, b) for i, j, _ in sending]
+                    self._hold([w for *_, w in sending], apart, limit)
+
+    def _both(self, i: int, a: int, j: int, b: int) -> LinearExprT:
+        """Return 1 when units i and j are on computers a and b, either way round."""
+        total: LinearExprT = 0
+        for x, y in ((a, b), (b, a)):
+            both = self.program.new_bool_var("")
+            self.program.add_bool_or([self.on[i][x].Not(), self.on[j][y].Not(), both])
+            self.program.add_implication(both, self.on[i][x])
+            self.program.add_implication(both, self.on[j][y])
+            total = total + both
+        return total
+
+    def _broken(self, placed: Placed) -> Iterator[list[int]]:
+        """Yield sets of units of which one must be elsewhere, by limits that broke."""
+        t = self.tables
+        load = loads(t, placed)
+        for h in range(t.m):
+            for k in range(t.r):
+                if not fits(load[h * t.r + k], t.limit[h * t.r + k]):
+                    yield [
+                        u
+                        for u in range(t.n)
+                        if placed[u] == h and t.demand[u * t.r + k] > 0
+                    ]
+        for (a, b), used in traffic(t, placed).items() if t.bandwidth else ():
+            if not fits(used, t.bandwidth[a * t.m + b]):
+                yield sorted(
+                    {
+                        u
+                        for i, j, w in zip(t.first, t.second, t.traffic, strict=True)
+                        if w > 0 and {placed[i], placed[j]} == {a, b}
+                        for u in (i, j)
+                    }
+                )
+
+    def _connectors(self) -> Iterator[LinearExprT]:
+        t = self.tables
+        for i, j, overhead in zip(t.first, t.second, t.overhead, strict=True):
+            cost = t.communication * overhead
+            if cost <= 0:
+                continue
+            if t.distance:
+                for a in range(t.m):
+                    for b in range(a):
+                        far = self._whole(cost * t.distance[a * t.m + b])
+                        yield far * self._both(i, a, j, b)
+                continue
+            apart = self.program.new_bool_var("")
+            for h in range(t.m):
+                self.program.add_implication(
+                    self.on[i][h], self.on[j][h]
+                ).only_enforce_if(apart.Not())
+            yield self._whole(cost) * apart
+
+    def _costs(self) -> Iterator[LinearExprT]:
+        t = self.tables
+        for u in range(t.n if t.cost else 0):
+            for h in range(t.m):
+                yield self._whole(t.cost[u * t.m + h]) * self.on[u][h]
+
+    def _spreads(self) -> Iterator[LinearExprT]:
+        t = self.tables
+        for k, weight in enumerate(t.spread):
+            counted = [
+                h for h in range(t.m) if not t.share or t.capacity[h * t.r + k] > 0
+            ]
+            if weight <= 0 or len(counted) < 2:  # noqa: PLR2004 - a spread needs two
+                continue
+            residues = [self._residue(k, h) for h in counted]
+            # Of a range, two residues are rounded; of a variance, every square.
+            self._roundings += (t.n + 1) * (len(counted) if t.variance else 2)
+            if t.variance:
+                yield from self._variance(residues, weight)
+            else:
+                high = self.program.new_int_var(-2 * UNITS, 2 * UNITS, "")
+                low = self.program.new_int_var(-2 * UNITS, 2 * UNITS, "")
+                for residue in residues:
+                    self.program.add(high >= self._below(residue, weight))
+                    self.program.add(low <= -self._below(residue, -weight))
+                yield high - low
+
+    def _residue(self, k: int, h: int) -> _Affine:
+        """Return the residue of a resource as what F measures it in."""
+        t = self.tables
+        capacity = t.capacity[h * t.r + k]
+        unit = capacity if t.share else 1.0
+        slopes = [[0.0] * t.m for _ in range(t.n)]
+        for u in range(t.n):
+            # What asks for more than there is will not be here.
+            slopes[u][h] = -min(t.demand[u * t.r + k], 2 * capacity) / unit
+        return _Affine(capacity / unit, slopes)
+
+    def _below(self, line: _Affine, factor: float) -> LinearExprT:
+        """Return factor x line in whole parts of F, rounded down."""
+        whole: LinearExprT = floor(factor * line.constant * self.scale)
+        for row, slopes in zip(self.on, line.slopes, strict=True):
+            for here, slope in zip(row, slopes, strict=True):
+                if slope:
+                    whole = whole + floor(factor * slope * self.scale) * here
+        return whole
+
+    def _variance(self, residues: list[_Affine], weight: float) -> Iterator[IntVar]:
+        """Yield a variable for each square of a residue less their mean, weighed."""
+        count = len(residues)
+        factor = (weight / count) ** 0.5
+        for h in range(count):
+            shares = [(1.0 if g == h else 0.0) - 1 / count for g in range(count)]
+            off = _Affine(
+                factor
+                * sum(s * r.constant for s, r in zip(shares, residues, strict=True)),
+                [
+                    [
+                        factor
+                        * sum(
+                            s * r.slopes[u][x]
+                            for s, r in zip(shares, residues, strict=True)
+                        )
+                        for x in range(self.tables.m)
+                    ]
+                    for u in range(self.tables.n)
+                ],
+            )
+            square = self.program.new_int_var(0, 4 * UNITS, "")
+            self._squares.append((square, off))
+            yield square
+
+    def _tangent(self, i: int, placed: Placed) -> bool:
+        """Keep a square above its tangent at `placed`; False when it was already."""
+        square, off = self._squares[i]
+        at = off.constant + sum(off.slopes[u][h] for u, h in enumerate(placed))
+        key = i, round(at * self.scale)
+        if key in self._tangents:
+            return False
+        self._tangents.add(key)
+        # at^2 + 2 at (off - at) = 2 at off - at^2
+        line = _Affine(off.constant - at / 2, off.slopes)
+        self.program.add(square >= self._below(line, 2 * at))
+        return True

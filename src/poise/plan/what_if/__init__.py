@@ -1,0 +1,1 @@
+"""Questions about other robots: other computers, other capacities, fewer computers."""

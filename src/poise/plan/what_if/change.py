@@ -1,0 +1,142 @@
+"""A problem changed in one way: fewer components, other computers, other capacities."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+from msgspec.structs import replace
+
+from poise.errors import UsageError
+from poise.model.robot import Computer
+from poise.plan.problem import Item, Problem
+
+
+def keep_components(problem: Problem, names: Collection[str]) -> Problem:
+    """Return the problem with only the components called `names`."""
+    kept = [c.name in names for c in problem.components]
+    if all(kept):
+        return problem
+
+    def group(members: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(name for name in members if name in names)
+
+    return replace(
+        problem,
+        components=tuple(c for c in problem.components if c.name in names),
+        connectors=tuple(
+            k for k in problem.connectors if all(end in names for end in k.between)
+        ),
+        cost=tuple(row for row, keep in zip(problem.cost, kept, strict=False) if keep),
+        together=tuple(group(members) for members in problem.together),
+        apart=tuple(group(members) for members in problem.apart),
+        architectures=tuple(
+            a for a in problem.architectures if all(n in names for n in a.components)
+        ),
+    )
+
+
+def without(problem: Problem, names: Collection[str]) -> Problem:
+    """Return the problem without the computers called `names`.
+
+    Raises
+    ------
+    UsageError
+        When there is no such computer, or a component may run on no other.
+    """
+    _check_computers(problem, names)
+    kept = [i for i, h in enumerate(problem.computers) if h.name not in names]
+    stranded = [
+        c.name for c in problem.components if c.only and set(c.only) <= set(names)
+    ]
+    if stranded:
+        raise UsageError(
+            f"without {', '.join(sorted(names))}, these can run nowhere: "
+            f"{', '.join(stranded)}"
+        )
+    return replace(
+        problem,
+        components=tuple(_without(c, names) for c in problem.components),
+        computers=tuple(problem.computers[i] for i in kept),
+        links=tuple(
+            link
+            for link in problem.links
+            if not any(name in names for name in link.between)
+        ),
+        distance=tuple(
+            tuple(problem.distance[a][b] for b in kept)
+            for a in kept
+            if problem.distance
+        ),
+        cost=tuple(tuple(row[h] for h in kept) for row in problem.cost),
+    )
+
+
+def add(problem: Problem, computer: Computer) -> Problem:
+    """Return the problem with one more computer, at distance 1 from all others.
+
+    Raises
+    ------
+    UsageError
+        When there is a computer of that name.
+    """
+    if any(h.name == computer.name for h in problem.computers):
+        raise UsageError(f"there is a computer called {computer.name!r} already")
+    distance = problem.distance
+    if distance:
+        row = (1.0,) * len(distance)
+        distance = (*((*r, 1.0) for r in distance), (*row, 0.0))
+    return replace(
+        problem,
+        computers=(*problem.computers, computer),
+        distance=distance,
+        cost=tuple((*row, 0.0) for row in problem.cost),
+    )
+
+
+def scale(problem: Problem, factors: Mapping[str, float]) -> Problem:
+    """Return the problem with capacities multiplied.
+
+    Each key of `factors` is a computer (all its capacities) or a resource (of every
+    computer), in any case of letters; each value is finite and >= 0.
+
+    Raises
+    ------
+    UsageError
+        When a name is neither.
+    """
+    computers = {h.name.lower(): h.name for h in problem.computers}
+    resources = {r.lower(): r for r in problem.resources}
+    for name in factors:
+        if name.lower() not in {**computers, **resources}:
+            choices = ", ".join([*computers.values(), *resources.values()])
+            raise UsageError(f"{name!r} is no computer or resource ({choices})")
+    lower = {name.lower(): factor for name, factor in factors.items()}
+    return replace(
+        problem,
+        computers=tuple(
+            replace(
+                h,
+                capacity={
+                    r: amount
+                    * lower.get(r.lower(), 1.0)
+                    * lower.get(h.name.lower(), 1.0)
+                    for r, amount in h.capacity.items()
+                },
+            )
+            for h in problem.computers
+        ),
+    )
+
+
+def _without(component: Item, names: Collection[str]) -> Item:
+    only = tuple(h for h in component.only if h not in names)
+    present = None if component.present in names else component.present
+    return replace(component, only=only, present=present)
+
+
+def _check_computers(problem: Problem, names: Collection[str]) -> None:
+    known = [h.name for h in problem.computers]
+    for name in names:
+        if name not in known:
+            choices = ", ".join(known)
+            raise UsageError(f"no computer is called {name!r} (there are: {choices})")

@@ -1,0 +1,229 @@
+"""Why nothing can hold: an irreducible infeasible subset, and its relaxation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from msgspec.structs import replace
+
+from poise.model.robot import Objective
+from poise.plan import _core
+from poise.plan.problem import Problem
+from poise.plan.records import Ask, Conflict
+from poise.plan.reference.limits import amount_of
+from poise.plan.tables import Tables, fits, tabulate
+from poise.plan.what_if.change import keep_components
+from poise.plan.why.relaxation import Limit, Relaxation, limits_of
+
+STEPS = 100_000
+"""How many nodes, and how many search moves, one question may take."""
+ALL_STEPS = 8_000_000
+"""How many all proofs together may take, about two seconds."""
+MOST_COMPONENTS = 60
+"""Up to how many components are left out one by one, to find those that conflict."""
+
+
+class Shortage(NamedTuple):
+    """Units that may run on some computers only, and need more than those have."""
+
+    units: list[int]
+    computers: list[int]
+    resource: int
+
+
+class Oracle:
+    """Answers whether a problem can hold, as far as that takes no long time."""
+
+    def __init__(self, stop: Ask | None = None) -> None:
+        self._stop = stop
+        self._left = ALL_STEPS
+
+    def ask(self, problem: Problem) -> bool | None:
+        """Return whether some placement keeps all limits; None when it is not known."""
+        self._left -= len(problem.components) * len(problem.computers)
+        if self._left <= 0 or (self._stop is not None and self._stop()):
+            return None
+        aimless = replace(problem, objective=Objective(communication=0.0, balance=0.0))
+        tables = tabulate(replace(aimless, cost=()))
+        if not tables.n:
+            return True
+        if is_short(tables):
+            return False
+        core = _core.Core(tables)
+        if core.greedy()[1]:
+            return True
+        proven = False
+        if core.provable:
+            placed, _, _, proven, _, steps = core.exact([], 1e9, STEPS, self._stop)
+            self._left -= steps
+            if placed or proven:
+                return bool(placed)
+        placed, _, _, _, _, steps = core.search([], 1e9, STEPS, 0, self._stop)
+        self._left -= steps
+        return True if placed else None
+
+
+def is_short(tables: Tables) -> bool:
+    """Whether some computers have less than what may run nowhere else needs."""
+    return next(_shortages(tables), None) is not None
+
+
+def conflict(problem: Problem, stop: Ask | None = None) -> Conflict | None:
+    """Return a small set of components and limits that cannot hold together.
+
+    None when it cannot be proven in short time that there is one, or when `stop` says
+    that it is enough.
+    """
+    oracle = Oracle(stop)
+    found = _infeasible_subset(problem, oracle)
+    if found is None:
+        return None
+    part, limits, irreducible = found
+    relaxation = Relaxation(oracle, lambda p: _infeasible_subset(p, oracle))
+    change = relaxation.find(problem, limits)
+    return Conflict(
+        components=tuple(c.name for c in part.components),
+        limits=_sentences(part, limits),
+        relaxation=str(change) or _at_least(part),
+        irreducible=irreducible,
+        more=change.more(),
+    )
+
+
+def _infeasible_subset(
+    problem: Problem, oracle: Oracle
+) -> tuple[Problem, list[Limit], bool] | None:
+    """Return a part of the problem that cannot hold, and the limits that it breaks.
+
+    And whether it is irreducible: without any one of its components, or of the limits,
+    it is known to hold.
+    """
+    tables = tabulate(problem)
+    shortage = min(_shortages(tables), key=lambda s: len(s.units), default=None)
+    if shortage is not None:
+        part = keep_components(problem, set(_names(tables, shortage.units)))
+    elif len(problem.components) <= MOST_COMPONENTS:
+        part = problem
+    else:
+        return None
+    if len(part.components) > MOST_COMPONENTS:
+        short = [k for k in limits_of(part) if k.names in _short(tables, shortage)]
+        return part, short, False
+    if oracle.ask(part) is not False:
+        return None
+    irreducible = True
+    for component in sorted(part.components, key=lambda c: sum(c.demand.values())):
+        names = {c.name for c in part.components} - {component.name}
+        smaller = keep_components(part, names)
+        holds = oracle.ask(smaller)
+        irreducible = irreducible and holds is not None
+        if holds is False:
+            part = smaller
+    limits = []
+    relaxed = part
+    for limit in limits_of(part):
+        without = limit.lifted(relaxed)
+        holds = oracle.ask(without)
+        irreducible = irreducible and holds is not None
+        if holds is False:
+            relaxed = without
+        else:
+            limits.append(limit)
+    return part, limits, irreducible
+
+
+def _short(tables: Tables, shortage: Shortage | None) -> set[tuple[str, ...]]:
+    """Return the computers and the resource that are short, by name."""
+    if shortage is None:
+        return set()
+    resource = tables.resources[shortage.resource]
+    return {(tables.problem.computers[h].name, resource) for h in shortage.computers}
+
+
+def _shortages(tables: Tables) -> Iterator[Shortage]:
+    """Yield sets of computers with less than what may run nowhere else needs."""
+    everywhere = tuple(range(tables.m))
+    alike: dict[tuple[int, ...], list[int]] = {everywhere: []}
+    for u in range(tables.n):
+        alike.setdefault(tables.allowed.get(u, everywhere), []).append(u)
+    need = {
+        computers: [
+            sum(tables.demand[u * tables.r + k] for u in units) for k in range(tables.r)
+        ]
+        for computers, units in alike.items()
+    }
+    for computers, units in alike.items():
+        if not computers:
+            yield Shortage(units[:1], [], 0)
+            continue
+        inside = [c for c in alike if {*computers}.issuperset(c)]
+        for k in range(tables.r):
+            limits = [tables.limit[h * tables.r + k] for h in computers]
+            if not fits(sum(need[c][k] for c in inside), sum(limits)):
+                bound = [u for c in inside for u in alike[c]]
+                yield Shortage(_largest(tables, bound, sum(limits), k), [*computers], k)
+            for u in units:
+                if not fits(tables.demand[u * tables.r + k], max(limits)):
+                    yield Shortage([u], [*computers], k)
+
+
+def _largest(tables: Tables, units: list[int], limit: float, k: int) -> list[int]:
+    """Return the largest of the units, as few as are together beyond the limit."""
+    some: list[int] = []
+    total = 0.0
+    for u in sorted(units, key=lambda u: -tables.demand[u * tables.r + k]):
+        if not fits(total, limit):
+            break
+        some.append(u)
+        total += tables.demand[u * tables.r + k]
+    return some
+
+
+def _sentences(part: Problem, limits: list[Limit]) -> tuple[str, ...]:
+    """Return the limits for people: what is short as one sum, where it is a sum."""
+    tables = tabulate(part)
+    short = next((s for s in _shortages(tables) if len(s.units) == tables.n), None)
+    if short is None or not short.computers:
+        return tuple(limit.text for limit in limits)
+    others = (limit.text for limit in limits if limit.kind != "capacity")
+    return (_sum_of(tables, short), *others)
+
+
+def _sum_of(tables: Tables, short: Shortage) -> str:
+    k = short.resource
+    resource = tables.resources[k]
+    names = _names(tables, short.units)
+    where = [tables.problem.computers[h].name for h in short.computers]
+    need = sum(tables.demand[u * tables.r + k] for u in short.units)
+    limits = [tables.limit[h * tables.r + k] for h in short.computers]
+    verb = "needs" if len(names) == 1 else "together need"
+    sentence = f"{', '.join(names)} {verb} {amount_of(resource, need)} {resource}"
+    if len(where) == 1:
+        return f"{sentence}; {where[0]} has {amount_of(resource, limits[0])}"
+    if fits(need, sum(limits)):
+        most = max(range(len(limits)), key=lambda i: limits[i])
+        has = amount_of(resource, limits[most])
+        return f"{sentence}; {where[most]} has the most, {has}"
+    has = amount_of(resource, sum(limits))
+    return f"{sentence}; {', '.join(where)} together have {has}"
+
+
+def _at_least(part: Problem) -> str:
+    """Return what is short in all, where no relaxation was found in short time."""
+    tables = tabulate(part)
+    short = next(_shortages(tables), None)
+    if short is None or not short.computers:
+        return "limits that were not found in short time"
+    k = short.resource
+    needs = [tables.demand[u * tables.r + k] for u in short.units]
+    has = [tables.limit[h * tables.r + k] for h in short.computers]
+    missing = max(sum(needs) - sum(has), max(needs) - max(has))
+    where = " or ".join(tables.problem.computers[h].name for h in short.computers)
+    resource = tables.resources[k]
+    return f"at least {amount_of(resource, missing)} more {resource} on {where}"
+
+
+def _names(tables: Tables, units: list[int]) -> tuple[str, ...]:
+    components = tables.problem.components
+    return tuple(components[i].name for u in units for i in tables.members[u])

@@ -1,0 +1,225 @@
+"""Why a component is where it is, or why its architecture was not chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from poise.errors import UsageError
+from poise.plan.planner import evaluate, solve
+from poise.plan.problem import Bundle, Problem
+from poise.plan.records import Terms
+from poise.plan.reference import objective
+from poise.plan.reference.limits import obstacle
+from poise.plan.solvers.alternatives import chosen_by
+from poise.plan.tables import Placed, Tables, placed_by_name, tabulate
+from poise.plan.what_if.change import keep_components
+
+
+class Option(Struct, frozen=True, kw_only=True):
+    """One computer for a component, all others staying where they are.
+
+    Parameters
+    ----------
+    objective
+        The terms of F with the component there.
+    change
+        The terms of F there, less those of where it is.
+    obstacle
+        Which limit keeps it out; empty when none does.
+    """
+
+    computer: str
+    objective: Terms
+    change: Terms
+    obstacle: str = ""
+
+
+class Explanation(Struct, frozen=True, kw_only=True):
+    """Why a component is on `computer`: all options, cheapest first.
+
+    `together` names the components that must move along with it.
+    """
+
+    component: str
+    computer: str
+    reason: str
+    options: tuple[Option, ...]
+    together: tuple[str, ...] = ()
+
+
+class Rejection(Struct, frozen=True, kw_only=True):
+    """Why an architecture was not chosen.
+
+    Parameters
+    ----------
+    chosen
+        The architecture that provides its function instead; empty when none does.
+    objective, change
+        The terms of F at the best placement found with it, and those less the terms of
+        the placement that is; None when it fits nowhere.
+    """
+
+    architecture: str
+    chosen: str
+    reason: str
+    objective: Terms | None = None
+    change: Terms | None = None
+
+
+def explain(
+    problem: Problem, placement: Mapping[str, str], name: str
+) -> Explanation | Rejection:
+    """Return why a component is where `placement` has it.
+
+    Of an architecture that is not in the placement, or a component of it, return why
+    it was not chosen: what the best placement with it costs.
+
+    Raises
+    ------
+    UsageError
+        When there is no such component or architecture, or the placement is not
+        complete.
+    """
+    for bundle in problem.architectures:
+        if name == bundle.name or name in bundle.components:
+            if not placement.keys() & {*bundle.components}:
+                return _rejection(problem, placement, bundle)
+            if name == bundle.name and name not in placement:
+                name = bundle.components[0]
+    _, part = chosen_by(problem, placement, partial=True)
+    tables = tabulate(part)
+    placed = placed_by_name(tables, placement)
+    names = [c.name for c in part.components]
+    if name not in names:
+        choices = ", ".join([*names, *(a.name for a in problem.architectures)])
+        raise UsageError(f"no component is called {name!r} (there are: {choices})")
+    unit = tables.unit_of[names.index(name)]
+    options = sorted(
+        (_option(tables, placed, unit, h) for h in range(tables.m)),
+        key=lambda option: (bool(option.obstacle), option.objective.total),
+    )
+    together = [names[i] for i in tables.members[unit]]
+    return Explanation(
+        component=name,
+        computer=problem.computers[placed[unit]].name,
+        reason=_reason(problem, options, placement[name]),
+        options=tuple(options),
+        together=tuple(other for other in together if other != name),
+    )
+
+
+def _rejection(
+    problem: Problem, placement: Mapping[str, str], bundle: Bundle
+) -> Rejection:
+    """Place it with everything else that is placed, instead of its alternative."""
+    rivals = [
+        b
+        for b in problem.architectures
+        if b.function == bundle.function and bundle.function and b != bundle
+    ]
+    chosen = next((b.name for b in rivals if placement.keys() & {*b.components}), "")
+    absent = {
+        b.name
+        for b in problem.architectures
+        if b != bundle and (b in rivals or not placement.keys() & {*b.components})
+    }
+    instead = solve(_without(problem, absent))
+    now = evaluate(_without(problem, {*absent, bundle.name} - {chosen}), placement)
+    # Both against the best quality that there is.
+    best = max([bundle.quality, *(b.quality for b in rivals)])
+    with_it = _with_quality(instead.objective, (best - bundle.quality), problem)
+    lost = sum(best - b.quality for b in rivals if b.name == chosen)
+    without_it = _with_quality(now.objective, lost, problem)
+    if with_it is None or without_it is None:
+        reason = f"with it, {instead.reason}"
+        return Rejection(architecture=bundle.name, chosen=chosen, reason=reason)
+    change = _difference(with_it, without_it)
+    reason = (
+        f"the best placement with it costs {change.total:.4g} more ({_most(change)})"
+        if change.total >= 0
+        else f"it would lower F by {-change.total:.4g}"
+    )
+    return Rejection(
+        architecture=bundle.name,
+        chosen=chosen,
+        reason=reason,
+        objective=with_it,
+        change=change,
+    )
+
+
+def _without(problem: Problem, architectures: set[str]) -> Problem:
+    gone = {
+        name
+        for b in problem.architectures
+        if b.name in architectures
+        for name in b.components
+    }
+    return keep_components(problem, {c.name for c in problem.components} - gone)
+
+
+def _with_quality(terms: Terms | None, lost: float, problem: Problem) -> Terms | None:
+    if terms is None:
+        return None
+    cost = lost * problem.quality
+    return replace(terms, total=terms.total - terms.quality + cost, quality=cost)
+
+
+def _difference(one: Terms, other: Terms) -> Terms:
+    return Terms(
+        total=one.total - other.total,
+        communication=one.communication - other.communication,
+        balance=one.balance - other.balance,
+        move=one.move - other.move,
+        quality=one.quality - other.quality,
+    )
+
+
+def _most(change: Terms) -> str:
+    """Return the term that rises most, and by how much."""
+    terms = {
+        "communication": change.communication,
+        "balance": change.balance,
+        "moving": change.move,
+        "quality": change.quality,
+    }
+    most = max(terms, key=lambda name: terms[name])
+    return f"{most} {terms[most]:+.4g}"
+
+
+def _option(tables: Tables, placed: Placed, unit: int, computer: int) -> Option:
+    now = objective.terms(tables, placed)
+    trial = [*placed]
+    trial[unit] = computer
+    there = objective.terms(tables, trial)
+    lifted = [*placed]
+    lifted[unit] = -1
+    load = objective.loads(tables, lifted)
+    return Option(
+        computer=tables.problem.computers[computer].name,
+        objective=there,
+        change=_difference(there, now),
+        obstacle=obstacle(tables, lifted, load, unit, computer),
+    )
+
+
+def _reason(problem: Problem, options: list[Option], here: str) -> str:
+    possible = [option for option in options if not option.obstacle]
+    others = [option for option in possible if option.computer != here]
+    if len(problem.computers) == 1:
+        return "it is the only computer"
+    if all(option.computer != here for option in possible):
+        return f"it breaks a limit on {here}"
+    if not others:
+        return "no other computer can take it"
+    change = others[0].change
+    if change.total < 0:
+        return f"{others[0].computer} would lower F by {-change.total:.4g}"
+    # What speaks most against the next best computer.
+    return (
+        f"the next best, {others[0].computer}, costs {change.total:.4g} more "
+        f"({_most(change)})"
+    )

@@ -1,0 +1,3 @@
+"""What tests of commands name."""
+
+from tests.command import Poise as Poise  # noqa: PLC0414, to be named from here

@@ -1,0 +1,40 @@
+"""The solvers of the C++ core, one by one, as the tests call them."""
+
+from poise.plan._core import Core
+from poise.plan.solvers.portfolio import UNLIMITED, Answer
+from poise.plan.tables import Placed, Tables
+
+
+class Native:
+    """A problem compiled into the core."""
+
+    def __init__(self, tables: Tables) -> None:
+        self.tables = tables
+        self.core = Core(tables)
+        self.bound = self.core.bound
+        self.feasible = self.core.feasible
+
+    def greedy(self) -> Placed:
+        return self.core.greedy()[0]
+
+    def total(self, placed: Placed) -> float:
+        return sum(self.core.terms(placed))
+
+    def exact(
+        self,
+        known: Placed,
+        seconds: float = 1e9,
+        steps: int = UNLIMITED,
+        stop: object = None,
+    ) -> Answer:
+        return Answer(*self.core.exact(known, seconds, steps, stop))
+
+    def search(
+        self,
+        known: Placed,
+        seconds: float = 1e9,
+        steps: int = UNLIMITED,
+        seed: int = 0,
+        stop: object = None,
+    ) -> Answer:
+        return Answer(*self.core.search(known, seconds, steps, seed, stop))

@@ -1,0 +1,118 @@
+"""Priorities and alternatives: what is put aside, and which architecture is chosen."""
+
+from msgspec.structs import replace
+
+from poise import plan
+from poise.model.robot import Computer
+from poise.plan import Bundle, Item, Problem
+
+
+def problem(*architectures: tuple[Bundle, float], room: float) -> Problem:
+    """Return one component with a demand of cpu for each architecture."""
+    return Problem(
+        components=tuple(
+            Item(name=a.components[0], demand={"cpu": need})
+            for a, need in architectures
+        ),
+        computers=(Computer(name="one", capacity={"cpu": room}),),
+        architectures=tuple(a for a, _ in architectures),
+    )
+
+
+def architecture(name: str, **more: object) -> Bundle:
+    fields = {"name": name, "components": (f"{name}.part",), "function": name, **more}
+    return Bundle(**fields)  # type: ignore[arg-type]
+
+
+def test_puts_the_lowest_priority_aside() -> None:
+    asked = problem(
+        (architecture("talk", priority=1), 1.0),
+        (architecture("drive", priority=5), 1.0),
+        (architecture("see", priority=3), 1.0),
+        room=2.0,
+    )
+    result = plan.solve(asked, fewer=True)
+    assert result.aside == ("talk",)
+    assert set(result.placement) == {"drive.part", "see.part"}
+    assert result.feasible
+    # All three need 3 cores, and there are 2.
+    assert "together need 3 cpu; one has 2" in result.reason
+    assert "It would fit with 1 more cpu on one" in result.reason
+    assert result.conflict is not None
+
+
+def test_says_that_not_all_fits_where_no_more_is_asked() -> None:
+    asked = problem((architecture("a"), 2.0), (architecture("b"), 2.0), room=3.0)
+    result = plan.solve(asked, fewer=True, why=False)
+    assert result.feasible
+    assert result.reason == "no placement keeps all limits"
+    assert result.conflict is not None  # now it was asked for
+    assert "together need 4 cpu; one has 3" in result.reason
+
+
+def test_puts_aside_as_few_as_possible() -> None:
+    """Of equal priority: dropping the one of 2 is enough, two of 1 would be two."""
+    asked = problem(
+        (architecture("a"), 1.0),
+        (architecture("b"), 1.0),
+        (architecture("c"), 2.0),
+        room=2.0,
+    )
+    assert plan.solve(asked, fewer=True).aside == ("c",)
+
+
+def test_keeps_a_low_priority_that_still_fits() -> None:
+    asked = problem(
+        (architecture("high", priority=2), 3.0),
+        (architecture("middle", priority=1), 3.0),
+        (architecture("low", priority=0), 1.0),
+        room=4.0,
+    )
+    assert plan.solve(asked, fewer=True).aside == ("middle",)
+
+
+def test_puts_nothing_aside_unless_asked() -> None:
+    asked = problem((architecture("a"), 2.0), (architecture("b"), 2.0), room=3.0)
+    result = plan.solve(asked)
+    assert not result.feasible
+    assert result.aside == ()
+
+
+def test_chooses_the_better_alternative_that_fits() -> None:
+    alternatives = (
+        (architecture("good", function="see", quality=1.0), 2.0),
+        (architecture("plain", function="see", quality=0.5), 1.0),
+    )
+    roomy, tight = (problem(*alternatives, room=room) for room in (4.0, 1.5))
+    assert plan.solve(roomy).architectures == {"see": "good"}
+    result = plan.solve(tight)
+    assert result.architectures == {"see": "plain"}
+    assert result.objective is not None
+    assert result.objective.quality == 0.5
+
+
+def test_takes_a_lesser_alternative_before_putting_something_aside() -> None:
+    asked = problem(
+        (architecture("good", function="see", quality=1.0), 2.0),
+        (architecture("plain", function="see", quality=0.5), 1.0),
+        (architecture("drive"), 2.0),
+        room=3.0,
+    )
+    result = plan.solve(asked, fewer=True)
+    assert result.aside == ()
+    assert result.architectures == {"see": "plain"}
+
+
+def test_weighs_quality_against_fit() -> None:
+    """With quality worth nothing, the alternative with the lower F is taken."""
+    asked = problem(
+        (architecture("good", function="see", quality=1.0), 2.0),
+        (architecture("plain", function="see", quality=0.5), 1.0),
+        room=4.0,
+    )
+    two = replace(
+        asked,
+        computers=(*asked.computers, Computer(name="two", capacity={"cpu": 4.0})),
+    )
+    assert plan.solve(replace(two, quality=0.0)).architectures == {"see": "plain"}
+    assert plan.solve(replace(two, quality=5.0)).architectures == {"see": "good"}

@@ -1,0 +1,205 @@
+"""An infeasible problem names what cannot hold together, and the cheapest way out."""
+
+import itertools
+
+from hypothesis import HealthCheck, given, settings
+from msgspec.structs import replace
+
+from benchmarks.random_robots import random_robot
+from poise import plan
+from poise.model.robot import Computer
+from poise.plan import Edge, Item, LinkCapacity, Problem
+from poise.plan.reference import objective
+from poise.plan.reference.limits import violations
+from poise.plan.tables import tabulate
+from poise.plan.why.relaxation import _with_capacity, limits_of
+from tests.plan.plan_problems import problems
+
+
+def computers(*sizes: float) -> tuple[Computer, ...]:
+    return tuple(
+        Computer(name=f"h{i}", capacity={"cpu": size}) for i, size in enumerate(sizes)
+    )
+
+
+def components(*demands: float) -> tuple[Item, ...]:
+    return tuple(
+        Item(name=f"c{i}", demand={"cpu": need}) for i, need in enumerate(demands)
+    )
+
+
+def test_names_a_component_that_is_too_large() -> None:
+    result = plan.solve(Problem(components=components(1, 5), computers=computers(2, 4)))
+    assert result.conflict is not None
+    assert result.conflict.components == ("c1",)
+    assert result.conflict.relaxation == "1 more cpu on h1 (4 now)"
+    assert result.conflict.more == (plan.More(on=("h1",), resource="cpu", amount=1.0),)
+    assert result.proven
+
+
+def test_names_the_pinned_components_that_overfill_a_computer() -> None:
+    """c1 and c2 are held to h0 and need 3 of its 2 cores; c0 is not to blame."""
+    free, first, second = components(1, 1.5, 1.5)
+    held = tuple(replace(c, only=("h0",)) for c in (first, second))
+    result = plan.solve(Problem(components=(free, *held), computers=computers(2, 4)))
+    assert result.conflict is not None
+    assert set(result.conflict.components) == {"c1", "c2"}
+    assert "h0" in result.conflict.limits[0]
+
+
+def test_says_how_much_all_computers_are_short_of() -> None:
+    result = plan.solve(
+        Problem(components=components(2, 2, 2), computers=computers(2, 2.5))
+    )
+    assert "together need 6 cpu; h0, h1 together have 4.5" in result.reason
+    assert "1.5 more cpu on h1" in result.reason
+
+
+def test_finds_what_cannot_be_packed() -> None:
+    """Three of 2 need 6 of 3 + 3 in all, but no computer takes two of them."""
+    problem = Problem(components=components(2, 2, 2, 0), computers=computers(3, 3))
+    result = plan.solve(problem)
+    assert not result.feasible
+    assert result.conflict is not None
+    assert set(result.conflict.components) == {"c0", "c1", "c2"}
+    assert result.conflict.relaxation.startswith("1 more cpu on h")
+
+
+def can_hold(problem: Problem) -> bool:
+    """Whether any of all placements keeps every limit."""
+    tables = tabulate(problem)
+    every = itertools.product(range(tables.m), repeat=tables.n)
+    return any(
+        not violations(tables, [*x], objective.loads(tables, [*x])) for x in every
+    )
+
+
+def relieved(problem: Problem, conflict: plan.Conflict, part: float = 1.0) -> Problem:
+    """Return the problem after what the way out says, or a part of each rise."""
+    for more in conflict.more:
+        amount = part * more.amount
+        if more.resource == "bandwidth":
+            problem = replace(
+                problem,
+                links=tuple(
+                    replace(k, bandwidth=k.bandwidth + amount)
+                    if k.between == more.on
+                    else k
+                    for k in problem.links
+                ),
+            )
+        else:
+            problem = _with_capacity(problem, more.on[0], more.resource, amount)
+    for limit in limits_of(problem):
+        if limit.advice and limit.advice in conflict.relaxation:
+            problem = limit.lifted(problem)
+    return problem
+
+
+@settings(max_examples=250, suppress_health_check=[HealthCheck.too_slow])
+@given(problems(most_components=5, most_computers=3))
+def test_a_conflict_is_small_and_its_way_out_leads_out(problem: Problem) -> None:
+    result = plan.solve(problem, steps=2000)
+    assert result.feasible == can_hold(problem)
+    if result.feasible:
+        return
+    conflict = result.conflict
+    assert conflict is not None
+    names = set(conflict.components)
+    assert not can_hold(plan.keep_components(problem, names))
+    for name in names:
+        assert can_hold(plan.keep_components(problem, names - {name}))
+    assert can_hold(relieved(problem, conflict))
+    if len(conflict.more) == 1 and "letting" not in conflict.relaxation:
+        assert not can_hold(relieved(problem, conflict, part=0.99))
+
+
+def test_the_cheapest_of_several_rises_is_named() -> None:
+    """Either computer would do with 1 more, which is less of 8 than of 2."""
+    big, small = computers(8, 2)
+    held = replace(components(3)[0], only=("h1",), name="held")
+    problem = Problem(components=(*components(4, 4), held), computers=(big, small))
+    result = plan.solve(problem)
+    assert result.conflict is not None
+    assert result.conflict.relaxation == "1 more cpu on h1 (2 now)"
+    free = replace(problem, components=(*components(4, 4), replace(held, only=())))
+    result = plan.solve(free)
+    assert result.conflict is not None
+    assert result.conflict.relaxation == "1 more cpu on h1 (2 now)"
+
+
+def test_a_way_out_of_several_rises() -> None:
+    """Each of the two is held to a computer that is too small for it."""
+    first, second = components(3, 5)
+    problem = Problem(
+        components=(replace(first, only=("h0",)), replace(second, only=("h1",))),
+        computers=computers(2, 2),
+    )
+    result = plan.solve(problem)
+    assert result.conflict is not None
+    assert result.conflict.relaxation == (
+        "1 more cpu on h0 (2 now) and 3 more cpu on h1 (2 now)"
+    )
+
+
+def test_a_rise_counts_speed_and_reserve() -> None:
+    """3 cpu of demand need 2 cores of speed 2 of which a quarter is kept free."""
+    one = Computer(name="h0", capacity={"cpu": 1}, speed=2, reserve={"cpu": 0.25})
+    result = plan.solve(Problem(components=components(3), computers=(one,)))
+    assert result.conflict is not None
+    assert result.conflict.more == (plan.More(on=("h0",), resource="cpu", amount=1.0),)
+
+
+def test_a_fleet_that_is_short_is_told_soon() -> None:
+    robot = random_robot(1, 2000, 20, load=1.05)
+    result = plan.solve(robot, budget=0.01)
+    assert not result.feasible
+    assert result.proven
+    assert "together have" in result.reason
+
+
+def test_names_components_that_must_be_together_and_apart() -> None:
+    problem = Problem(
+        components=components(1, 1),
+        computers=computers(4, 4),
+        together=(("c0", "c1"),),
+        apart=(("c0", "c1"),),
+    )
+    result = plan.solve(problem)
+    assert result.conflict is not None
+    assert "together: c0, c1; apart: c0, c1" in result.reason
+    assert result.reason.startswith("c0, c1 cannot hold together: ")
+    assert can_hold(relieved(problem, result.conflict))
+
+
+def test_names_pins_that_contradict_a_set_that_must_be_together() -> None:
+    first, second = components(1, 1)
+    problem = Problem(
+        components=(replace(first, only=("h0",)), replace(second, only=("h1",))),
+        computers=computers(4, 4),
+        together=(("c0", "c1"),),
+    )
+    result = plan.solve(problem)
+    assert not result.feasible
+    assert "together: c0, c1" in result.reason
+    assert "c0 may only run on h0" in result.reason
+
+
+def test_names_the_link_that_is_too_slow() -> None:
+    first, second = components(2, 2)
+    problem = Problem(
+        components=(first, second),
+        computers=computers(3, 3),
+        connectors=(Edge(between=("c0", "c1"), traffic=8.0),),
+        links=(LinkCapacity(between=("h0", "h1"), bandwidth=5.0),),
+    )
+    result = plan.solve(problem)
+    assert not result.feasible
+    assert "link h0 - h1" in result.reason
+
+
+def test_the_greedy_says_where_it_came_to_a_dead_end() -> None:
+    problem = Problem(components=components(2, 2, 2), computers=computers(3, 3))
+    result = plan.solve(problem, method="greedy")
+    assert not result.feasible
+    assert "finds no computer for c2" in result.reason

@@ -1,0 +1,142 @@
+"""From a robot to a problem: pins, devices, links and present placement."""
+
+import pytest
+from msgspec.structs import replace
+
+from poise import plan
+from poise.errors import RobotError
+from poise.model.robot import (
+    Action,
+    Architecture,
+    Component,
+    Computer,
+    Connector,
+    Device,
+    End,
+    Link,
+    Robot,
+    Task,
+)
+
+
+@pytest.fixture
+def robot() -> Robot:
+    """Return a small robot: a camera pipeline, a motor loop, and an idle talker."""
+    vision = Architecture(
+        name="vision",
+        function="see",
+        home="main",
+        components=(
+            Component(name="grabber", demand={"cpu": 0.2}, devices=("camera",)),
+            Component(name="finder", demand={"cpu": 0.5}, state=2e6),
+        ),
+        connectors=(
+            Connector(between=(End("grabber"), End("finder")), message=1e6, rate=10.0),
+        ),
+    )
+    motor = Architecture(
+        name="motor",
+        function="move",
+        layer="reactive",
+        home="main",
+        components=(Component(name="wheels", demand={"cpu": 0.1}),),
+    )
+    talk = Architecture(
+        name="talk",
+        function="speak",
+        home="main",
+        components=(Component(name="voice", demand={"cpu": 0.1}, movable=False),),
+    )
+    return Robot(
+        name="small",
+        computers=(
+            Computer(name="main", capacity={"cpu": 1.0}),
+            Computer(name="eye", capacity={"cpu": 1.0}),
+        ),
+        devices=(Device(name="camera", computer="eye"),),
+        links=(Link(between=("main", "eye"), bandwidth=5e6, distance=3.0),),
+        architectures=(vision, motor, talk),
+        tasks=(Task(name="fetch", actions=(Action(name="go", functions=("move",)),)),),
+    )
+
+
+def test_a_component_goes_where_its_device_is(robot: Robot) -> None:
+    assert plan.solve(plan.problem_of(robot)).placement["grabber"] == "eye"
+
+
+def test_only_the_sequencing_layer_moves(robot: Robot) -> None:
+    wheels = plan.problem_of(robot, "fetch").components[0]
+    assert wheels.only == ("main",)
+    assert "reactive" in wheels.why
+
+
+def test_a_task_brings_the_architectures_of_its_functions(robot: Robot) -> None:
+    assert [c.name for c in plan.problem_of(robot, "fetch").components] == ["wheels"]
+
+
+def test_static_puts_all_at_home_but_what_hangs_on_a_device(robot: Robot) -> None:
+    problem = plan.problem_of(robot)
+    assert plan.static(robot, problem) == {
+        "grabber": "eye",
+        "finder": "main",
+        "wheels": "main",
+        "voice": "main",
+    }
+
+
+def test_traffic_beyond_a_links_bandwidth_is_refused(robot: Robot) -> None:
+    """The grabber sends 10 MB/s, the link carries 5 MB/s: both stay on the eye."""
+    problem = plan.problem_of(robot)
+    assert plan.solve(problem).placement["finder"] == "eye"
+    apart = plan.evaluate(problem, plan.static(robot, problem))
+    assert "link between main and eye: needs 10 MB/s, has 5 MB/s" in apart.reason
+
+
+def test_a_link_that_is_too_narrow_is_told_with_its_units(robot: Robot) -> None:
+    problem = plan.problem_of(robot)
+    apart = tuple(
+        replace(c, only=("main",)) if c.name == "finder" else c
+        for c in problem.components
+    )
+    reason = plan.solve(replace(problem, components=apart)).reason
+    assert "link main - eye carries 5 MB/s" in reason
+    assert (
+        "It would fit with 5 MB/s more bandwidth on main - eye (5 MB/s now)" in reason
+    )
+
+
+def test_link_distance_reaches_the_objective(robot: Robot) -> None:
+    assert plan.problem_of(robot).distance == ((0.0, 3.0), (3.0, 0.0))
+
+
+def test_a_component_that_may_not_be_moved_stays_where_it_runs(robot: Robot) -> None:
+    problem = plan.problem_of(robot, functions=("speak",), present={"voice": "eye"})
+    assert problem.components[0].only == ("eye",)
+
+
+def test_a_move_costs_more_with_more_state(robot: Robot) -> None:
+    present = {"grabber": "eye", "finder": "eye"}
+    problem = plan.problem_of(robot, functions=("see",), present=present, move=0.5)
+    assert [c.move_cost for c in problem.components] == [0.5, 1.5]
+
+
+def test_a_computer_that_is_gone_is_no_present_place(robot: Robot) -> None:
+    problem = plan.problem_of(robot, functions=("speak",), present={"voice": "gone"})
+    assert problem.components[0].only == ()
+
+
+def test_says_which_pins_contradict(robot: Robot) -> None:
+    devices = (*robot.devices, Device(name="arm", computer="main"))
+    both = Component(name="hand", devices=("camera", "arm"))
+    torn = Architecture(name="grasp", function="grasp", components=(both,))
+    with pytest.raises(RobotError, match="'hand' can run nowhere") as caught:
+        plan.problem_of(replace(robot, devices=devices, architectures=(torn,)))
+    assert "camera is on eye" in str(caught.value)
+    assert "arm is on main" in str(caught.value)
+
+
+def test_says_which_task_or_function_is_unknown(robot: Robot) -> None:
+    with pytest.raises(RobotError, match=r"no task 'dance' \(fetch\)"):
+        plan.problem_of(robot, "dance")
+    with pytest.raises(RobotError, match="'dance'"):
+        plan.problem_of(robot, functions=("dance",))
