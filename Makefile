@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 NATIVE := $(shell find src CMakeLists.txt -name '*.cpp' -o -name '*.h' -o -name CMakeLists.txt)
 
-.PHONY: setup demo test lint stubs sanitize clean
+.PHONY: setup demo quick test soak coverage lint stubs sanitize clean
 setup: .venv/.ready
 
 .venv/.ready: pyproject.toml $(NATIVE)
@@ -16,8 +16,26 @@ setup: .venv/.ready
 demo: setup
 	@$(BIN)/poise demo
 
+# what takes long comes first (tests/order.py), so that both workers end together
+PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadgroup --no-loadscope-reorder
 test: setup
-	@$(BIN)/python -m pytest -q -n 2 --dist loadfile
+	@$(PYTEST)
+
+# no process, no socket, no sleep
+quick: setup
+	@$(PYTEST) -m "not slow"
+
+# again and again, in random order, beside other work: make soak FOR=2h
+FOR ?= 1h
+soak: setup
+	@$(BIN)/python -m tests.soak $(FOR)
+
+# lines and branches of src/poise that no test reaches, in all processes
+coverage: setup
+	@rm -rf build/coverage && mkdir -p build/coverage
+	@$(BIN)/coverage run -m pytest -q -n 2 --dist loadgroup --no-loadscope-reorder
+	@$(BIN)/coverage combine --quiet
+	@$(BIN)/coverage report
 
 lint: setup
 	@$(BIN)/ruff check .

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import tempfile
-import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -16,11 +16,24 @@ from hypothesis import settings
 from poise.emulate import sweep
 from poise.emulate.cleanup import Cleanup, registry
 from poise.session.temporary_folders import scratch_folder
+from tests import busy, order, quick
 from tests.command import Poise, run_poise
+from tests.waiting import LIMIT, wait_until
 
 # an example that takes long on a busy machine is no fault
 settings.register_profile("poise", deadline=None)
 settings.load_profile("poise")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let a soak ask for another order each time."""
+    parser.addoption("--shuffle", type=int, metavar="SEED", help="run in random order")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Add what all runs hold."""
+    for plugin in (busy, order, quick):
+        config.pluginmanager.register(plugin)
 
 
 @pytest.fixture
@@ -39,9 +52,8 @@ def _leaves_nothing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         patch.setenv("TMPDIR", name)
         patch.setattr(tempfile, "tempdir", None)
         yield
-        deadline = time.monotonic() + 20.0
-        while _processes(place) and time.monotonic() < deadline:
-            time.sleep(0.01)
+        with contextlib.suppress(AssertionError):  # what follows names them
+            wait_until(lambda: not _processes(place), LIMIT, every=0.01)
         # as the next run does, for tests that kill one
         sweep()
         with scratch_folder("poise-run-"), scratch_folder("poise-agent-"):

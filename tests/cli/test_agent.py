@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import Poise
-from tests.command import LIMIT, POISE
+from tests.command import POISE, Poise
 from tests.runtime.conftest import free_port
+from tests.waiting import LONG
 
 HELLO = Path(__file__).parents[2] / "examples" / "hello"
 
@@ -33,7 +33,7 @@ def agents(ports: Mapping[str, int]) -> Iterator[None]:
         for process in processes:
             process.terminate()
         for process in processes:
-            process.wait(LIMIT)
+            process.wait(LONG)
 
 
 @pytest.mark.slow
@@ -55,6 +55,7 @@ def test_agents_and_connectors_use_ipv6(poise: Poise, tmp_path: Path) -> None:
     assert report["clocks"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("address", ["[::1]", "::1:7447:x", "10.0.0.1:7500", "myhost"])
 def test_an_address_to_listen_on_is_an_ip_address(poise: Poise, address: str) -> None:
     done = poise("agent", "left", "--robot", "hello", "--address", address)

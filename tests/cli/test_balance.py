@@ -7,7 +7,7 @@ import typer
 
 from poise.cli.balance import balance_command
 from poise.manage.adaptation.replan import Proposal
-from poise.manage.control import Balanced
+from poise.manage.control_socket.records import Rebalanced
 from poise.manage.migration.transition import Step
 from poise.manage.migration.transition_run import TransitionReport
 from poise.plan import Terms
@@ -24,8 +24,8 @@ def test_why_it_was_called_off_is_told_as_it_is(
         shifted={}, now=terms, then=terms, placement={"eye": "b"}, steps=steps
     )
     report = TransitionReport(steps=steps, committed=False, reason=WHY)
-    answer = Balanced(proposal, report)
-    monkeypatch.setattr("poise.cli.balance.ask", lambda *_: answer)
+    answer = Rebalanced(proposal, report)
+    monkeypatch.setattr("poise.cli.balance.send_command", lambda *_: answer)
     with pytest.raises(typer.Exit):
         balance_command()
     assert f"called off: {WHY}" in capsys.readouterr().out

@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
-from tests.command import LIMIT
 from tests.runtime.conftest import free_port
+from tests.waiting import LONG
 
 pytestmark = pytest.mark.slow
 
@@ -23,6 +23,6 @@ def test_ctrl_c_ends_a_command_that_has_hardly_begun(imported: str) -> None:
         assert process.stderr is not None
         assert any(line.endswith(f" {imported}\n") for line in process.stderr)
         process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=LIMIT)
+        _, said = process.communicate(timeout=LONG)
     assert process.returncode == 128 + signal.SIGINT
     assert "Traceback" not in said

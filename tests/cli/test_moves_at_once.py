@@ -11,16 +11,16 @@ import os
 import signal
 import subprocess
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 
 import pytest
 
 from poise.errors import PoiseError
-from poise.manage.control import AskStatus, RobotStatus, ask
-from tests.command import LIMIT, POISE, robot_up
+from poise.manage.control_socket.client import send_command
+from poise.manage.control_socket.records import RobotStatus, StatusCommand
+from tests.command import POISE, robot_up
 from tests.manage.agents import TELLING
-from tests.runtime.conftest import wait_until
+from tests.waiting import LONG, wait_long
 
 pytestmark = pytest.mark.slow
 
@@ -141,9 +141,6 @@ tasks:
 MOVED = "runs on {} now"
 
 
-wait_long = partial(wait_until, limit=LIMIT)
-
-
 class Crowd:
     """A robot that runs, and the commands that people give it."""
 
@@ -161,7 +158,7 @@ class Crowd:
                 running = [self.waiting(each, stack) for each in commands]
             said = []
             for command in running:
-                told, _ = command.communicate(timeout=LIMIT)
+                told, _ = command.communicate(timeout=LONG)
                 assert "Traceback" not in told, told
                 code = command.returncode
                 said.append(f"{code}: {told}" if code else told)
@@ -178,7 +175,7 @@ class Crowd:
             wait_long(is_busy.exists)
             yield
             busy.unlink()
-            told, _ = move.communicate(timeout=LIMIT)
+            told, _ = move.communicate(timeout=LONG)
             assert MOVED.format(self._slow_is) in told, told
 
     def waiting(
@@ -257,7 +254,7 @@ def _has_socket(pid: int) -> bool:
 
 
 def status() -> RobotStatus:
-    answer = ask(NAME, AskStatus())
+    answer = send_command(NAME, StatusCommand())
     assert isinstance(answer, RobotStatus)
     return answer
 
@@ -322,13 +319,26 @@ def test_who_gave_up_waiting_gets_nothing_moved(crowd: Crowd) -> None:
     with contextlib.ExitStack() as stack, crowd.busy():
         given_up = crowd.waiting("move ping right", stack)
         given_up.terminate()
-        assert given_up.wait(LIMIT) == 128 + signal.SIGTERM
+        assert given_up.wait(LONG) == 128 + signal.SIGTERM
     crowd.check_status(ping="left", pong="left")
 
 
-def test_a_robot_that_stops_refuses_who_came_later(crowd: Crowd) -> None:
-    before, stopped, after = crowd.at_once("move ping right", "stop", "move pong right")
-    assert "ping runs on right now" in before
-    assert stopped == "stopping\n"
-    assert after == f"2: robot '{NAME}' has stopped\n"
+def test_status_and_stop_overtake_a_move(crowd: Crowd) -> None:
+    busy, is_busy = crowd.folder / "busy", crowd.folder / "busy-now"
+    busy.touch()
+    with _started("move slow right") as moving, contextlib.ExitStack() as stack:
+        wait_long(is_busy.exists)
+        queued = crowd.waiting("move pong right", stack)
+        assert status().placement["slow"] == "left"
+        stopping = crowd.waiting("stop", stack)
+        assert stopping.communicate(timeout=LONG)[0] == "stopped\n"
+        assert busy.exists()  # the move could not have ended by itself
+        told = moving.communicate(timeout=LONG)[0]
+        assert told == "slow stays on left: the robot is being stopped\n"
+        told = queued.communicate(timeout=LONG)[0]
+        assert told in {
+            f"robot '{NAME}' has stopped\n",
+            "the robot is being stopped\n",
+        }
+        assert queued.returncode == 1
     wait_long(lambda: not is_up())

@@ -12,6 +12,8 @@ from poise.cli.commands import build
 from poise.errors import UsageError
 from poise.session.writable import to_write
 
+pytestmark = pytest.mark.slow
+
 HELLO = Path(__file__).parents[2] / "examples" / "hello"
 
 
@@ -57,4 +59,4 @@ def test_nothing_is_measured_that_could_not_be_kept(
     (tmp_path / ".poise").write_text("in the way")
     result = CliRunner().invoke(build([command]), [command, "robot.yaml"])
     assert isinstance(result.exception, UsageError)
-    assert "profiles.sqlite cannot keep profiles" in str(result.exception)
+    assert "profiles.sqlite cannot store profiles" in str(result.exception)

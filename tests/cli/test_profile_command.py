@@ -66,6 +66,7 @@ def test_measures_command_line_components(tmp_path: Path, poise: Poise) -> None:
     assert "changed since it was measured: burner" in shown.stdout
 
 
+@pytest.mark.slow
 def test_a_computer_that_a_real_robot_has_not_is_named(tmp_path: Path) -> None:
     hello = Path(__file__).parents[2] / "examples" / "hello"
     text = (hello / "robot.yaml").read_text()

@@ -10,8 +10,7 @@ import pytest
 from poise.estimate.profile import Profile
 from poise.estimate.profile import file as profile_file
 from poise.estimate.profile.store import Store
-
-from .conftest import Poise
+from tests.command import Poise
 
 ROBOT = """\
 robot: joined

@@ -10,8 +10,7 @@ from poise.estimate.profile import file as profile_file
 from poise.manage.observe.recording import load
 from poise.runtime.component.implementation import find_type
 from poise.runtime.connectors.interface import methods
-
-from .conftest import Poise
+from tests.command import Poise
 
 ROBOT = """\
 robot: asked

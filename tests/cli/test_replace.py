@@ -5,16 +5,16 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 
 import pytest
 
-from poise.manage.control import AskStatus, RobotStatus, ask
-from tests.command import LIMIT, robot_up, run_poise
+from poise.manage.control_socket.client import send_command
+from poise.manage.control_socket.records import RobotStatus, StatusCommand
+from tests.command import robot_up, run_poise
 from tests.manage.agents import Told
 from tests.manage.migration.test_replacement import CODE
-from tests.runtime.conftest import wait_until
+from tests.waiting import wait_long
 
 pytestmark = pytest.mark.slow
 
@@ -63,7 +63,6 @@ connectors:
 tasks:
   add: {{actions: [{{name: add, functions: [ends, adding]}}]}}
 """
-wait_long = partial(wait_until, limit=LIMIT)
 
 
 @pytest.fixture
@@ -82,7 +81,7 @@ def replace(*words: str) -> tuple[int, str]:
 
 
 def run_now(*names: str) -> bool:
-    answer = ask(NAME, AskStatus())
+    answer = send_command(NAME, StatusCommand())
     assert isinstance(answer, RobotStatus)
     there = {
         component.name

@@ -9,9 +9,14 @@ from rich.console import Console
 
 from poise.cli.status import _remarks, component_table, remarks
 from poise.estimate.online import Drift, Estimate
-from poise.manage.control import RobotStatus
+from poise.manage.control_socket.records import RobotStatus
 from poise.manage.observe.estimates import DemandEstimate
-from poise.wire.records.deployment import AgentStatus, ComponentStatus, ContainerStatus
+from poise.wire.records.deployment import (
+    AgentStatus,
+    ComponentStatus,
+    ContainerStatus,
+    ManagerId,
+)
 
 NAME = "recommendation_presenter"
 
@@ -28,6 +33,7 @@ def status(estimate: Estimate) -> RobotStatus:
     return RobotStatus(
         robot="r",
         task="work",
+        manager=ManagerId(key="k", user="ann", host="desk", pid=7, since=0.0),
         placement={NAME: "vision"},
         computers={"vision": agent},
         demand_estimates=(standing,),

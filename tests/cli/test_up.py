@@ -6,27 +6,31 @@ import json
 import os
 import sqlite3
 import textwrap
-import threading
-import time
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from poise.errors import PoiseError, UsageError
-from poise.manage.control import AskBalance, AskStatus, Balanced, RobotStatus, ask
+from poise.manage.control_socket.client import send_command
+from poise.manage.control_socket.records import (
+    RebalanceCommand,
+    Rebalanced,
+    RobotStatus,
+    StatusCommand,
+)
 from poise.manage.journal import Journal
 from poise.manage.migration.transition import plan_transition
 from poise.manage.migration.transition_run import transit
 from poise.model import load
 from poise.session.start import started
 from tests.command import robot_up, run_poise
-from tests.runtime.conftest import free_port, wait_until
+from tests.runtime.conftest import free_port
+from tests.waiting import wait_long, wait_until
 
 pytestmark = pytest.mark.slow
 
-LIMIT = 60.0
 NAME = f"asked{os.getpid()}"
 
 CODE = '''
@@ -139,7 +143,7 @@ def poise(*words: str) -> tuple[int, str]:
 
 
 def status() -> RobotStatus:
-    answer = ask(NAME, AskStatus())
+    answer = send_command(NAME, StatusCommand())
     assert isinstance(answer, RobotStatus)
     return answer
 
@@ -233,10 +237,10 @@ def is_steady() -> bool:
 
 def is_better_elsewhere() -> bool:
     try:
-        answer = ask(NAME, AskBalance(0.01, dry=True))
+        answer = send_command(NAME, RebalanceCommand(0.01, dry=True))
     except UsageError:  # right after a shift, it may seem to need too much
         return False
-    assert isinstance(answer, Balanced)
+    assert isinstance(answer, Rebalanced)
     return bool(answer.proposal.steps)
 
 
@@ -251,14 +255,6 @@ def at_last(*words: str) -> str:
 
     wait_long(is_done)
     return said[-1]
-
-
-def wait_long(holds: Callable[[], bool]) -> None:
-    """Look a few times a second: how soon a shift is certain hangs on the machine."""
-    deadline = time.monotonic() + LIMIT
-    while not holds():
-        assert time.monotonic() < deadline
-        threading.Event().wait(0.2)
 
 
 def test_steps_taken_are_taken_back_when_one_fails(robot: Path) -> None:

@@ -123,6 +123,7 @@ def test_says_what_is_wrong_with_a_recording(robot: Robot, folder: Path) -> None
         played(replace(robot, workload=recorded(folder, "nose.smelt")))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("workload", "says"),
     [

@@ -14,6 +14,8 @@ import pytest
 from poise.emulate import EmulatedComputer, Emulation
 from poise.model.robot import Robot
 
+pytestmark = pytest.mark.slow
+
 LIMIT = 60.0
 BURN = "import time\nend = time.monotonic() + {}\nwhile time.monotonic() < end: pass"
 
@@ -98,7 +100,6 @@ def test_program_that_is_not_there_ends_with_127(emulation: Emulation) -> None:
     assert child.wait(timeout=LIMIT) == 127
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("needs_limits")
 def test_quota_holds_and_throttling_is_not_starving(emulation: Emulation) -> None:
     brain = emulation.computers["brain"]

@@ -56,6 +56,7 @@ def bare() -> Probe:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("host", [None, bare()], ids=["this host", "bare host"])
 def test_nothing_is_left_after_close(
     two_computers: Robot, tmp_path: Path, host: Probe | None
@@ -74,6 +75,7 @@ def test_nothing_is_left_after_close(
     child.stdout.close()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("needs_limits")
 def test_processes_end_that_their_quota_would_not_let_end(tmp_path: Path) -> None:
     robot = Robot(
@@ -86,6 +88,7 @@ def test_processes_end_that_their_quota_would_not_let_end(tmp_path: Path) -> Non
     assert all(child.wait(timeout=LIMIT) for child in children)
 
 
+@pytest.mark.slow
 def test_nothing_is_left_after_an_exception(
     two_computers: Robot, tmp_path: Path
 ) -> None:
@@ -102,6 +105,7 @@ def test_nothing_is_left_after_an_exception(
     assert left_of(listed[0]) == []
 
 
+@pytest.mark.slow
 def test_process_that_is_just_starting_is_ended_too(
     two_computers: Robot, tmp_path: Path
 ) -> None:
@@ -196,6 +200,7 @@ def test_bare_host_says_what_it_goes_without(
         assert all(address.startswith("127.") for address in addresses)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("missing", ["ip", "tc", "nsenter"])
 @pytest.mark.usefixtures("needs_namespaces")
 def test_missing_tool_is_said_and_done_without(
@@ -310,6 +315,7 @@ with Emulation(robot, Path(sys.argv[1]) / "run") as emulation:
 """
 
 
+@pytest.mark.slow
 def test_version_2_groups_hold_real_processes(
     two_computers: Robot, tmp_path: Path
 ) -> None:

@@ -6,6 +6,7 @@ import os
 import subprocess
 
 import msgspec
+import pytest
 
 from poise.emulate.owner import Owner, _started
 
@@ -19,6 +20,7 @@ def test_later_process_of_the_same_number_is_not_the_owner() -> None:
     assert not msgspec.structs.replace(this, started=this.started - 1).is_alive()
 
 
+@pytest.mark.slow
 def test_process_that_ended_but_was_not_waited_for_is_dead() -> None:
     with subprocess.Popen(["cat"], stdin=subprocess.PIPE) as cat:
         owner = Owner(cat.pid, _started(cat.pid) or 0)

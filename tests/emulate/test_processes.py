@@ -11,6 +11,8 @@ import pytest
 
 from poise.emulate.processes import MARK, marked, stop
 
+pytestmark = pytest.mark.slow
+
 STUBBORN = (
     "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN);"
     "print('ready', flush=True); signal.pause()"

@@ -12,7 +12,8 @@ from pathlib import Path
 
 from poise.clock import SystemClock
 from poise.manage.agents import Agents
-from tests.runtime.conftest import LIMIT, free_port, wait_until
+from tests.runtime.conftest import free_port
+from tests.waiting import LIMIT, wait_until
 
 TELLING = '''
 import os, threading

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import pytest
@@ -80,6 +80,9 @@ class FakeAgents:
 
     def __init__(self, *computers: str, generation: int = 0) -> None:
         self.gone: set[str] = set()
+        self.returns = False
+        self.claimed: list[str] = []
+        self.strangers: set[str] = set()
         self.refusing: set[str] = set()
         self.deaf: set[str] = set()
         self.deployed: list[tuple[str, Deployment]] = []
@@ -93,10 +96,21 @@ class FakeAgents:
     def statuses(self) -> dict[str, AgentStatus]:
         return dict(self._statuses)
 
-    def lost(self) -> frozenset[str]:
-        return frozenset(self.gone)
+    def out_of_reach(self) -> dict[str, float]:
+        return dict.fromkeys(self.gone, 0.0)
+
+    def claim(self, computers: Collection[str]) -> None:
+        self.claimed += sorted(computers)
+
+    def obey(self, computer: str) -> bool:
+        return computer not in self.strangers
+
+    def notify(self) -> None:
+        pass
 
     def wait_news(self, is_enough: Callable[[], bool], limit: float) -> bool:  # noqa: ARG002, it does not wait
+        if self.returns:
+            self.gone.clear()
         return is_enough()
 
     def deploy(self, deployments: Mapping[str, Deployment]) -> dict[str, str]:

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from poise.manage.agents import _reading
+from poise.manage.agent_messages import reading
 from poise.wire.records.deployment import AgentStatus
 
 
@@ -28,7 +28,7 @@ def test_what_is_no_record_is_logged_and_the_next_one_taken(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     heard: list[AgentStatus] = []
-    hear: Any = _reading(AgentStatus, heard.append)
+    hear: Any = reading(AgentStatus, heard.append)
     hear(Payload(b"\xc1 nonsense"))
     assert "poise/robot/status/left: refused: " in caplog.text
     status = AgentStatus(computer="left", generation=1, uptime=0.0, cpu=0.0)

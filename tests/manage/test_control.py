@@ -1,4 +1,4 @@
-"""Where running robots are found, and what is left of those that were killed."""
+"""The control socket: how commands come in, and what is left of killed managers."""
 
 from __future__ import annotations
 
@@ -7,120 +7,162 @@ import shutil
 import socket
 import tempfile
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from queue import SimpleQueue
 
 import pytest
 
-from poise.errors import RunError, UsageError
-from poise.manage.control import (
-    Answered,
-    Asked,
-    AskStop,
-    ControlServer,
+from poise.errors import RobotError, RunError, UsageError
+from poise.manage.control_socket.client import send_command
+from poise.manage.control_socket.records import (
+    Command,
+    ControlRequest,
+    ControlResponse,
+    MoveCommand,
     Refusal,
-    Stopping,
-    ask,
+    Result,
+    StatusCommand,
+    StopCommand,
+    StopReport,
 )
+from poise.manage.control_socket.server import ControlServer, Submit
 from poise.wire import record_channel
+from tests.waiting import wait_until
+
+pytestmark = pytest.mark.slow
 
 LIMIT = 20.0
 
 
 @pytest.fixture(autouse=True)
 def folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Give this test a folder for desks of its own."""
+    """Give this test a folder for control sockets of its own."""
     with tempfile.TemporaryDirectory() as runtime:  # pytest's are too long for sockets
         monkeypatch.setenv("XDG_RUNTIME_DIR", runtime)
         yield Path(runtime) / "poise"
 
 
 @pytest.fixture
-def control_server() -> Iterator[ControlServer]:
-    control_server = ControlServer("first")
-    yield control_server
-    control_server.close()
+def server() -> Iterator[ControlServer]:
+    with ControlServer("first") as server:
+        yield server
 
 
-def test_answers_whoever_asks(control_server: ControlServer) -> None:
-    asked: list[Asked] = []
+class Manager:
+    """Takes commands, and answers when the test says."""
 
-    def answer(what: Asked) -> Answered:
-        asked.append(what)
-        return Answered(Stopping())
+    def __init__(self) -> None:
+        self.taken: SimpleQueue[tuple[Command, Future[Result | Refusal]]] = (
+            SimpleQueue()
+        )
 
+    def submit(self, command: Command) -> Future[Result | Refusal]:
+        future: Future[Result | Refusal] = Future()
+        self.taken.put((command, future))
+        return future
+
+
+def answering(result: Result | Refusal) -> Submit:
+    done: Future[Result | Refusal] = Future()
+    done.set_result(result)
+    return lambda _: done
+
+
+def test_returns_the_managers_result(server: ControlServer) -> None:
+    manager = Manager()
+    server.start(manager.submit)
     with ThreadPoolExecutor() as pool:
-        answered = pool.submit(ask, None, AskStop())
-        # to be found, it is connected to once before
-        while not answered.done():
-            control_server.serve(answer, 0.05)
-        assert answered.result(LIMIT) == Stopping()
-    assert asked == [Asked(AskStop())]
+        result = pool.submit(send_command, None, StopCommand())
+        command, future = manager.taken.get(timeout=LIMIT)
+        future.set_result(StopReport(("a container",)))
+        assert result.result(LIMIT) == StopReport(("a container",))
+    assert command == StopCommand()
 
 
-def test_a_refusal_is_the_askers_error(control_server: ControlServer) -> None:
+def test_a_status_overtakes_a_move(server: ControlServer) -> None:
+    manager = Manager()
+    server.start(manager.submit)
     with ThreadPoolExecutor() as pool:
-        answered = pool.submit(ask, "first", AskStop())
-        while not answered.done():
-            control_server.serve(lambda _: Answered(Refusal("not today")), 0.05)
-        with pytest.raises(UsageError, match="not today"):
-            answered.result(LIMIT)
+        move = pool.submit(send_command, "first", MoveCommand("a", "left"))
+        _, moving = manager.taken.get(timeout=LIMIT)
+        status = pool.submit(send_command, "first", StatusCommand())
+        _, asked = manager.taken.get(timeout=LIMIT)
+        asked.set_result(StopReport(("any",)))
+        assert status.result(LIMIT) == StopReport(("any",))
+        assert not move.done()
+        moving.set_result(StopReport())
+        move.result(LIMIT)
 
 
-def test_nothing_is_done_for_who_has_left(
-    control_server: ControlServer, folder: Path
+@pytest.mark.parametrize("error", [UsageError, RobotError, RunError])
+def test_a_refusal_is_the_clients_error(
+    server: ControlServer, error: type[Exception]
 ) -> None:
-    with socket.socket(socket.AF_UNIX) as asker:
-        asker.connect(str(folder / "first.sock"))
-        record_channel.send(asker, Asked(AskStop()))
-    done: list[Asked] = []
-
-    def answer(what: Asked) -> Answered:
-        done.append(what)
-        return Answered(Stopping())
-
-    assert control_server.serve(answer, LIMIT)
-    assert not control_server.serve(answer, 0.0)
-    assert done == []
+    refusal = Refusal.from_error(error("not today"))  # type: ignore[arg-type]
+    server.start(answering(refusal))
+    with pytest.raises(error, match="not today"):
+        send_command("first", StopCommand())
 
 
-def test_who_still_waits_is_told_that_the_robot_has_stopped(folder: Path) -> None:
-    control_server = ControlServer("first")
-    with socket.socket(socket.AF_UNIX) as asker:
-        asker.connect(str(folder / "first.sock"))
-        record_channel.send(asker, Asked(AskStop()))
-        control_server.close()
-        told = record_channel.receive(asker, Answered).what
-    assert told == Refusal("robot 'first' has stopped")
-
-
-def test_a_desk_at_which_many_wait_is_found(
-    control_server: ControlServer, folder: Path
+def test_a_client_that_leaves_cancels_its_command(
+    server: ControlServer, folder: Path
 ) -> None:
+    manager = Manager()
+    server.start(manager.submit)
+    with socket.socket(socket.AF_UNIX) as client:
+        client.connect(str(folder / "first.sock"))
+        record_channel.send(client, ControlRequest(StopCommand()))
+        _, future = manager.taken.get(timeout=LIMIT)
+        assert not future.cancelled()
+    wait_until(future.cancelled)
+
+
+def test_a_client_that_waits_is_refused_when_the_robot_stops(folder: Path) -> None:
+    manager = Manager()
+    with ControlServer("first") as server, socket.socket(socket.AF_UNIX) as client:
+        server.start(manager.submit)
+        client.connect(str(folder / "first.sock"))
+        record_channel.send(client, ControlRequest(MoveCommand("a", "left")))
+        manager.taken.get(timeout=LIMIT)
+        server.close()
+        told = record_channel.receive(client, ControlResponse).result
+    assert told == Refusal("robot 'first' has stopped", "RunError")
+
+
+def test_a_silent_client_holds_up_nobody(server: ControlServer, folder: Path) -> None:
+    server.start(answering(StopReport()))
+    with contextlib.ExitStack() as stack:
+        for _ in range(20):
+            client = stack.enter_context(socket.socket(socket.AF_UNIX))
+            client.connect(str(folder / "first.sock"))
+        assert send_command("first", StopCommand()) == StopReport()
+
+
+@pytest.mark.usefixtures("server")
+def test_a_socket_at_which_many_wait_is_found(folder: Path) -> None:
     with contextlib.ExitStack() as stack:
         for _ in range(1000):
-            asker = stack.enter_context(socket.socket(socket.AF_UNIX))
-            asker.setblocking(False)
+            client = stack.enter_context(socket.socket(socket.AF_UNIX))
+            client.setblocking(False)
             try:
-                asker.connect(str(folder / "first.sock"))
+                client.connect(str(folder / "first.sock"))
             except BlockingIOError:
                 break
         else:
             pytest.fail("the queue has no end")
         with pytest.raises(UsageError, match="robot 'first' runs already"):
             ControlServer("first")
-    while control_server.serve(lambda _: Answered(Stopping()), 0.0):
-        pass
 
 
-@pytest.mark.usefixtures("control_server")
+@pytest.mark.usefixtures("server")
 def test_a_robot_runs_once() -> None:
     with pytest.raises(UsageError, match="robot 'first' runs already"):
         ControlServer("first")
 
 
 @pytest.mark.parametrize("runtime", ["/proc/nowhere", f"/tmp/{'long' * 30}"])
-def test_a_desk_that_cannot_be_had_says_where(
+def test_a_socket_that_cannot_be_had_says_where(
     runtime: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", runtime)
@@ -131,14 +173,13 @@ def test_a_desk_that_cannot_be_had_says_where(
         shutil.rmtree(runtime, ignore_errors=True)
 
 
-@pytest.mark.usefixtures("control_server")
+@pytest.mark.usefixtures("server")
 def test_of_several_robots_one_is_to_be_named() -> None:
-    other = ControlServer("second")
-    with pytest.raises(UsageError, match=r"several robots run \(first, second\)"):
-        ask(None, AskStop())
-    other.close()
+    several = pytest.raises(UsageError, match=r"several robots run \(first, second\)")
+    with ControlServer("second"), several:
+        send_command(None, StopCommand())
     with pytest.raises(UsageError, match=r"'third' does not run here \(running"):
-        ask("third", AskStop())
+        send_command("third", StopCommand())
 
 
 def test_what_a_killed_manager_left_is_removed(folder: Path) -> None:
@@ -147,8 +188,7 @@ def test_what_a_killed_manager_left_is_removed(folder: Path) -> None:
         with socket.socket(socket.AF_UNIX) as left:
             left.bind(str(folder / f"{name}.sock"))
     with pytest.raises(UsageError, match="no robot runs here"):
-        ask(None, AskStop())
-    control_server = ControlServer("first")
-    assert [file.name for file in folder.iterdir()] == ["first.sock"]
-    control_server.close()
+        send_command(None, StopCommand())
+    with ControlServer("first"):
+        assert [file.name for file in folder.iterdir()] == ["first.sock"]
     assert list(folder.iterdir()) == []

@@ -101,7 +101,9 @@ def test_a_lost_computer_is_said_at_once(robot: Robot, agents: FakeAgents) -> No
     run, _ = run_of(robot, agents)
     run.start()
     agents.gone.add("right")
-    with pytest.raises(RunError, match="the agent of 'right' is gone"):
+    with pytest.raises(
+        RunError, match=r"'right' is out of reach since .*thinker may run"
+    ):
         run.watch(100.0)
 
 
@@ -122,12 +124,68 @@ def test_what_does_not_stop_is_named(robot: Robot, agents: FakeAgents) -> None:
         run.stop()
 
 
-def test_does_not_wait_for_a_lost_computer_to_stop(
+def test_a_stop_says_what_still_runs_out_of_reach(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    run, journal = run_of(robot, agents)
+    run.start()
+    agents.gone.add("right")
+    agents.refusing.add("right")
+    with pytest.raises(RunError, match=r"'right' is out of reach since .* thinker may"):
+        run.stop()
+    assert not agents.statuses()["left"].containers
+    assert journal.entries()[-1].kind == "failed"
+
+
+def test_a_stop_reaches_a_computer_that_comes_back_meanwhile(
     robot: Robot, agents: FakeAgents
 ) -> None:
     run, _ = run_of(robot, agents)
     run.start()
     agents.gone.add("right")
-    agents.refusing.add("right")
+    agents.returns = True
+    run.stop()
+    assert not agents.statuses()["right"].containers
+
+
+def test_claims_all_agents_before_it_starts_anything(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    run, _ = run_of(robot, agents)
+    run.start()
+    assert agents.claimed == ["left", "right"]
+
+
+def test_a_computer_that_may_be_out_of_reach_is_not_waited_for(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    run, _ = run_of(robot, agents)
+    run.start()
+    agents.gone.add("right")
+    run.excused.add("right")
+    run.raise_on_lost()
+    agents.deaf.add("right")
+    run.tell(run.placed.values(), run.computers())
+    run.wait([run.placed["grabber"]], 1.0)
+
+
+def test_a_cancelled_wait_ends(robot: Robot, agents: FakeAgents) -> None:
+    run, _ = run_of(robot, agents)
+    run.start()
+    run.cancel()
+    with pytest.raises(RunError, match="the robot is being stopped"):
+        run.wait([run.placed["grabber"]], 1.0)
     run.stop()
     assert not agents.statuses()["left"].containers
+
+
+def test_a_computer_that_came_back_is_told_again(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    run, _ = run_of(robot, agents)
+    run.start()
+    told = len(agents.deployed)
+    agents.strangers.add("right")
+    run.synchronise("right")
+    assert [computer for computer, _ in agents.deployed[told:]] == ["right"]
+    assert agents.claimed == ["left", "right", "right"]

@@ -84,12 +84,14 @@ def test_survives_any_bytes(content: bytes) -> None:
     try_to_load(content)
 
 
+@pytest.mark.slow
 @given(st.text(alphabet="ab:[]{},-?&*!|>'\"%@`#\\ \n\t0~<\x85", max_size=60))
 @settings(max_examples=300)
 def test_survives_any_text_of_yaml_signs(text: str) -> None:
     try_to_load(text.encode())
 
 
+@pytest.mark.slow
 @given(values)
 def test_survives_any_yaml(value: object) -> None:
     try_to_load(yaml.safe_dump(value, allow_unicode=True).encode("utf-8", "replace"))
@@ -114,6 +116,7 @@ def _spoil(part: Any) -> st.SearchStrategy[Any]:
     return st.integers(0, 40).flatmap(lambda dice: kept if dice else values)
 
 
+@pytest.mark.slow
 @given(spoiled())
 def test_survives_a_spoiled_robot(value: object) -> None:
     try_to_load(yaml.safe_dump(value, allow_unicode=True).encode("utf-8", "replace"))

@@ -167,6 +167,7 @@ def test_refuses_what_makes_no_sense(
 EXTREMES = st.sampled_from([0.0, 1e-30, 1e-15, 1.0, 1e15, 1e30, 10**29])
 
 
+@pytest.mark.slow
 @settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
 @given(problems(most_components=5, most_computers=3), st.data())
 def test_every_number_in_range_is_solved(problem: Problem, data: st.DataObject) -> None:

@@ -2,6 +2,7 @@
 
 import itertools
 
+import pytest
 from hypothesis import HealthCheck, given, settings
 from msgspec.structs import replace
 
@@ -96,6 +97,7 @@ def relieved(problem: Problem, conflict: plan.Conflict, part: float = 1.0) -> Pr
     return problem
 
 
+@pytest.mark.slow
 @settings(max_examples=250, suppress_health_check=[HealthCheck.too_slow])
 @given(problems(most_components=5, most_computers=3))
 def test_a_conflict_is_small_and_its_way_out_leads_out(problem: Problem) -> None:
@@ -150,6 +152,7 @@ def test_a_rise_counts_speed_and_reserve() -> None:
     assert result.conflict.more == (plan.More(on=("h0",), resource="cpu", amount=1.0),)
 
 
+@pytest.mark.slow
 def test_a_fleet_that_is_short_is_told_soon() -> None:
     robot = random_robot(1, 2000, 20, load=1.05)
     result = plan.solve(robot, budget=0.01)

@@ -63,6 +63,7 @@ ANYTHING = st.one_of(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=600, suppress_health_check=[HealthCheck.too_slow])
 @given(st.dictionaries(st.sampled_from(sorted(GOOD)), ANYTHING, max_size=3), ANYTHING)
 def test_nothing_crashes_the_interpreter(wrong: dict[str, Any], known: object) -> None:
@@ -84,6 +85,7 @@ def test_nothing_crashes_the_interpreter(wrong: dict[str, Any], known: object) -
 EXTREME = st.sampled_from([0.0, 5e-324, 1e-300, 0.5, 1.0, 2.0, 1e60, 1e150])
 
 
+@pytest.mark.slow
 @settings(max_examples=1000, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
 def test_every_shape_and_size_has_an_answer(data: st.DataObject) -> None:

@@ -65,6 +65,7 @@ def full_robot(
     )
 
 
+@pytest.mark.slow
 @MANY
 @given(problems(most_components=6, most_computers=3), st.integers(0, 3))
 def test_search_finds_a_placement_where_there_is_one(
@@ -79,6 +80,7 @@ def test_search_finds_a_placement_where_there_is_one(
         assert keeps_limits(tables, found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("size", [(12, 2), (24, 4), (50, 6), (100, 8)])
 def test_robots_with_a_hundredth_to_spare_are_placed(

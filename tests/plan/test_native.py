@@ -44,6 +44,7 @@ def optimum(tables: Tables) -> float:
     return min((total(tables, x) for x in feasible), default=math.inf)
 
 
+@pytest.mark.slow
 @MANY
 @given(problems())
 def test_the_greedy_decides_like_the_reference(problem: Problem) -> None:
@@ -104,6 +105,7 @@ def _totals(
     return totals
 
 
+@pytest.mark.slow
 @MANY
 @given(problems(), st.randoms(use_true_random=False))
 def test_terms_and_limits_are_those_of_the_reference(
@@ -118,6 +120,7 @@ def test_terms_and_limits_are_those_of_the_reference(
     assert engine.feasible(placed) == keeps_limits(tables, placed)
 
 
+@pytest.mark.slow
 @FEW
 @given(problems(most_components=5, most_computers=3))
 def test_branch_and_bound_finds_the_optimum(problem: Problem) -> None:
@@ -190,6 +193,7 @@ def _all_to_all(robot: Problem, seed: int) -> tuple[Edge, ...]:
     return tuple(Edge(between=p, overhead=random.random()) for p in pairs)
 
 
+@pytest.mark.slow
 @FEW
 @given(problems(most_components=5, most_computers=3))
 def test_the_bound_is_below_every_placement(problem: Problem) -> None:
@@ -198,6 +202,7 @@ def test_the_bound_is_below_every_placement(problem: Problem) -> None:
         assert Native(tables).bound() <= optimum(tables) + 1e-9
 
 
+@pytest.mark.slow
 @FEW
 @given(problems(), st.integers(0, 5))
 def test_search_keeps_limits_and_never_gets_worse(problem: Problem, seed: int) -> None:
@@ -212,6 +217,7 @@ def test_search_keeps_limits_and_never_gets_worse(problem: Problem, seed: int) -
         assert total(tables, answer.placed) <= total(tables, start) + 1e-9
 
 
+@pytest.mark.slow
 @FEW
 @given(problems(most_components=6, most_computers=3))
 def test_search_finds_the_optimum_of_small_problems(problem: Problem) -> None:

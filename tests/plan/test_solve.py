@@ -24,6 +24,7 @@ def test_every_method_places_a_robot(method: str) -> None:
     assert result.bound <= result.objective.total + 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("budget", [0.0, 1e-6, 1e-3, 0.05])
 def test_is_never_worse_than_the_greedy(budget: float) -> None:
     for seed in range(8):
@@ -144,6 +145,7 @@ def test_cpsat_is_never_worse_than_the_greedy() -> None:
     assert result.feasible
 
 
+@pytest.mark.slow
 def test_cpsat_agrees_with_branch_and_bound() -> None:
     pytest.importorskip("ortools")
     for spread in ("range", "variance"):

@@ -7,7 +7,6 @@ import random
 import socket
 import tempfile
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -21,11 +20,9 @@ from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.wiring import Place, Transports, Wiring
 from poise.wire.connections.gateway import Gateway
 from poise.wire.records.deployment import ComponentSpec, ConnectorKind, ConnectorSpec
+from tests.waiting import LIMIT, wait_until
 
 C = TypeVar("C", bound=Component)
-
-LIMIT = 20.0
-"""Far longer than anything here takes [s]."""
 
 
 def free_port() -> int:
@@ -38,14 +35,6 @@ def free_port() -> int:
         with socket.socket() as probe, contextlib.suppress(OSError):
             probe.bind(("127.0.0.1", port))
             return port
-
-
-def wait_until(holds: Callable[[], bool], limit: float = LIMIT) -> None:
-    """Look again and again, for what nobody tells of when it happens."""
-    deadline = time.monotonic() + limit
-    while not holds():
-        assert time.monotonic() < deadline
-        threading.Event().wait(0.001)
 
 
 class News:

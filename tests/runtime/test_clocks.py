@@ -19,8 +19,9 @@ from poise.runtime.clock_table import ClockTable, ComputerClock, clocks_path
 from poise.session.start import Sampling, started
 from poise.wire.control_session import open_session
 from poise.wire.records.clocks import ClockStatus
+from tests.waiting import LIMIT, wait_until
 
-from .conftest import LIMIT, free_port, wait_until
+from .conftest import free_port
 
 AHEAD = 5000.0
 """[s] So far one clock is ahead: more than any delay or any test lasts."""

@@ -13,8 +13,11 @@ from poise.runtime.connectors.interface import message_tag, methods
 from poise.wire.codec import WireError, codec
 from poise.wire.connections.channel import Channel, Pieces
 from poise.wire.frame import FAILURE, LARGEST, Kind, segments
+from tests.waiting import LIMIT, wait_until
 
-from .conftest import LIMIT, Pair, wait_until
+from .conftest import Pair
+
+pytestmark = pytest.mark.slow
 
 wired = pytest.mark.parametrize("pair", ["local", "remote"], indirect=True)
 

@@ -12,6 +12,8 @@ import pytest
 from poise.model.robot import Architecture, Component, Robot
 from poise.runtime.isolated_check import check_code_isolated
 
+pytestmark = pytest.mark.slow
+
 LIMIT = 3.0
 GOOD = "from poise import Component\nclass Good(Component): pass\n"
 

@@ -14,8 +14,11 @@ from poise import Component, Provided, Required
 from poise.errors import Timeout
 from poise.runtime.execution.exclusion import new_chain
 from poise.runtime.hosting.runner import Runner
+from tests.waiting import LIMIT
 
-from .conftest import LIMIT, Pair, every_kind
+from .conftest import Pair, every_kind
+
+pytestmark = pytest.mark.slow
 
 
 class Asks(Protocol):

@@ -54,6 +54,7 @@ def test_high_descriptors_are_watched_too(waker: Waker) -> None:
     os.close(high)
 
 
+@pytest.mark.slow
 def test_a_full_socket_is_not_writable() -> None:
     one, other = socket.socketpair()
     with one, other:

@@ -65,6 +65,7 @@ def test_a_component_without_messages_is_said_and_not_recorded(tmp_path: Path) -
     assert set(written.connectors) == {"clock.now -> mind.now"}
 
 
+@pytest.mark.slow
 def test_an_unknown_architecture_is_named(tmp_path: Path) -> None:
     (tmp_path / "robot.yaml").write_text(ROBOT)
     (tmp_path / "silent.py").write_text(CODE)

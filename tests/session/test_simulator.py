@@ -10,7 +10,9 @@ import pytest
 from poise.errors import RobotError, RunError
 from poise.model.robot import Robot, Simulator
 from poise.session.simulator import SimulatorProcess, world_of
-from tests.runtime.conftest import wait_until
+from tests.waiting import wait_until
+
+pytestmark = pytest.mark.slow
 
 SCRIPT = """\
 trap 'echo "{\\"steps\\": 7}"; exit' TERM

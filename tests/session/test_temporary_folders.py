@@ -12,7 +12,9 @@ from pathlib import Path
 import pytest
 
 from poise.session.temporary_folders import scratch_folder
-from tests.runtime.conftest import wait_until
+from tests.waiting import wait_until
+
+pytestmark = pytest.mark.slow
 
 PREFIX = "poise-test-"
 OWNER = f"""

@@ -106,6 +106,14 @@ def test_ends_with_its_standard_input(world: Process, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_its_result_survives_signals_while_it_ends(world: Process) -> None:
+    assert world.stdout is not None
+    for _ in range(1000):
+        world.send_signal(signal.SIGTERM)
+    answer = json.loads(world.stdout.read())
+    assert answer.keys() >= {"goal_reached", "seconds"}
+
+
 def test_says_what_it_needs() -> None:
     environment = {k: v for k, v in os.environ.items() if k != "POISE_RUN"}
     ended = subprocess.run(

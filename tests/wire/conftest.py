@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -20,10 +19,9 @@ from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.connections.gateway import Gateway
 from poise.wire.connections.opening import CALLS
 from poise.wire.frame import Frame, Kind
+from tests.waiting import LIMIT
 
 TEXT = codec(str)
-LIMIT = 20.0
-"""Far longer than anything here takes [s]."""
 SHORT = 0.02
 """For what must run into its limit [s]."""
 
@@ -34,14 +32,6 @@ def call(text: str) -> Pieces:
 
 def message(text: str) -> Pieces:
     return frame.segments(TEXT, text, Kind.MESSAGE)
-
-
-def wait_until(holds: Callable[[], bool]) -> None:
-    """Look again and again, for what nobody tells of when it happens."""
-    deadline = time.monotonic() + LIMIT
-    while not holds():
-        assert time.monotonic() < deadline
-        threading.Event().wait(0.001)
 
 
 class Receiver:

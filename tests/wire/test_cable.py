@@ -15,8 +15,9 @@ from poise.errors import CallError, Unavailable
 from poise.model.robot import Computer, Robot
 from poise.wire.address import LOST_AFTER, Address
 from poise.wire.connections.connection_channel import ConnectionChannel
+from tests.waiting import LIMIT, wait_until
 
-from .conftest import LIMIT, TEXT, call, message, wait_until
+from .conftest import TEXT, call, message
 
 SERVE = """
 import pathlib, sys, threading

@@ -11,6 +11,7 @@ from poise.errors import RunError
 from poise.wire.control_session import locator, open_session
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("address", "why"),
     [("203.0.113.9:7447", "Cannot assign"), ("127.0.0.1:{busy}", "in use")],

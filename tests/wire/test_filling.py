@@ -23,6 +23,9 @@ from poise.wire.codec import codec
 from poise.wire.connections import shared_memory
 from poise.wire.connections.connection import Connection
 from poise.wire.frame import LARGEST, Frame, Kind
+from tests.waiting import wait_until
+
+pytestmark = pytest.mark.slow
 
 ANY = codec(Any)
 LONG = 20.0
@@ -61,11 +64,8 @@ def ends() -> Iterator[Endpoints]:
 def receiving(ends: Endpoints) -> Iterator[Future[Frame]]:
     """Give what the receiver gets; it sleeps already."""
     with ThreadPoolExecutor() as pool:
-        deadline = time.monotonic() + LONG
-        future = pool.submit(ends.receiver.receive, deadline)
-        while ends.block.memory[0] != AWAITED:
-            assert time.monotonic() < deadline
-            time.sleep(0.001)
+        future = pool.submit(ends.receiver.receive, time.monotonic() + LONG)
+        wait_until(lambda: ends.block.memory[0] == AWAITED)
         yield future
 
 
@@ -96,9 +96,13 @@ SENDER = """
 import sys, socket
 from typing import Any
 import numpy as np
+from tests.waiting import wait_until
 from poise.wire import frame
+from tests.waiting import wait_until
 from poise.wire.codec import codec
+from tests.waiting import wait_until
 from poise.wire.frame import Kind
+from tests.waiting import wait_until
 from poise.wire.connections.connection import Connection
 
 link = Connection(socket.socket(fileno=int(sys.argv[1])))

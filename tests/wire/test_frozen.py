@@ -15,8 +15,9 @@ import pytest
 from poise.errors import CallError
 from poise.wire.address import LOST_AFTER, Address
 from poise.wire.connections.connection_channel import ConnectionChannel
+from tests.waiting import LIMIT
 
-from .conftest import LIMIT, message
+from .conftest import message
 
 SERVE = """
 import pathlib, sys, threading

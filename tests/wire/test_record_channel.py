@@ -17,6 +17,8 @@ from poise.wire import frame, record_channel
 from poise.wire.codec import WireError, codec
 from poise.wire.frame import LARGEST, Kind
 
+pytestmark = pytest.mark.slow
+
 Pair = tuple[socket.socket, socket.socket]
 LIMIT = 20.0
 LARGE = 10_000_000

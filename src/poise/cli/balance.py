@@ -1,4 +1,4 @@
-"""`poise balance`: place a running robot anew, from what it needs now."""
+"""`poise balance`: find a better placement for what a running robot needs now."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from rich.markup import escape
 from poise.cli.move import AsJson, Robot
 from poise.errors import UsageError
 from poise.manage.adaptation.replan import Proposal
-from poise.manage.control import AskBalance, Balanced, ask
+from poise.manage.control_socket.client import send_command
+from poise.manage.control_socket.records import RebalanceCommand, Rebalanced
 from poise.manage.migration.transition_run import TransitionReport
 from poise.units import format_seconds
 
@@ -30,7 +31,7 @@ def balance_command(
     robot: Robot = None,
     as_json: AsJson = False,
 ) -> None:
-    """Place a running robot anew, from what its components need now, while it works.
+    """Find a better placement for what a running robot needs now, and go there.
 
     Components move, one after the other, so that no computer is overfull midway. When
     one cannot, all go back to where they were, and the exit code is 1.
@@ -39,8 +40,8 @@ def balance_command(
     """
     if not (math.isfinite(cost) and cost >= 0):
         raise UsageError(f"--cost {cost:g}: it is a number that is not negative")
-    answer = ask(robot, AskBalance(cost, dry))
-    assert isinstance(answer, Balanced)  # noqa: S101, what the manager answers to it
+    answer = send_command(robot, RebalanceCommand(cost, dry))
+    assert isinstance(answer, Rebalanced)  # noqa: S101, what the manager answers to it
     if as_json:
         sys.stdout.write(msgspec.json.encode(answer).decode() + "\n")
     else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -13,7 +13,8 @@ from msgspec import Struct
 from rich.console import Console
 
 from poise.cli.demo_scene import NAVIGATOR, Scene, move_while_driving, serve, told
-from poise.errors import RobotError
+from poise.cli.interrupts import interrupts
+from poise.errors import RobotError, RunError
 from poise.session.placement import place
 from poise.session.render.tables import table
 from poise.session.report import RunReport
@@ -94,20 +95,21 @@ def demo_command(
             "give its examples folder with --examples"
         )
     console = Console(stderr=as_json, highlight=False)
-    report = DemoReport(
-        runs=(
-            _drive(examples, "static", console),
-            _drive(examples, "auto", console),
-        ),
-        scene=move_while_driving(examples, console),
-        calls=_calls(examples, console),
-    )
+    with interrupts:
+        report = DemoReport(
+            runs=(
+                _drive(examples, "static", console),
+                _drive(examples, "auto", console),
+            ),
+            scene=move_while_driving(examples, console),
+            calls=_calls(examples, console),
+        )
     if as_json:
         text = msgspec.json.format(msgspec.json.encode(report))
         sys.stdout.write(text.decode() + "\n")
     else:
         _show(report, console)
-    trouble = _trouble(report)
+    trouble = find_trouble(report.runs)
     if trouble:
         Console(stderr=True).print(trouble)
         raise typer.Exit(1)
@@ -130,6 +132,10 @@ def _drive(examples: Path, method: str, console: Console) -> Drive:
 def _read_drive(report: RunReport) -> Drive:
     navigator = report.component(NAVIGATOR)
     (cycle,) = navigator.timers
+    if not report.invalid and "goal_reached" not in report.simulation:
+        raise RunError(
+            f"the simulator's result lacks 'goal_reached': {report.simulation}"
+        )
     return Drive(
         method=report.method,
         deadline_miss_share=cycle.missed / cycle.releases if cycle.releases else 1.0,
@@ -157,7 +163,9 @@ def _outcome(drive: Drive) -> str:
 def _calls(examples: Path, console: Console) -> Calls:
     console.print("\n[bold]How long calls take")
     robot = load(examples / "calls" / "robot.yaml", say=console.print)
-    report = run(robot, "call", seconds=_CALLS, say=console.print)
+    report = run(
+        robot, "call", seconds=_CALLS, say=console.print, check=interrupts.check
+    )
     measures = report.component("caller").measures
     return Calls(direct=measures["near"], message=measures["far"])
 
@@ -199,12 +207,13 @@ _ROWS: Mapping[str, Callable[[Drive], str]] = {
 }
 
 
-def _trouble(report: DemoReport) -> str:
+def find_trouble(runs: Sequence[Drive]) -> str:
     """Return what did not come out as in the paper; empty when all did."""
-    by_method = {drive.method: drive for drive in report.runs}
+    by_method = {drive.method: drive for drive in runs}
     static, auto = by_method["static"], by_method["auto"]
-    if static.invalid or auto.invalid:
-        return "a run is invalid: this machine was too busy for the emulation"
+    for drive in runs:
+        if drive.invalid:
+            return f"the run with {drive.method} placement is invalid: {drive.invalid}"
     if static.goal_reached or static.deadline_miss_share < 1 - _MOST_MET:
         return "static placement did not fail as it does in the paper"
     if not auto.goal_reached or auto.deadline_miss_share >= _MOST_MISSED:

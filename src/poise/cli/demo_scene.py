@@ -9,6 +9,7 @@ from msgspec import Struct
 from rich.console import Console
 from rich.markup import escape
 
+from poise.cli.interrupts import interrupts
 from poise.cli.render.progress import progress
 from poise.errors import RunError
 from poise.manage.migration.move import MoveReport, move
@@ -143,4 +144,5 @@ def serve(
             placement=placed,
             say=console.print,
             meanwhile=look,
+            check=interrupts.check,
         )

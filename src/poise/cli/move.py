@@ -8,13 +8,13 @@ from typing import Annotated
 import msgspec
 import typer
 
-from poise.manage.control import (
-    AskAlternative,
-    AskMove,
-    AskReplace,
+from poise.manage.control_socket.client import send_command
+from poise.manage.control_socket.records import (
+    MoveCommand,
     Moved,
+    ReplaceArchitectureCommand,
+    ReplaceCommand,
     Replaced,
-    ask,
 )
 from poise.manage.migration.move import MoveReport
 from poise.manage.migration.replacement import ReplaceReport
@@ -29,6 +29,9 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.
 def move_command(
     component: Annotated[str, typer.Argument(help="The component.")],
     computer: Annotated[str, typer.Argument(help="Where it is to run.")],
+    force: Annotated[
+        bool, typer.Option("--force", help="Move it even where it does not fit.")
+    ] = False,
     robot: Robot = None,
     as_json: AsJson = False,
 ) -> None:
@@ -36,11 +39,13 @@ def move_command(
 
     It keeps its state, and no call or message is lost, doubled or reordered. When
     something fails it goes on where it was, and the exit code is 1. A command-line
-    component is stopped and started anew.
+    component is stopped and started again. A component that does not fit beside what
+    runs on the computer is refused, unless --force is given.
 
     Example: poise move localiser vision
     """
-    show_move(ask(robot, AskMove(component, computer)), as_json=as_json)
+    command = MoveCommand(component, computer, force)
+    show_move(send_command(robot, command), as_json=as_json)
 
 
 def replace_command(
@@ -51,24 +56,30 @@ def replace_command(
     adapt: Annotated[
         str, typer.Option(help="package.module:function that maps the old state.")
     ] = "",
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Drop the old state and begin without.")
+    ] = False,
     robot: Robot = None,
     as_json: AsJson = False,
 ) -> None:
     """Swap a running component's implementation, or a whole architecture.
 
-    State is kept, and mapped by --adapt. An architecture is replaced by another that
-    provides the same function: all its components take over at once, or none does.
+    State is kept: --adapt maps it where it is another one, and --fresh drops it. An
+    architecture is replaced by another that provides the same function: all its
+    components take over at once, or none does.
 
     Example: poise replace localiser trot.navigator.scan_matcher:ScanMatcher
     """
     if ":" in by:
-        show_move(ask(robot, AskReplace(what, by, adapt)), as_json=as_json)
+        command: ReplaceCommand | ReplaceArchitectureCommand
+        command = ReplaceCommand(what, by, adapt, fresh)
     else:
-        show_move(ask(robot, AskAlternative(what, by, adapt)), as_json=as_json)
+        command = ReplaceArchitectureCommand(what, by, adapt, fresh)
+    show_move(send_command(robot, command), as_json=as_json)
 
 
 def show_move(answer: object, *, as_json: bool) -> None:
-    """Print what came of a move or replacement; exit with 1 when it was called off."""
+    """Print the outcome of a move or replacement; exit with 1 if rolled back."""
     assert isinstance(answer, Moved | Replaced)  # noqa: S101, what is answered to these
     report = answer.report
     if as_json:
@@ -89,7 +100,7 @@ def _sentence(report: MoveReport | ReplaceReport) -> str:
         return f"{stays}: {report.reason}"
     if isinstance(report, MoveReport) and report.short_stop:
         away = format_seconds(report.gate_shut)
-        return f"{runs} now; started anew, away for {away}"
+        return f"{runs} now; restarted, away for {away}"
     return (
         f"{runs} now; prepared in {format_seconds(report.prepared)}, gate shut for "
         f"{format_seconds(report.gate_shut)}"

@@ -10,6 +10,7 @@ import msgspec
 import typer
 from rich.markup import escape
 
+from poise.cli.interrupts import interrupts
 from poise.cli.options import Method, RobotFile, RobotTask, parse_option
 from poise.cli.render.progress import progress
 from poise.errors import UsageError
@@ -38,6 +39,12 @@ def run_command(
             callback=to_write,
         ),
     ] = None,
+    allow_errors: Annotated[
+        bool,
+        typer.Option(
+            "--allow-errors", help="Exit with 0 when components had errors, too."
+        ),
+    ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the report as JSON.")
     ] = False,
@@ -45,7 +52,8 @@ def run_command(
     """Run a task on the robot's computers; without addresses they are emulated.
 
     What --record keeps can be the `workload` on which `poise profile` measures;
-    `poise recording` reads it.
+    `poise recording` reads it. The exit code is 1 when a component raised or hung, a
+    message was refused, a container ended, or the run is invalid.
 
     Example: poise run robot.yaml --task fetch --for 20s
     """
@@ -62,25 +70,27 @@ def run_command(
     placed = place(robot, chosen, method=placement)
     if report is not None:
         _make_folder(report)
-    with progress(console, seconds) as show:
-        result = run(
-            robot,
-            chosen,
-            seconds=seconds,
-            placement=placed,
-            journal=report / "journal.sqlite" if report else None,
-            record=record,
-            say=say,
-            meanwhile=show,
-        )
-    text = msgspec.json.format(msgspec.json.encode(result))
-    if report is not None:
-        (report / "report.json").write_bytes(text + b"\n")
-    if as_json:
-        sys.stdout.write(text.decode() + "\n")
-    else:
-        console.print(result)
-    if result.invalid:
+    with interrupts:
+        with progress(console, seconds) as show:
+            result = run(
+                robot,
+                chosen,
+                seconds=seconds,
+                placement=placed,
+                journal=report / "journal.sqlite" if report else None,
+                record=record,
+                say=say,
+                meanwhile=show,
+                check=interrupts.check,
+            )
+        text = msgspec.json.format(msgspec.json.encode(result))
+        if report is not None:
+            (report / "report.json").write_bytes(text + b"\n")
+        if as_json:
+            sys.stdout.write(text.decode() + "\n")
+        else:
+            console.print(result)
+    if result.invalid or (result.failed and not allow_errors):
         raise typer.Exit(1)
 
 

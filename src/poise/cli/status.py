@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Iterator
 
 import msgspec
+import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from poise.cli.move import AsJson, Robot
-from poise.manage.control import AskStatus, RobotStatus, ask
+from poise.manage.control_socket.client import send_command
+from poise.manage.control_socket.records import RobotStatus, StatusCommand
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.run import connectors_of
 from poise.session.render.clocks import clock_table
@@ -24,17 +28,29 @@ from poise.wire.records.deployment import ComponentStatus
 def status_command(robot: Robot = None, as_json: AsJson = False) -> None:
     """Show where a running robot's components are, and how they and connectors do.
 
+    The exit code is 1 when anything is not as the robot file says.
+
     Example: poise status
     """
-    answer = ask(robot, AskStatus())
+    answer = send_command(robot, StatusCommand())
     assert isinstance(answer, RobotStatus)  # noqa: S101, what the manager answers
     if as_json:
         sys.stdout.write(msgspec.json.encode(answer).decode() + "\n")
-        return
-    console = Console(highlight=False)
+    else:
+        show_status(answer, Console(highlight=False))
+    if answer.deviations:
+        raise typer.Exit(1)
+
+
+def show_status(answer: RobotStatus, console: Console) -> None:
+    """Print a status: deviations first."""
     console.print(f"robot '{answer.robot}', task '{answer.task}'")
-    for name in answer.lost:
-        console.print(f"[red]computer '{name}' is lost[/]")
+    console.print(f"managed by {answer.manager}")
+    for each in answer.deviations:
+        since = time.strftime("%H:%M:%S", time.localtime(each.since))
+        console.print(Text(f"{each.what} (noticed {since})", style="red"))
+    if not answer.deviations:
+        console.print("everything is as the robot file says")
     console.print(component_table(answer))
     for remark in remarks(answer):
         console.print(f"[yellow]{remark}[/]")

@@ -6,14 +6,16 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
 
+from poise.cli.interrupts import interrupts
 from poise.cli.options import Method, RobotFile, RobotTask
+from poise.cli.render.printer import Printer, log_printer
 from poise.session.placement import place
-from poise.session.render.shown import console_to
 from poise.session.robot_file import load, task_of
 from poise.session.up import up
 from poise.session.writable import to_write
+
+_LOOK_EVERY = 0.2
 
 
 def up_command(
@@ -41,27 +43,27 @@ def up_command(
 ) -> None:
     """Start a robot and keep it running until Ctrl-C or `poise stop`.
 
-    Meanwhile `poise status`, `move`, `replace` and `balance` work on it.
+    Meanwhile `poise status`, `move`, `replace` and `balance` work on it. It prints each
+    move, and everything that is not as the robot file says.
 
     Example: poise up robot.yaml --task fetch
     """
-    console = console_to()
-
-    def say(sentence: str) -> None:
-        console.print(escape(sentence))
-
-    robot = load(file, say=say)
-    chosen = task_of(robot, task)
-    with up(
-        robot,
-        chosen,
-        placement=place(robot, chosen, method=placement),
-        journal=journal,
-        metrics=metrics,
-        otel=otel,
-        record=record,
-        say=say,
-    ) as running:
-        say(f"robot '{robot.name}' is up with task '{chosen}'; Ctrl-C ends it")
-        running.wait()
-        say("stopping")
+    with Printer() as printer, log_printer(), interrupts:
+        say = printer.print
+        robot = load(file, say=say)
+        chosen = task_of(robot, task)
+        with up(
+            robot,
+            chosen,
+            placement=place(robot, chosen, method=placement),
+            journal=journal,
+            metrics=metrics,
+            otel=otel,
+            record=record,
+            say=say,
+            check=interrupts.check,
+        ) as running:
+            say(f"robot '{robot.name}' is up with task '{chosen}'; Ctrl-C ends it")
+            while not running.wait(_LOOK_EVERY):
+                interrupts.check()
+            say("stopping")

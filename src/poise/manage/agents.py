@@ -1,13 +1,17 @@
-"""The robot's agents as the manager sees them: what they say, whether they live."""
+"""The manager's connections to the robot's agents.
+
+zenoh's threads only store what arrives, in structures whose size is bounded; the
+manager's own threads wait for it here.
+"""
 
 from __future__ import annotations
 
-import logging
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import time
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import partial
 from queue import Empty, SimpleQueue
-from typing import Self, TypeVar
+from typing import Self
 
 import msgspec
 import zenoh
@@ -15,35 +19,34 @@ from zenoh.handlers import Callback
 
 from poise.clock import Clock
 from poise.errors import RunError
+from poise.manage.agent_messages import Replies, answer_of, manager_id, note, reading
 from poise.priority import first
 from poise.wire.control_session import open_session
 from poise.wire.records.deployment import (
     Accepted,
     AgentStatus,
-    Answer,
+    Claim,
     Deployment,
+    ManagerRequest,
     Refused,
     Request,
 )
 from poise.wire.records.migration import Done, Failed, Order, Outcome
 from poise.wire.records.samples import AgentSample
 
-log = logging.getLogger(__name__)
-
 MARGIN = 0.1
-"""An agent's answer to an order may come so much after the order's limit [s]."""
-_LAST_WORD = 1.0
-"""So long after the limit of an order zenoh may tell that no answer came [s]."""
-_LOOK = 0.1
+"""An agent's answer to an order may come this much after the order's limit [s]."""
+_LAST_REPLY = 1.0
+"""zenoh reports within this time after an order's limit that no answer came [s]."""
+_LOOK_EVERY = 0.1
 ANSWER_LIMIT = 2.0
-"""An agent answers a deployment within this time [s]."""
-_NEWS = 0.5
-"""That an agent is lost is known so long [s] after its connection ends, at most."""
+"""An agent answers a claim or deployment within this time [s]."""
+_LOSS_DELAY = 0.5
+"""The loss of an agent is known this long [s] after its connection ends, at most."""
 
 
-S = TypeVar("S")
-_Said = SimpleQueue[tuple[int, zenoh.Reply | None]]
-"""What zenoh's threads say: of which order, and an answer, or None at its end."""
+def _nothing() -> None:
+    """Raise nothing: the default of what is checked while one waits."""
 
 
 class Agents:
@@ -58,8 +61,8 @@ class Agents:
     on_sample
         Called with every sample, on zenoh's thread; must not block.
     lease
-        An agent that is cut off counts as lost after this time [s]; one that ends, at
-        once.
+        An agent that is cut off is out of reach after this time [s]; one that ends,
+        at once.
     """
 
     def __init__(
@@ -70,20 +73,27 @@ class Agents:
         on_sample: Callable[[AgentSample], object] | None = None,
         lease: float = 1.0,
     ) -> None:
+        self.manager = manager_id()
         self._prefix = f"poise/{robot}"
         self._clock = clock
+        self._computers = frozenset(endpoints)
         self._changed = threading.Condition()
+        self._version = 0
         self._statuses: dict[str, AgentStatus] = {}
         self._alive: set[str] = set()
-        self._lost: set[str] = set()
-        # no gossip: it talks to the agents that it was told of, and to no other manager
+        self._lost: dict[str, float] = {}
+        self._tokens: dict[str, int] = {}
+        # no gossip: it talks to the agents that it knows, and to no other manager
         with first():  # zenoh's threads only carry
             self._session = open_session(
                 connect=tuple(endpoints.values()), gossip=False, lease=lease
             )
         self._declared = [
+            self._session.liveliness().declare_token(
+                f"{self._prefix}/manager/{self.manager.key}"
+            ),
             self._session.declare_subscriber(
-                f"{self._prefix}/status/*", _reading(AgentStatus, self._on_status)
+                f"{self._prefix}/status/*", reading(AgentStatus, self._on_status)
             ),
             self._session.liveliness().declare_subscriber(
                 f"{self._prefix}/alive/*", self._on_alive, history=True
@@ -92,7 +102,7 @@ class Agents:
         if on_sample is not None:
             self._declared.append(
                 self._session.declare_subscriber(
-                    f"{self._prefix}/samples/*", _reading(AgentSample, on_sample)
+                    f"{self._prefix}/samples/*", reading(AgentSample, on_sample)
                 )
             )
 
@@ -107,22 +117,33 @@ class Agents:
         self._session.close()  # type: ignore[no-untyped-call]
 
     def statuses(self) -> dict[str, AgentStatus]:
-        """Return what each agent said last, by computer."""
+        """Return what each agent reported last, by computer."""
         with self._changed:
             return dict(self._statuses)
 
-    def lost(self) -> frozenset[str]:
-        """Return the computers whose agents were there and are no more."""
+    def out_of_reach(self) -> dict[str, float]:
+        """Return since when [s since 1970] agents that were there are not reached."""
         with self._changed:
-            return frozenset(self._lost)
+            return dict(self._lost)
+
+    def obey(self, computer: str) -> bool:
+        """Return whether an agent is reached and obeys this manager."""
+        with self._changed:
+            status = self._statuses.get(computer)
+            token = self._tokens.get(computer)
+            return (
+                status is not None
+                and computer not in self._lost
+                and status.token == token
+            )
 
     def wait_alive(
         self,
         computers: Iterable[str],
         limit: float,
-        check: Callable[[], None] = lambda: None,
+        check: Callable[[], None] = _nothing,
     ) -> None:
-        """Wait until the agents of all `computers` are there and said how they are.
+        """Wait until the agents of all `computers` are there and reported.
 
         Parameters
         ----------
@@ -135,7 +156,7 @@ class Agents:
             One was not there within `limit` [s].
         """
         wanted, deadline = set(computers), self._clock.now() + limit
-        while not self._wait(lambda: wanted <= self._there(), _LOOK):
+        while not self.wait_news(lambda: wanted <= self._there(), _LOOK_EVERY):
             check()
             if self._clock.now() < deadline:
                 continue
@@ -146,26 +167,67 @@ class Agents:
             )
 
     def wait_news(self, is_enough: Callable[[], bool], limit: float) -> bool:
-        """Wait until `is_enough` says so, asked at every news; whether it did.
+        """Wait until `is_enough` is true, evaluated at all news; return whether it is.
 
         `is_enough` may raise to end the waiting; `limit` is in [s].
         """
-        return self._wait(is_enough, limit)
+        deadline = self._clock.now() + limit
+        while True:
+            with self._changed:
+                version = self._version
+            # without the lock, for which zenoh's threads would wait
+            if is_enough():
+                return True
+            left = deadline - self._clock.now()
+            with self._changed:
+                if left <= 0 or not self._changed.wait_for(
+                    lambda seen=version: self._version != seen,  # type: ignore[misc]
+                    left,
+                ):
+                    return False
+
+    def notify(self) -> None:
+        """Let every `wait_news` evaluate again."""
+        with self._changed:
+            self._note_news()
+
+    def claim(self, computers: Collection[str]) -> None:
+        """Let the agents of `computers` obey this manager, and no other.
+
+        One after the other in the order of their names: of two managers that start at
+        the same time, one gets the first agent, and the other none.
+
+        Raises
+        ------
+        RunError
+            One obeys another manager that is alive, or does not answer.
+        """
+        for computer in sorted(computers):
+            token = self._statuses[computer].token + 1
+            self._tokens[computer] = token
+            replies = self._ask(computer, Claim(self.manager), ANSWER_LIMIT)
+            refusal = self._refusal(computer, replies)
+            if refusal:
+                raise RunError(f"the agent of '{computer}' {refusal}")
+            self.wait_news(
+                lambda c=computer: self.obey(c),  # type: ignore[misc]
+                ANSWER_LIMIT,
+            )
 
     def deploy(self, deployments: Mapping[str, Deployment]) -> dict[str, str]:
-        """Tell agents what should run, all at once; by computer.
+        """Send agents what should run, all at once; by computer.
 
         Returns
         -------
-        Computer -> why its agent did not take it within `ANSWER_LIMIT`; empty when all
-        did.
+        Computer -> why its agent did not accept it within `ANSWER_LIMIT`; empty when
+        all did.
         """
-        asked = [
+        requests = [
             (computer, self._ask(computer, deployment, ANSWER_LIMIT))
             for computer, deployment in deployments.items()
         ]
         refusals = {
-            computer: self._refusal(computer, replies) for computer, replies in asked
+            computer: self._refusal(computer, replies) for computer, replies in requests
         }
         return {
             computer: f"the agent of '{computer}' {refusal}"
@@ -173,42 +235,52 @@ class Agents:
             if refusal
         }
 
-    def order(self, orders: Iterable[tuple[str, Order]]) -> Iterator[Outcome]:
-        """Tell containers to take steps, all at once; yield what came of each.
-
-        The first to be known comes first, and nobody need wait for the others.
+    def order(
+        self,
+        orders: Iterable[tuple[str, Order]],
+        check: Callable[[], object] = _nothing,
+    ) -> Iterator[Outcome]:
+        """Order steps from containers, all at once; yield each outcome as it is known.
 
         Parameters
         ----------
         orders
             Computers and orders. An agent that does not answer counts as failed.
+        check
+            Called now and then; may raise to end the waiting.
         """
-        said: _Said = SimpleQueue()
+        replies: Replies = SimpleQueue()
         began = self._clock.now()
-        asked = {order.number: (computer, order) for computer, order in orders}
-        for number, (computer, order) in asked.items():
+        pending = {order.number: (computer, order) for computer, order in orders}
+        for number, (computer, order) in pending.items():
+            take = partial(note, replies, number)
             self._session.get(
                 f"{self._prefix}/agent/{computer}",
-                Callback(partial(_note, said, number), partial(_note, said, number)),
-                payload=msgspec.msgpack.encode(order),
+                Callback(take, take),
+                payload=self._encoded(computer, order),
                 timeout=order.limit + MARGIN,
             )
-        return self._outcomes(asked, said, began)
+        return self._outcomes(pending, replies, began, check)
 
     def _outcomes(
         self,
-        asked: dict[int, tuple[str, Order]],
-        said: _Said,
+        pending: dict[int, tuple[str, Order]],
+        replies: Replies,
         began: float,
+        check: Callable[[], object],
     ) -> Iterator[Outcome]:
-        limit = max((order.limit for _, order in asked.values()), default=0.0)
-        while asked:
+        limit = max((order.limit for _, order in pending.values()), default=0.0)
+        while pending:
             try:
-                number, reply = said.get(timeout=limit + _LAST_WORD)
-            except Empty:  # zenoh did not even tell that the time is over
-                number, reply = next(iter(asked)), None
-            if number in asked:
-                computer, order = asked.pop(number)
+                number, reply = replies.get(timeout=_LOOK_EVERY)
+            except Empty:
+                check()
+                if self._clock.now() < began + limit + _LAST_REPLY:
+                    continue
+                # zenoh did not even report that the time is over
+                number, reply = next(iter(pending)), None
+            if number in pending:
+                computer, order = pending.pop(number)
                 yield self._outcome(computer, order, reply, began)
 
     def _ask(
@@ -216,32 +288,36 @@ class Agents:
     ) -> Iterable[zenoh.Reply]:
         return self._session.get(
             f"{self._prefix}/agent/{computer}",
-            payload=msgspec.msgpack.encode(request),
+            payload=self._encoded(computer, request),
             timeout=limit,
         )
 
+    def _encoded(self, computer: str, request: Request) -> bytes:
+        token = self._tokens.get(computer, 0)
+        return msgspec.msgpack.encode(ManagerRequest(token=token, request=request))
+
     def _refusal(self, computer: str, replies: Iterable[zenoh.Reply]) -> str:
-        """Return why an agent did not take a deployment; empty when it did."""
-        answer = _answer(replies)
+        """Return why an agent did not accept a request; empty when it did."""
+        answer = answer_of(replies)
         if isinstance(answer, Accepted):
             return ""
         if answer is None:
-            return self._why_silent(computer, ANSWER_LIMIT, _NEWS)
+            return self._why_silent(computer, ANSWER_LIMIT, _LOSS_DELAY)
         why = answer.reason if isinstance(answer, Refused) else str(answer)
         return f"refused: {why}"
 
     def _outcome(
         self, computer: str, order: Order, reply: zenoh.Reply | None, began: float
     ) -> Outcome:
-        """Return what came of an order that was given at `began` [s]."""
-        answer = _answer(() if reply is None else (reply,))
+        """Return the outcome of an order that was sent at `began` [s]."""
+        answer = answer_of(() if reply is None else (reply,))
         if isinstance(answer, Done | Failed):
             return answer
         if answer is None:
             limit = order.limit + MARGIN
-            # a gate may be shut: who was waited for has had time enough
+            # a component may be paused: the agent has had time enough
             left = max(0.0, began + limit - self._clock.now())
-            why = self._why_silent(computer, limit, min(_NEWS, left))
+            why = self._why_silent(computer, limit, min(_LOSS_DELAY, left))
         else:
             why = f"answered {answer}"
         return Failed(order.number, f"the agent of '{computer}' {why}")
@@ -249,69 +325,36 @@ class Agents:
     def _why_silent(self, computer: str, limit: float, patience: float) -> str:
         """Return what is known of an agent that gave no answer within `limit` [s].
 
-        The answer fails to come as soon as its connection ends, which may be a little
-        before zenoh tells that the agent is lost: `patience` [s] is for that.
+        No answer comes from the moment when its connection ends, which may be a little
+        before zenoh reports the loss of the agent: `patience` [s] is for that.
         """
-        if self._wait(lambda: computer in self._lost, patience):
-            return "is gone"
+        if self.wait_news(lambda: computer in self.out_of_reach(), patience):
+            return "is out of reach"
         return f"did not answer within {limit:g} s"
 
-    def _wait(self, is_enough: Callable[[], bool], limit: float) -> bool:
-        with self._changed:
-            return self._changed.wait_for(is_enough, limit)
-
     def _there(self) -> set[str]:
-        return self._alive & self._statuses.keys()
+        with self._changed:
+            return self._alive & self._statuses.keys()
 
     def _on_status(self, status: AgentStatus) -> None:
         with self._changed:
-            self._statuses[status.computer] = status
-            self._changed.notify_all()
+            if status.computer in self._computers:
+                self._statuses[status.computer] = status
+                self._note_news()
 
     def _on_alive(self, sample: zenoh.Sample) -> None:
         computer = str(sample.key_expr).rpartition("/")[2]
         with self._changed:
             if sample.kind == zenoh.SampleKind.PUT:
                 self._alive.add(computer)
-                self._lost.discard(computer)
+                if self._lost.pop(computer, None) is not None:
+                    # it may be another agent: what this one reports is to come
+                    self._statuses.pop(computer, None)
             elif computer in self._alive:
                 self._alive.discard(computer)
-                self._lost.add(computer)
-            self._changed.notify_all()
+                self._lost[computer] = time.time()
+            self._note_news()
 
-
-def _reading(type_: type[S], take: Callable[[S], object]) -> Callable[..., None]:
-    """Return what takes the records of a type that agents say; others are logged."""
-    decode = msgspec.msgpack.Decoder(type_).decode
-
-    def hear(sample: zenoh.Sample) -> None:
-        try:
-            record = decode(sample.payload.to_bytes())
-        except msgspec.DecodeError as error:
-            log.warning("%s: refused: %s", sample.key_expr, error)
-        else:
-            take(record)
-
-    return hear
-
-
-def _note(said: _Said, number: int, reply: zenoh.Reply | None = None) -> None:
-    said.put((number, reply))
-
-
-def _decoded(sample: zenoh.Sample) -> Accepted | Refused | Done | Failed:
-    """Return an agent's answer; `Refused` when it is none."""
-    try:
-        answer: Accepted | Refused | Done | Failed = msgspec.msgpack.decode(
-            sample.payload.to_bytes(), type=Answer
-        )
-    except msgspec.DecodeError as error:
-        return Refused(f"not an answer: {error}")
-    return answer
-
-
-def _answer(
-    replies: Iterable[zenoh.Reply],
-) -> Accepted | Refused | Done | Failed | None:
-    """Return the first answer of an agent; `None` when it gave none."""
-    return next((_decoded(reply.ok) for reply in replies if reply.ok is not None), None)
+    def _note_news(self) -> None:
+        self._version += 1
+        self._changed.notify_all()

@@ -5,8 +5,9 @@ from __future__ import annotations
 import logging
 import sqlite3
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 from msgspec import Struct
@@ -15,11 +16,24 @@ from poise.errors import UsageError
 
 log = logging.getLogger(__name__)
 
+Kind = Literal["seen", "decided", "done", "failed", "wrong", "right"]
+"""What an entry is about.
+
+seen
+    Something was noticed that needs no action.
+decided
+    The manager decided what to do next.
+done, failed
+    It did that, or could not.
+wrong, right
+    Something is not as the robot file says any more, or is so again.
+"""
+
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS entries (
     id INTEGER PRIMARY KEY,
     at REAL NOT NULL,     -- seconds since the epoch
-    kind TEXT NOT NULL,   -- seen, decided, done, failed
+    kind TEXT NOT NULL,   -- seen, decided, done, failed, wrong, right
     what TEXT NOT NULL,   -- one sentence for people
     facts TEXT NOT NULL   -- JSON for machines
 )
@@ -27,24 +41,30 @@ CREATE TABLE IF NOT EXISTS entries (
 
 
 class Entry(Struct, frozen=True):
-    """A line of the journal; `at` in seconds since the epoch."""
+    """An entry of the journal; `at` in seconds since 1970."""
 
     at: float
-    kind: str
+    kind: Kind
     what: str
     facts: Any
+
+    def __str__(self) -> str:
+        """Return time and sentence, for people."""
+        return f"{time.strftime('%H:%M:%S', time.localtime(self.at))} {self.what}"
 
 
 class Journal:
     """Written by one thread at a time; any program may read it meanwhile.
 
-    A line that cannot be written is logged instead, for the robot goes on: its disk
-    may be full, or somebody may hold the file.
+    An entry that cannot be written is logged instead, because the robot goes on: the
+    disk may be full, or another program may hold the file.
 
     Parameters
     ----------
     path
-        The file; made when it is not there. ``:memory:`` keeps it in memory.
+        The file; created when it does not exist. ``:memory:`` keeps it in memory.
+    show
+        Called with each entry, in order; must not block.
 
     Raises
     ------
@@ -52,7 +72,10 @@ class Journal:
         It cannot be opened, or is something else.
     """
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(
+        self, path: Path | str, show: Callable[[Entry], object] | None = None
+    ) -> None:
+        self._show = show
         try:
             self._database = sqlite3.connect(
                 path, isolation_level=None, timeout=1.0, check_same_thread=False
@@ -66,19 +89,22 @@ class Journal:
                 "folder that is there, may be written, and has room"
             ) from error
 
-    def note(self, kind: str, what: str, **facts: object) -> None:
-        """Add a line: `what` for people, `facts` for machines."""
+    def note(self, kind: Kind, what: str, **facts: object) -> None:
+        """Add an entry: `what` for people, `facts` for machines."""
+        now = time.time()
+        if self._show is not None:
+            self._show(Entry(now, kind, what, facts))
         text = msgspec.json.encode(facts).decode()
         try:
             self._database.execute(
                 "INSERT INTO entries (at, kind, what, facts) VALUES (?, ?, ?, ?)",
-                (time.time(), kind, what, text),
+                (now, kind, what, text),
             )
         except sqlite3.Error as error:
             log.warning("not in the journal (%s): %s: %s", error, kind, what)
 
     def entries(self) -> list[Entry]:
-        """Return all lines, oldest first."""
+        """Return all entries, oldest first."""
         rows = self._database.execute(
             "SELECT at, kind, what, facts FROM entries ORDER BY id"
         )

@@ -6,12 +6,19 @@ It believes only what agents observed.
 from __future__ import annotations
 
 import contextlib
+import threading
+import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import partial
 
 from poise.errors import RunError
 from poise.manage.agents import Agents
-from poise.manage.deployment import DeploymentPlan, Incarnation, Placement
+from poise.manage.deployment import (
+    DeploymentPlan,
+    Incarnation,
+    Placement,
+    name_of,
+)
 from poise.manage.journal import Journal
 from poise.manage.topological_order import levels
 from poise.model.robot import Robot
@@ -30,6 +37,8 @@ STOP_LIMIT = 5.0
 REST_LIMIT = 1.0
 """Components that call others become inactive within this time [s], or are not waited
 for any longer."""
+RETURN_LIMIT = 3.0
+"""A stop waits this long for computers that are out of reach [s]."""
 
 _WORKING = {
     "unconfigured": " (does its `configure` end?)",
@@ -72,8 +81,14 @@ class Run:
             )
             for name, computer in placement.items()
         }
+        self.check: Callable[[], object] = _go_on
+        """Called at all news while all is started or watched; may raise to end that."""
         self._generation = 0
         self._told: dict[str, Deployment] = {}
+        self._is_cancelled = threading.Event()
+        self._has_stopped = False
+        self.excused: set[str] = set()
+        """Computers that may be out of reach: `raise_on_lost` ignores them."""
 
     def start(self) -> None:
         """Start everything, all inactive first, then active.
@@ -81,9 +96,10 @@ class Run:
         Raises
         ------
         RunError
-            A component failed, a computer was lost, or a limit passed; its message
-            names the component and holds its traceback.
+            Another manager is at work, a component failed, a computer is out of reach,
+            or a limit passed; its message names the component and holds its traceback.
         """
+        self.agents.claim(self.computers())
         self._end_remains()
         self.reach("inactive", READY_LIMIT)
         self.reach("active", ACTIVE_LIMIT)
@@ -104,28 +120,97 @@ class Run:
         self.agents.wait_news(self._raise_on_trouble, seconds)
 
     def stop(self) -> None:
-        """Stop everything, callers first; agents that are gone are left out.
+        """Stop everything, callers first, on all computers that are reached.
+
+        Computers that come back within `RETURN_LIMIT` are stopped, too. Harmless when
+        repeated.
 
         Raises
         ------
         RunError
-            Something still ran after `STOP_LIMIT`.
+            Something still runs: after `STOP_LIMIT`, or out of reach.
         """
-        left = self.computers()
+        if self._has_stopped:
+            return
+        self._has_stopped = True
+        self.excused |= self.agents.out_of_reach().keys()
         with contextlib.suppress(RunError):  # it is only for quiet
             self._come_to_rest()
-        self._end_all(left)
+        reached = self.computers()
+        self._end_all(reached)
+        away = {computer.name for computer in self.robot.computers} - reached
+        if away:
+            self.agents.wait_news(lambda: away <= self.computers(), RETURN_LIMIT)
+            returned = away & self.computers()
+            self._reclaim(returned)
+            self._end_all(returned)
+        remaining = self.remaining()
+        if remaining:
+            text = "; ".join(remaining)
+            self.journal.note("failed", f"stopped, but: {text}")
+            raise RunError(f"stopped, but: {text}")
         self.journal.note("done", "everything stopped")
 
+    def remaining(self) -> tuple[str, ...]:
+        """Return what runs on computers that are out of reach, a sentence for each."""
+        return tuple(
+            f"{sentence}; `poise stop --file FILE` ends it once '{name}' is reached"
+            for name, sentence in self.unreached().items()
+        )
+
+    def unreached(self) -> dict[str, str]:
+        """Return what is known of each computer that is out of reach, in words."""
+        sentences = {}
+        for computer, since in sorted(self.agents.out_of_reach().items()):
+            names = [
+                n for n, p in sorted(self.placed.items()) if p.computer == computer
+            ]
+            inside = ", ".join(names)
+            what = f"its components {inside} may run on without a manager"
+            began = time.strftime("%H:%M:%S", time.localtime(since))
+            sentences[computer] = (
+                f"computer '{computer}' is out of reach since {began}"
+                + (f"; {what}" if inside else "")
+            )
+        return sentences
+
+    def cancel(self) -> None:
+        """End what waits for agents: a change of the placement is rolled back."""
+        self._is_cancelled.set()
+        self.agents.notify()
+
+    def raise_on_cancel(self) -> None:
+        """Raise RunError once `cancel` was called."""
+        if self._is_cancelled.is_set():
+            raise RunError("the robot is being stopped")
+
+    def synchronise(self, computer: str) -> None:
+        """Bring a computer that came back to what should run there now.
+
+        Raises
+        ------
+        RunError
+            Its agent obeys another manager, or does not answer.
+        """
+        self._reclaim({computer})
+        self.tell(self.placed.values(), self.computers())
+
+    def _reclaim(self, computers: Iterable[str]) -> None:
+        """Claim again those whose agents were restarted, and tell all of them again."""
+        for computer in computers:
+            if not self.agents.obey(computer):
+                self.agents.claim({computer})
+            self._told.pop(computer, None)
+
     def _end_remains(self) -> None:
-        """End what a manager has left that is gone: it may be of older code."""
-        remains = [
+        """End what an earlier manager left running: it may be of older code."""
+        left = [
             f"'{container.name}' on '{computer}'"
             for computer, status in sorted(self.agents.statuses().items())
             for container in status.containers
         ]
-        if remains:
-            text = f"an earlier manager left containers: {', '.join(remains)}"
+        if left:
+            text = f"an earlier manager left containers: {', '.join(left)}"
             self.journal.note("seen", f"{text}; they are ended first")
             self._end_all(self.computers())
 
@@ -250,12 +335,13 @@ class Run:
         }
 
     def computers(self) -> set[str]:
-        """Return the names of the robot's computers that are there."""
-        return {computer.name for computer in self.robot.computers} - self.agents.lost()
+        """Return the names of the robot's computers that are reached."""
+        known = {computer.name for computer in self.robot.computers}
+        return known - self.agents.out_of_reach().keys()
 
     def has_ended(self, gone: Incarnation) -> bool:
         """Return whether an incarnation is not there any more, so far as is known."""
-        if gone.computer in self.agents.lost():
+        if gone.computer in self.agents.out_of_reach():
             return True
         status = self.current().get(gone.computer)
         return status is not None and all(
@@ -280,9 +366,10 @@ class Run:
     def _missing(self, wanted: tuple[Incarnation, ...]) -> list[str]:
         """Return what there is still to wait for, in words."""
         statuses = self.current()
-        silent = self._told.keys() - statuses.keys()
+        silent = self._told.keys() - statuses.keys() - self.excused
         states = {(c.name, c.epoch): c.state for c in components_of(statuses)}
         faults = [fault for status in statuses.values() for fault in status.faults]
+        unreached = self._unreached_connectors()
         missing = [f"computer '{name}' is silent" for name in sorted(silent)]
         missing += [
             f"component '{each.component}' on '{each.computer}' is {state}, not yet "
@@ -294,7 +381,7 @@ class Run:
         missing += [
             f"connector '{connector.name}' is not joined"
             for connector in connectors_of(statuses)
-            if not connector.ready
+            if not connector.ready and connector.name not in unreached
         ]
         if not missing:
             return []
@@ -303,7 +390,7 @@ class Run:
     def _running(self, computers: set[str]) -> list[str]:
         """Return the containers that still run there, for all that is known."""
         statuses = self.current()
-        left = sorted(computers - self.agents.lost())
+        left = sorted(computers - self.agents.out_of_reach().keys())
         return [f"everything on '{each}'" for each in left if each not in statuses] + [
             f"container '{container.name}' on '{each}'"
             for each in left
@@ -311,7 +398,18 @@ class Run:
             for container in statuses[each].containers
         ]
 
+    def _unreached_connectors(self) -> set[str]:
+        """Return the connectors that have an end on an excused computer."""
+        away = {n for n, each in self.placed.items() if each.computer in self.excused}
+        return {
+            name_of(connector)
+            for connector in self.layout.connectors(self.placed)
+            if not away.isdisjoint(end.component for end in connector.between)
+        }
+
     def _raise_on_trouble(self) -> bool:
+        self.check()
+        self.raise_on_cancel()
         self.raise_on_lost()
         for component in components_of(self.agents.statuses()):
             if component.state == "failed":
@@ -322,13 +420,16 @@ class Run:
         return False
 
     def raise_on_lost(self) -> bool:
-        """Raise RunError when a computer was lost; return False otherwise."""
-        lost = self.agents.lost()
-        if lost:
-            names = ", ".join(sorted(lost))
-            self.journal.note("seen", f"the agent of '{names}' is gone")
-            raise RunError(f"the agent of '{names}' is gone")
+        """Raise RunError when a computer is out of reach that is not excused."""
+        for computer, sentence in self.unreached().items():
+            if computer not in self.excused:
+                self.journal.note("wrong", sentence)
+                raise RunError(sentence)
         return False
+
+
+def _go_on() -> None:
+    """Raise nothing."""
 
 
 def components_of(statuses: Mapping[str, AgentStatus]) -> Iterator[ComponentStatus]:

@@ -9,7 +9,17 @@ import msgspec
 from msgspec import Struct
 from rich.console import RenderableType
 
+from poise.errors import RunError
+from poise.manage.drain import unprocessed
+from poise.manage.observe.silence import SilentPort, silent_ports
 from poise.model.robot import Robot
+from poise.session.failures import (
+    ComponentError,
+    HungHandler,
+    component_errors,
+    hung_handlers,
+    refused_messages,
+)
 from poise.session.placement import Placement
 from poise.session.render.report import report_parts
 from poise.session.render.shown import Shown
@@ -41,7 +51,6 @@ class ComponentReport(Struct, frozen=True, kw_only=True):
     computer: str
     cpu: float
     errors: int
-    last_error: str
     timers: tuple[TimerStatus, ...]
     measures: Mapping[str, Summary]
 
@@ -61,8 +70,20 @@ class RunReport(Shown, Struct, frozen=True, kw_only=True):
         How long everything was active [s].
     cpu_share
         Computer -> CPU that its agent and containers used, as a share of what it has.
+    errors
+        All that the components' code raised, by line and type.
+    hung
+        Handlers that had not ended when the run was over.
+    refused
+        Connector -> messages that its target refused.
+    lost
+        Connector -> messages that were sent and not processed in the end.
+    silent
+        Subscribed ports that got no message, and why.
     faults
         Containers that ended though they should have run.
+    interrupted
+        Whether the run was ended early, as by Ctrl-C.
     invalid
         Why the figures say nothing about the robot; empty when they do.
     clocks
@@ -82,7 +103,13 @@ class RunReport(Shown, Struct, frozen=True, kw_only=True):
     cpu_share: Mapping[str, float]
     components: tuple[ComponentReport, ...]
     connectors: tuple[ConnectorStatus, ...]
+    errors: tuple[ComponentError, ...] = ()
+    hung: tuple[HungHandler, ...] = ()
+    refused: Mapping[str, int] = {}
+    lost: Mapping[str, int] = {}
+    silent: tuple[SilentPort, ...] = ()
     faults: tuple[Fault, ...] = ()
+    interrupted: bool = False
     clocks: Mapping[str, Mapping[str, ClockStatus]] = {}
     invalid: str = ""
     without: tuple[str, ...] = ()
@@ -94,6 +121,11 @@ class RunReport(Shown, Struct, frozen=True, kw_only=True):
             if component.name == name:
                 return component
         raise KeyError(name)
+
+    @property
+    def failed(self) -> bool:
+        """Whether code raised or hung, a message was refused, or a container ended."""
+        return bool(self.errors or self.hung or self.refused or self.faults)
 
     def rows(self, of: Table = "components") -> list[dict[str, Any]]:
         """Return components, their timers or connectors' ends, each as flat values.
@@ -133,27 +165,49 @@ def _flat(record: Struct, *without: str) -> dict[str, Any]:
     return found
 
 
-def reported(
-    up: Started, placed: Placement, task: str, begin: Statuses, seconds: float
-) -> RunReport:
-    """Return the report of a run that is over, of which all is still there."""
-    end = up.run.agents.statuses()
+class Measured(Struct, frozen=True, kw_only=True):
+    """What was seen between the moments when all had begun and when all was to end.
+
+    `seconds` is the time between [s].
+    """
+
+    begin: Statuses
+    end: Statuses
+    seconds: float
+    invalid: str
+    interrupted: bool
+
+
+def reported(up: Started, placed: Placement, task: str, seen: Measured) -> RunReport:
+    """Return the report of a run whose components are inactive by now."""
+    final = up.run.agents.statuses()
     robot = up.run.robot
+    invalid, simulation = seen.invalid, {}
+    try:
+        simulation = dict(up.world.result()) if up.world else {}
+    except RunError as error:
+        invalid = invalid or str(error)
     return RunReport(
         robot=robot.name,
         task=task,
         method=placed.method,
         placement=placed.where,
         decision_seconds=placed.result.seconds,
-        seconds=seconds,
-        cpu_share=cpu_shares(robot, begin, end, up.computers.faster),
-        components=component_reports(begin, end),
-        connectors=connector_reports(end),
-        faults=tuple(fault for status in end.values() for fault in status.faults),
-        clocks=clocks_of(end),
-        invalid=up.computers.end(),
+        seconds=seen.seconds,
+        cpu_share=cpu_shares(robot, seen.begin, seen.end, up.computers.faster),
+        components=component_reports(seen.begin, final),
+        connectors=connector_reports(final),
+        errors=component_errors(final),
+        hung=hung_handlers(final),
+        refused=refused_messages(final),
+        lost=unprocessed(up.run, placed.where.keys()),
+        silent=silent_ports(robot, final),
+        faults=tuple(fault for status in final.values() for fault in status.faults),
+        clocks=clocks_of(seen.end),
+        interrupted=seen.interrupted,
+        invalid=invalid,
         without=up.computers.without,
-        simulation=up.world.result() if up.world else {},
+        simulation=simulation,
     )
 
 
@@ -216,7 +270,6 @@ def _component(
         computer=computer,
         cpu=(component.cpu - before) / seconds if seconds > 0 else 0.0,
         errors=component.errors,
-        last_error=component.error,
         timers=component.timers,
         measures=component.measures,
     )

@@ -7,14 +7,15 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from poise.manage.drain import drain
 from poise.manage.journal import Journal
 from poise.manage.run import Run
 from poise.model.robot import Robot
 from poise.session.placement import Placement, runnable
 from poise.session.recording import keeping
-from poise.session.report import RunReport, reported
+from poise.session.report import Measured, RunReport, reported
 from poise.session.robot_file import task_of
-from poise.session.say import Say, log
+from poise.session.say import Check, Say, log, nothing
 from poise.session.start import Sampling, Started, started
 
 _STEP = 0.2
@@ -34,8 +35,13 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     record: Path | None = None,
     say: Say = log.info,
     meanwhile: Meanwhile | None = None,
+    check: Check = nothing,
 ) -> RunReport:
     """Run a task for some time, or until the simulated world ends, and report.
+
+    At the end all components are deactivated from sources to targets, so that the
+    report has the final counts. Ctrl-C (`KeyboardInterrupt`) ends it early, and the
+    report says so; the same while it starts is raised.
 
     Parameters
     ----------
@@ -54,6 +60,8 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         Takes a sentence at every step.
     meanwhile
         Called a few times a second with the run and its time so far [s].
+    check
+        Called several times a second; may raise `KeyboardInterrupt`.
 
     Raises
     ------
@@ -70,18 +78,42 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         kept = stack.enter_context(keeping(robot, placed.where, record, say))
         sampling = Sampling(kept.samples.add) if record else None
         up = stack.enter_context(
-            started(kept.robot, kept.placement, book, say, sampling)
+            started(kept.robot, kept.placement, book, say, sampling, check)
         )
         say(f"running task '{chosen}' for up to {seconds:g} s")
-        up.computers.begin()
-        begin, began = up.run.agents.statuses(), time.monotonic()
-        _watch(up, seconds, meanwhile)
-        return reported(up, placed, chosen, begin, time.monotonic() - began)
+        seen = _measure(up, seconds, meanwhile, check)
+        drain(up.run)
+        return reported(up, placed, chosen, seen)
 
 
-def _watch(up: Started, seconds: float, meanwhile: Meanwhile | None) -> None:
-    began = time.monotonic()
+def _measure(
+    up: Started, seconds: float, meanwhile: Meanwhile | None, check: Check
+) -> Measured:
+    up.computers.begin()
+    begin, began = up.run.agents.statuses(), time.monotonic()
+    interrupted = False
+    try:
+        _watch(up, began, seconds, meanwhile, check)
+    except KeyboardInterrupt:
+        interrupted = True
+    return Measured(
+        begin=begin,
+        end=up.run.agents.statuses(),
+        seconds=time.monotonic() - began,
+        invalid=up.computers.end(),
+        interrupted=interrupted,
+    )
+
+
+def _watch(
+    up: Started,
+    began: float,
+    seconds: float,
+    meanwhile: Meanwhile | None,
+    check: Check,
+) -> None:
     while (left := began + seconds - time.monotonic()) > 0:
+        check()
         up.run.watch(min(left, _STEP))
         up.computers.look()
         if meanwhile is not None:

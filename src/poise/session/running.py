@@ -5,26 +5,26 @@ from __future__ import annotations
 from typing import TypeVar
 
 from poise.errors import RunError
-from poise.manage.control import (
-    Answer,
-    Ask,
-    AskAlternative,
-    AskBalance,
-    AskMove,
-    AskReplace,
-    AskStatus,
-    AskStop,
-    Balanced,
+from poise.manage.control_socket.client import send_command
+from poise.manage.control_socket.records import (
+    Command,
+    MoveCommand,
     Moved,
+    RebalanceCommand,
+    Rebalanced,
+    ReplaceArchitectureCommand,
+    ReplaceCommand,
     Replaced,
+    Result,
     RobotStatus,
-    Stopping,
-    ask,
+    StatusCommand,
+    StopCommand,
+    StopReport,
 )
 from poise.manage.migration.move import MoveReport
 from poise.manage.migration.replacement import ReplaceReport
 
-A = TypeVar("A", bound=Answer)
+R = TypeVar("R", bound=Result)
 
 
 class Running:
@@ -44,23 +44,28 @@ class Running:
 
     def status(self) -> RobotStatus:
         """Return where components run, and how they and their computers are."""
-        return self._ask(AskStatus(), RobotStatus)
+        return self._send(StatusCommand(), RobotStatus)
 
-    def move(self, component: str, computer: str) -> MoveReport:
+    def move(self, component: str, computer: str, *, force: bool = False) -> MoveReport:
         """Move a component to another computer, with its state.
+
+        Parameters
+        ----------
+        force
+            Whether to move it even where it does not fit beside what runs.
 
         Raises
         ------
         RunError
             It failed; the component goes on where it was.
         """
-        report = self._ask(AskMove(component, computer), Moved).report
+        report = self._send(MoveCommand(component, computer, force), Moved).report
         if not report.committed:
             raise RunError(f"{component} stays on {report.source}: {report.reason}")
         return report
 
     def replace(
-        self, what: str, by: str, *, adapt: str = ""
+        self, what: str, by: str, *, adapt: str = "", fresh: bool = False
     ) -> MoveReport | ReplaceReport:
         """Swap a component's implementation, or an architecture for another.
 
@@ -72,6 +77,8 @@ class Running:
             ``package.module:Class``, or another architecture of the same function.
         adapt
             ``package.module:function`` that maps the old state to the new one.
+        fresh
+            Whether the old state is dropped.
 
         Raises
         ------
@@ -80,14 +87,16 @@ class Running:
         """
         report: MoveReport | ReplaceReport
         if ":" in by:
-            report = self._ask(AskReplace(what, by, adapt), Moved).report
+            command = ReplaceCommand(what, by, adapt, fresh)
+            report = self._send(command, Moved).report
         else:
-            report = self._ask(AskAlternative(what, by, adapt), Replaced).report
+            architecture = ReplaceArchitectureCommand(what, by, adapt, fresh)
+            report = self._send(architecture, Replaced).report
         if not report.committed:
             raise RunError(f"{what} is not replaced: {report.reason}")
         return report
 
-    def balance(self, *, cost: float = 0.01, dry_run: bool = False) -> Balanced:
+    def balance(self, *, cost: float = 0.01, dry_run: bool = False) -> Rebalanced:
         """Place the robot again, from what its components need now.
 
         Parameters
@@ -102,20 +111,28 @@ class Running:
         RunError
             A move failed; everything is where it was.
         """
-        answer = self._ask(AskBalance(cost, dry_run), Balanced)
+        answer = self._send(RebalanceCommand(cost, dry_run), Rebalanced)
         if answer.report is not None and not answer.report.committed:
             raise RunError(f"the robot is as before: {answer.report.reason}")
         return answer
 
     def stop(self) -> None:
-        """Stop the robot; returns before all has ended."""
-        self._ask(AskStop(), Stopping)
+        """Stop the robot, and wait until it has stopped.
 
-    def _ask(self, what: Ask, type_: type[A]) -> A:
-        answer = ask(self.name, what)
-        if not isinstance(answer, type_):
-            raise RunError(f"the manager answered {answer!r} to {what!r}")
-        return answer
+        Raises
+        ------
+        RunError
+            Something still runs on a computer that is out of reach.
+        """
+        remaining = self._send(StopCommand(), StopReport).remaining
+        if remaining:
+            raise RunError("\n".join(remaining))
+
+    def _send(self, command: Command, type_: type[R]) -> R:
+        result = send_command(self.name, command)
+        if not isinstance(result, type_):
+            raise RunError(f"the manager answered {result!r} to {command!r}")
+        return result
 
 
 def connect(name: str | None = None) -> Running:

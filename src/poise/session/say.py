@@ -1,4 +1,4 @@
-"""How a function that takes long says what it does."""
+"""How a function that takes long says what it does, and how it is ended early."""
 
 from __future__ import annotations
 
@@ -10,3 +10,10 @@ Say = Callable[[str], object]
 
 log = logging.getLogger("poise")
 """Takes sentences where nobody else does."""
+
+Check = Callable[[], object]
+"""Called several times a second while a function waits; may raise to end that."""
+
+
+def nothing() -> None:
+    """Let a function go on."""

@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import threading
+import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -16,10 +17,12 @@ from poise.errors import RobotError, RunError
 from poise.model.robot import Robot
 from poise.runtime.hosting.command_line import die_with_parent, program
 from poise.runtime.waker import wait_readable
+from poise.session.say import Check, nothing
 
 READY_LIMIT = 20.0
 """A simulated world says ``ready`` within this time [s]."""
 _END_LIMIT = 3.0
+_LOOK_EVERY = 0.2
 
 
 class SimulatorProcess:
@@ -37,16 +40,20 @@ class SimulatorProcess:
         self._reader = threading.Thread(target=self._read, name="world", daemon=True)
         self._reader.start()
 
-    def wait_ready(self) -> None:
-        """Wait for its line ``ready``.
+    def wait_ready(self, check: Check) -> None:
+        """Wait for its line ``ready``; `check` may raise to end that.
 
         Raises
         ------
         RunError
             It said something else, or nothing within `READY_LIMIT`.
         """
-        if not self._has_spoken.wait(READY_LIMIT):
-            raise RunError(f"the simulator did not say 'ready' in {READY_LIMIT:g} s")
+        deadline = time.monotonic() + READY_LIMIT
+        while not self._has_spoken.wait(_LOOK_EVERY):
+            check()
+            if time.monotonic() > deadline:
+                limit = f"{READY_LIMIT:g} s"
+                raise RunError(f"the simulator did not say 'ready' in {limit}")
         line = (self._first or b"").decode(errors="replace").strip()
         if line != "ready":
             raise RunError(f"the simulator said {line!r} instead of 'ready'")
@@ -62,9 +69,9 @@ class SimulatorProcess:
         Raises
         ------
         RunError
-            Its last line is something else, or it does not end.
+            It gave none, its last line is something else, or it does not end.
         """
-        self._end()
+        self.end()
         return _object(self._last.decode(errors="replace"))
 
     def _read(self) -> None:
@@ -77,7 +84,8 @@ class SimulatorProcess:
                     self._last = line
         self._has_spoken.set()
 
-    def _end(self) -> None:
+    def end(self) -> None:
+        """End it, if it has not; RunError when it does not."""
         if self._process.returncode is not None:
             return
         if self._process.stdin is not None:
@@ -100,7 +108,9 @@ class SimulatorProcess:
 
 
 @contextlib.contextmanager
-def world_of(robot: Robot, folder: Path) -> Iterator[SimulatorProcess | None]:
+def world_of(
+    robot: Robot, folder: Path, check: Check = nothing
+) -> Iterator[SimulatorProcess | None]:
     """Run the robot's simulated world, if it has one, in the run's folder.
 
     Raises
@@ -116,11 +126,11 @@ def world_of(robot: Robot, folder: Path) -> Iterator[SimulatorProcess | None]:
     process = _start(robot.simulator.command, robot.folder, folder)
     world = SimulatorProcess(process)
     try:
-        world.wait_ready()
+        world.wait_ready(check)
         yield world
     finally:
         with contextlib.suppress(RunError):  # the run is over, one way or the other
-            world.result()
+            world.end()
 
 
 def _start(
@@ -143,7 +153,7 @@ def _start(
 
 def _object(line: str) -> Mapping[str, Any]:
     if not line:
-        return {}
+        raise RunError("the simulator ended without a result")
     try:
         found = json.loads(line)
     except json.JSONDecodeError:

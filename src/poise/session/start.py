@@ -18,7 +18,7 @@ from poise.manage.journal import Journal
 from poise.manage.run import Run
 from poise.model.robot import Robot
 from poise.session.computers import Computers, computers_of
-from poise.session.say import Say
+from poise.session.say import Check, Say, nothing
 from poise.session.simulator import SimulatorProcess, world_of
 from poise.session.temporary_folders import scratch_folder
 from poise.wire.records.samples import SAMPLE_EVERY, AgentSample
@@ -54,6 +54,7 @@ def started(
     journal: Journal,
     say: Say,
     sampling: Sampling | None = None,
+    check: Check = nothing,
 ) -> Iterator[Started]:
     """Start a robot's components on its computers; stop and remove all afterwards.
 
@@ -61,6 +62,8 @@ def started(
     ----------
     sampling
         Who takes the agents' samples; None: nobody.
+    check
+        Called several times a second until all is up; may raise to end that.
 
     Raises
     ------
@@ -75,7 +78,7 @@ def started(
         computers = stack.enter_context(
             computers_of(robot, folder / "computers", say, look.every)
         )
-        world = stack.enter_context(world_of(robot, folder))
+        world = stack.enter_context(world_of(robot, folder, check))
         agents = stack.enter_context(
             Agents(
                 robot.name,
@@ -85,10 +88,15 @@ def started(
                 lease=computers.lease,
             )
         )
-        agents.wait_alive(computers.endpoints, AGENT_LIMIT, computers.raise_if_ended)
+
+        def look_around() -> None:
+            check()
+            computers.raise_if_ended()
+
+        agents.wait_alive(computers.endpoints, AGENT_LIMIT, look_around)
         run = Run(robot, placement, agents, journal, str(folder), weigh=look.weigh)
         say(f"starting {len(placement)} components")
-        stack.enter_context(_running(run))
+        stack.enter_context(_running(run, check))
         stack.enter_context(gate)
         yield Started(run, computers, world)
 
@@ -129,9 +137,11 @@ def _check_runnable(robot: Robot, placed: Iterable[str]) -> None:
 
 
 @contextlib.contextmanager
-def _running(run: Run) -> Iterator[None]:
+def _running(run: Run, check: Check) -> Iterator[None]:
     try:
+        run.check = check
         run.start()
+        run.check = nothing
         yield
     except BaseException:
         # what is left is ended with its computer; the first error is the one to tell

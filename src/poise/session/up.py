@@ -5,32 +5,16 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from poise.errors import PoiseError, RunError, UsageError
-from poise.manage.adaptation.replan import propose
-from poise.manage.control import (
-    Answered,
-    AskAlternative,
-    AskBalance,
-    Asked,
-    AskMove,
-    AskReplace,
-    AskStatus,
-    AskStop,
-    Balanced,
-    ControlServer,
-    Moved,
-    Replaced,
-    RobotStatus,
-    Stopping,
-)
+from poise.errors import RunError, UsageError
+from poise.manage.control_socket.records import StopCommand
+from poise.manage.control_socket.server import ControlServer
 from poise.manage.journal import Journal
-from poise.manage.migration.move import move, replace
-from poise.manage.migration.replacement import replace_architecture
-from poise.manage.migration.transition_run import transit
+from poise.manage.manager import Manager, SampleQueue
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.prometheus import MetricsServer
 from poise.manage.observe.recording import Recording, save
@@ -39,7 +23,7 @@ from poise.session.placement import Placement, runnable
 from poise.session.profiles import read_profile
 from poise.session.robot_file import task_of
 from poise.session.running import Running
-from poise.session.say import Say, log
+from poise.session.say import Check, Say, log, nothing
 from poise.session.start import Sampling, Started, started
 from poise.wire.records.recorded import Recorded
 from poise.wire.records.samples import AgentSample
@@ -55,9 +39,9 @@ _END_LIMIT = 60.0
 class Up(Running):
     """A robot that this process keeps up."""
 
-    def __init__(self, name: str, manager: Manager) -> None:
+    def __init__(self, name: str, keeper: _Keeper) -> None:
         super().__init__(name)
-        self._manager = manager
+        self._keeper = keeper
 
     def wait(self, seconds: float | None = None) -> bool:
         """Wait up to `seconds` [s] until the robot is stopped; return whether it is.
@@ -65,9 +49,9 @@ class Up(Running):
         Raises
         ------
         RunError
-            It broke: a computer was lost.
+            Something still runs, because its computer is out of reach.
         """
-        return self._manager.wait(seconds)
+        return self._keeper.wait(seconds)
 
 
 @contextlib.contextmanager
@@ -81,6 +65,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     otel: str | None = None,
     record: Path | None = None,
     say: Say = log.info,
+    check: Check = nothing,
 ) -> Iterator[Up]:
     """Start a robot, keep it up inside the ``with`` block, and stop it afterwards.
 
@@ -99,7 +84,10 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     record
         A file for what agents say of what is used; None: it is not kept.
     say
-        Takes a sentence at every step. It may be called on another thread.
+        Takes a sentence at every step, and each entry of the journal. It is called on
+        the manager's thread, too, and must not block.
+    check
+        Called several times a second until it is up; may raise `KeyboardInterrupt`.
 
     Raises
     ------
@@ -112,9 +100,8 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     placed = runnable(robot, chosen, placement)
     send = _telemetry() if otel is not None else None
     with contextlib.ExitStack() as stack:
-        control_server = ControlServer(robot.name)
-        stack.callback(control_server.close)
-        book = Journal(journal or ":memory:")
+        server = stack.enter_context(ControlServer(robot.name))
+        book = Journal(journal or ":memory:", lambda entry: say(str(entry)))
         stack.callback(book.close)
         emulated = all(computer.address is None for computer in robot.computers)
         estimates = Estimates(robot, read_profile(robot), emulated=emulated)
@@ -125,20 +112,24 @@ def up(  # noqa: PLR0913 - each is a choice of the user
                     Recorded(robot=robot.name, samples=recording.take()), record
                 )
             )
-        samples = Samples(estimates, recording if record else None, say)
+        waiting = SampleQueue()
         it = stack.enter_context(
-            started(robot, placed.where, book, say, Sampling(samples.take))
+            started(robot, placed.where, book, say, Sampling(waiting.add), check)
         )
         agents = it.run.agents
         if metrics is not None:
-            server = MetricsServer(estimates, agents.statuses, ("127.0.0.1", metrics))
-            stack.callback(server.close)
-        if send is not None and otel is not None:
-            to = send(robot.name, estimates, agents.statuses, otel)
+            to = MetricsServer(estimates, agents.statuses, ("127.0.0.1", metrics))
             stack.callback(to.close)
-        manager = Manager(it, chosen, estimates, samples, control_server)
-        with manager:
-            yield Up(robot.name, manager)
+        if send is not None and otel is not None:
+            sender = send(robot.name, estimates, agents.statuses, otel)
+            stack.callback(sender.close)
+        samples = Samples(
+            estimates, recording if record else None, partial(book.note, "seen")
+        )
+        manager = Manager(it.run, chosen, estimates, waiting, samples.take)
+        keeper = stack.enter_context(_Keeper(it, manager, samples))
+        server.start(manager.submit)
+        yield Up(robot.name, keeper)
 
 
 def _telemetry() -> type[Telemetry]:
@@ -182,28 +173,14 @@ class Samples:
             )
 
 
-class Manager:
-    """Watches a running robot and answers what is asked of it, on its own thread.
+class _Keeper:
+    """Lets the manager work on a thread of its own inside the ``with`` block."""
 
-    It works inside its ``with`` block, which raises what broke.
-    """
-
-    def __init__(
-        self,
-        started: Started,
-        task: str,
-        estimates: Estimates,
-        samples: Samples,
-        control: ControlServer,
-    ) -> None:
+    def __init__(self, started: Started, manager: Manager, samples: Samples) -> None:
         self._started = started
-        self._run = started.run
-        self._task = task
-        self._estimates = estimates
+        self._manager = manager
         self._samples = samples
-        self._control = control
-        self._is_stopping = False
-        self._error: PoiseError | None = None
+        self._error: Exception | None = None
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._main, name="manager", daemon=True)
 
@@ -217,14 +194,14 @@ class Manager:
         error: BaseException | None,
         _traceback: TracebackType | None,
     ) -> None:
-        self._is_stopping = True
+        self._manager.submit(StopCommand())
         if not self._ended.wait(_END_LIMIT):
             raise RunError(f"the manager was still busy after {_END_LIMIT:g} s")
         if error is None:
             self.wait(0.0)
 
     def wait(self, seconds: float | None) -> bool:
-        """Wait up to `seconds` [s] for its end; raise what broke."""
+        """Wait up to `seconds` [s] for the stop; raise what went wrong with it."""
         has_ended = self._ended.wait(seconds)
         if self._error is not None:
             raise self._error
@@ -232,51 +209,18 @@ class Manager:
 
     def _main(self) -> None:
         try:
-            while not self._is_stopping:
-                self._control.serve(self.answer, _LOOK_EVERY)
-                self._run.raise_on_lost()
-                world = self._started.world
-                if world is not None and world.has_ended():
-                    self._samples.end()
-        except PoiseError as error:
+            self._keep_up()
+        except Exception as error:  # noqa: BLE001, `wait` raises it
             self._error = error
         finally:
             self._ended.set()
 
-    def answer(self, asked: Asked) -> Answered:
-        """Do what is asked."""
-        run = self._run
-        match asked.what:
-            case AskMove(component, computer):
-                return Answered(Moved(move(run, component, computer)))
-            case AskReplace(component, implementation, adapt):
-                return Answered(Moved(replace(run, component, implementation, adapt)))
-            case AskBalance(cost, dry):
-                return Answered(self._balance(cost, dry=dry))
-            case AskAlternative(architecture, by, adapt):
-                return Answered(
-                    Replaced(replace_architecture(run, architecture, by, adapt))
-                )
-            case AskStop():
-                self._is_stopping = True
-                return Answered(Stopping())
-            case AskStatus():
-                return Answered(
-                    RobotStatus(
-                        robot=run.robot.name,
-                        task=self._task,
-                        placement=run.placement(),
-                        computers=run.agents.statuses(),
-                        lost=tuple(sorted(run.agents.lost())),
-                        demand_estimates=tuple(self._estimates.demand_estimates()),
-                    )
-                )
-
-    def _balance(self, move: float, *, dry: bool) -> Balanced:
-        run, demand_estimates = self._run, self._estimates.demand_estimates()
-        proposal = propose(
-            run.robot, self._task, run.placement(), demand_estimates, move
-        )
-        if dry or not proposal.steps:
-            return Balanced(proposal)
-        return Balanced(proposal, transit(run, proposal.steps))
+    def _keep_up(self) -> None:
+        world = self._started.world
+        try:
+            while not self._manager.is_stopping:
+                self._manager.work(_LOOK_EVERY)
+                if world is not None and world.has_ended():
+                    self._samples.end()
+        finally:
+            self._manager.stop()

@@ -123,6 +123,7 @@ def test_link_carries_what_the_robot_file_says(
     assert 0.2 * 12.5e6 < rate < 1.1 * 12.5e6
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("needs_namespaces")
 def test_owner_reaches_the_computers(two_computers: Robot, tmp_path: Path) -> None:
     with Emulation(two_computers, tmp_path) as emulation:
@@ -137,6 +138,7 @@ def test_owner_reaches_the_computers(two_computers: Robot, tmp_path: Path) -> No
         server.stdout.close()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("needs_namespaces")
 def test_socket_by_path_is_reached_from_another_computer(
     two_computers: Robot, tmp_path: Path

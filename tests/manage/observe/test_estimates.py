@@ -149,6 +149,7 @@ def test_tells_prometheus_what_each_end_counts(robot: Robot) -> None:
     assert "poise_connector_delay_seconds{" not in text  # there were no calls
 
 
+@pytest.mark.slow
 def test_serves_metrics_and_nothing_else(robot: Robot, steady: Sampler) -> None:
     estimates = Estimates(robot, None, emulated=True)
     for k in range(3):
@@ -166,6 +167,7 @@ def test_serves_metrics_and_nothing_else(robot: Robot, steady: Sampler) -> None:
         server.close()
 
 
+@pytest.mark.slow
 def test_metrics_where_somebody_else_listens_name_the_address(robot: Robot) -> None:
     estimates = Estimates(robot, None, emulated=True)
     with socket.create_server(("127.0.0.1", 0)) as other:

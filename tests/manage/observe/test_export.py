@@ -38,6 +38,7 @@ def test_a_row_for_every_end_of_a_connector(steady: Sampler, tmp_path: Path) -> 
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["components", "connectors"])
 def test_parquet_holds_the_same(steady: Sampler, tmp_path: Path, which: Which) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")

@@ -75,6 +75,7 @@ def test_nesting_has_a_limit() -> None:
     assert problems[0].column == DEEPEST + 1
 
 
+@pytest.mark.slow
 def test_aliases_cannot_grow_a_small_file_into_a_huge_tree() -> None:
     # 10^9 values when expanded
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]

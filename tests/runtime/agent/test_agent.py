@@ -23,17 +23,21 @@ from poise.wire.records.deployment import (
     Accepted,
     AgentStatus,
     Answer,
+    Claim,
     ComponentSpec,
     ComponentStatus,
     ContainerSpec,
     ContainerStatus,
     Deployment,
     Goal,
+    ManagerId,
+    ManagerRequest,
     Refused,
     Request,
 )
 from poise.wire.records.migration import Failed, Order, Retire
-from tests.runtime.conftest import LIMIT, free_port
+from tests.runtime.conftest import free_port
+from tests.waiting import LIMIT, wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -57,6 +61,10 @@ class Stubborn(Component):
 """
 
 
+def manager_id(key: str) -> ManagerId:
+    return ManagerId(key=key, user="ann", host="desk", pid=7, since=0.0)
+
+
 class Manager:
     """What a manager sees of one agent, and asks of it."""
 
@@ -74,6 +82,7 @@ class Manager:
             "poise/test/status/main", self._on_status
         )
         self.wait_for(lambda _: True)
+        assert self.ask(Claim(manager_id("first"))) == Accepted()
 
     def start_agent(self, *extra: str) -> subprocess.Popen[str]:
         argv = [sys.executable, "-m", "poise", "agent", "main", "--robot", "test"]
@@ -83,8 +92,9 @@ class Manager:
             argv, pass_fds=[self.lifeline], stderr=subprocess.PIPE, text=True
         )
 
-    def ask(self, request: Request) -> Any:
-        return self.ask_raw(msgspec.msgpack.encode(request))
+    def ask(self, request: Request, token: int = 1) -> Any:
+        asked = ManagerRequest(token=token, request=request)
+        return self.ask_raw(msgspec.msgpack.encode(asked))
 
     def ask_raw(self, data: bytes) -> Any:
         key = "poise/test/agent/main"
@@ -98,7 +108,7 @@ class Manager:
         self._generation += 1
         containers = tuple(self._container(name, goal, more) for name in names)
         wanted = Deployment(generation=self._generation, containers=containers)
-        assert self.ask(wanted) == Accepted(self._generation)
+        assert self.ask(wanted) == Accepted()
 
     def wait_for(self, what: Callable[[AgentStatus], bool]) -> AgentStatus:
         """Wait until a status of the present generation is as asked."""
@@ -340,6 +350,29 @@ def test_refuses_a_manager_that_is_behind(manager: Manager) -> None:
     answer = manager.ask(Deployment(generation=1, containers=()))
     assert isinstance(answer, Refused)
     assert "generation 1 is older than" in answer.reason
+
+
+def test_obeys_one_manager_until_that_is_gone(doomed: Manager) -> None:
+    token = doomed._session.liveliness().declare_token("poise/test/manager/first")
+    doomed.deploy("quiet")
+
+    refused = doomed.ask(Claim(manager_id("second")), token=9)
+    assert isinstance(refused, Refused)
+    assert "robot 'test' is managed by user ann on desk (process 7)" in refused.reason
+    doomed.wait_active("quiet")
+
+    token.undeclare()  # type: ignore[no-untyped-call]
+    assert doomed.ask(Claim(manager_id("second")), token=1) != Accepted()
+    wait_until(lambda: doomed.ask(Claim(manager_id("second")), token=2) == Accepted())
+
+    empty = Deployment(generation=99, containers=())
+    assert isinstance(doomed.ask(empty, token=1), Refused)
+    order = Order(number=7, container="quiet", steps=(Retire("quiet", 0),), limit=1.0)
+    refused = doomed.ask(order, token=1)
+    assert isinstance(refused, Failed)
+    assert "fencing token is 2" in refused.reason
+    doomed.wait_active("quiet")
+    assert doomed.ask(empty, token=2) == Accepted()
 
 
 def test_a_step_for_a_container_that_is_not_there_fails(manager: Manager) -> None:

@@ -25,7 +25,10 @@ from poise.wire.connections.connection import Connection
 from poise.wire.connections.opening import CALLS, Opening
 from poise.wire.frame import Kind
 from poise.wire.records.deployment import ConnectorSpec
-from tests.runtime.conftest import LIMIT, Pair, every_kind, wait_until
+from tests.runtime.conftest import Pair, every_kind
+from tests.waiting import LIMIT, wait_until
+
+pytestmark = pytest.mark.slow
 
 SHORT = 0.05
 

@@ -252,6 +252,7 @@ def test_knows_about_the_cpu_time_of_bursts(
     assert 0.05 * used < counts.cpu < wall
 
 
+@pytest.mark.slow
 def test_does_not_take_waiting_for_cpu_time(
     exclusion: Exclusion, counts: Counts
 ) -> None:

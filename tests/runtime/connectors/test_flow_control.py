@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 
 from poise.errors import Unavailable
@@ -19,11 +21,11 @@ NOTHING: Codec[None] = Codec(type(None))
 
 
 class Way:
-    """Brings grants to a source, unless it is cut."""
+    """Brings credit to a source, unless it is cut."""
 
     def __init__(self, credits_: Credits) -> None:
         self.credits = credits_
-        self.granted: list[int] = []
+        self.totals: list[int] = []
         self.is_cut = False
         self.is_closed = False
 
@@ -37,7 +39,7 @@ class Way:
         if self.is_cut:
             raise Unavailable("cut")
         received = frame.parse(b"".join(pieces))
-        self.granted.append(received.number)
+        self.totals.append(received.number)
         self.credits.handle(received)
 
     def close(self) -> None:
@@ -51,16 +53,25 @@ class Joined:
         self.credits = Credits()
         self.credit = self.credits.open("here")
         self.way = Way(self.credits)
+        self.tasks: list[Callable[[], None]] = []
         self.start_target(policy, size)
 
     def start_target(self, policy: Policy = "block", size: int = 4) -> None:
         self.inbox = Inbox("notes", Queue(policy, size))
         self.counts = Counts()
         self.feed = Feed(Mailbox(Account()), self.inbox, self.counts)
-        self.issuer = CreditIssuer("a.b", self.feed, self.counts, lambda _: self.way)
+        self.issuer = CreditIssuer(
+            "a.b", self.feed, self.counts, lambda _: self.way, self.tasks.append
+        )
+
+    def run(self) -> None:
+        """Do what the I/O thread does."""
+        while self.tasks:
+            self.tasks.pop(0)()
 
     def ask(self) -> None:
-        self.issuer.asked(frame.parse(b"".join(self.credit.question())))
+        self.issuer.requested(frame.parse(b"".join(self.credit.request())))
+        self.run()
 
     def send(self, *, arrives: bool = True) -> None:
         assert self.credit.has_room()
@@ -69,12 +80,12 @@ class Joined:
         self.push(arrives=arrives)
 
     def push(self, *, arrives: bool = True) -> None:
-        """Send without a question, or after one that got lost."""
+        """Send without a request, or after one that got lost."""
         self.credit.sent += 1
-        number, life = self.credit.sent, self.credit.life
+        number, route = self.credit.sent, self.credit.route
         if arrives:
             pieces = frame.segments(
-                NOTHING, None, Kind.MESSAGE, number=number, chain=life
+                NOTHING, None, Kind.MESSAGE, number=number, chain=route
             )
             self.issuer.came(frame.parse(b"".join(pieces)))
             self.feed.put((0, number))
@@ -89,6 +100,7 @@ class Joined:
     def take(self, count: int) -> None:
         for _ in range(count):
             assert self.inbox.take() is not None
+            self.run()
 
 
 @pytest.fixture
@@ -101,12 +113,12 @@ def test_as_many_go_as_there_is_room_for(joined: Joined) -> None:
     assert len(joined.inbox.waiting()) == 4
 
 
-def test_grants_when_half_of_the_queue_is_empty_again(joined: Joined) -> None:
+def test_gives_credit_when_half_of_the_queue_is_empty_again(joined: Joined) -> None:
     joined.send_all()
     joined.take(1)
     assert not joined.credit.has_room()
     joined.take(1)
-    assert joined.way.granted == [4, 6]  # one grant for two messages
+    assert joined.way.totals == [4, 6]  # one frame for two messages
     assert joined.send_all() == 2
 
 
@@ -125,7 +137,7 @@ def test_a_small_queue_is_filled_and_never_overfilled(size: int) -> None:
         joined.take(size)
 
 
-def test_a_lost_grant_is_made_good_when_the_source_asks(joined: Joined) -> None:
+def test_lost_credit_is_made_good_when_the_source_requests_it(joined: Joined) -> None:
     joined.send_all()
     joined.way.is_cut = True
     joined.take(4)
@@ -136,11 +148,11 @@ def test_a_lost_grant_is_made_good_when_the_source_asks(joined: Joined) -> None:
     assert joined.counts.drops == 0
 
 
-def test_a_grant_that_comes_twice_or_late_changes_nothing(joined: Joined) -> None:
+def test_credit_that_comes_twice_or_late_changes_nothing(joined: Joined) -> None:
     joined.send_all()
     joined.take(2)
-    for granted in (6, 4, 1):
-        joined.credit.hear(granted)
+    for total in (6, 4, 1):
+        joined.credit.extend(total)
     assert joined.send_all() == 2
 
 
@@ -157,7 +169,7 @@ def test_messages_that_got_lost_are_counted_and_leave_their_room(
     assert joined.send_all() == 2  # two are there
 
 
-def test_when_all_got_lost_the_question_tells(joined: Joined) -> None:
+def test_when_all_got_lost_the_request_tells(joined: Joined) -> None:
     joined.send()
     for _ in range(3):
         joined.send(arrives=False)
@@ -177,7 +189,7 @@ def test_what_got_lost_before_anything_came_is_counted_once(joined: Joined) -> N
     assert joined.send_all() == 3
 
 
-def test_when_all_got_lost_from_the_first_on_the_question_tells(joined: Joined) -> None:
+def test_when_all_got_lost_from_the_first_on_the_request_tells(joined: Joined) -> None:
     joined.push(arrives=False)
     joined.push(arrives=False)
     joined.ask()
@@ -185,7 +197,7 @@ def test_when_all_got_lost_from_the_first_on_the_question_tells(joined: Joined) 
     assert joined.send_all() == 4
 
 
-def test_a_target_that_was_started_anew_grants_again(joined: Joined) -> None:
+def test_a_target_that_was_restarted_gives_credit_again(joined: Joined) -> None:
     joined.send_all()
     joined.start_target()
     joined.ask()
@@ -193,11 +205,11 @@ def test_a_target_that_was_started_anew_grants_again(joined: Joined) -> None:
     assert joined.counts.drops == 0  # what the one before had is not its own
 
 
-def test_a_source_that_was_started_anew_counts_anew(joined: Joined) -> None:
+def test_a_source_that_was_restarted_counts_from_the_first(joined: Joined) -> None:
     joined.send_all()
     old = joined.credit
     joined.credit = joined.credits.open("here")
-    joined.take(2)  # grants for the source that is no more
+    joined.take(2)  # credit for the source that is no more
     assert old.has_room()
     assert joined.send_all() == 2  # two of the old one's still wait
     joined.take(4)
@@ -205,25 +217,39 @@ def test_a_source_that_was_started_anew_counts_anew(joined: Joined) -> None:
     assert joined.counts.drops == 0
 
 
-def test_a_queue_that_keeps_the_last_grants_without_end_once() -> None:
+def test_a_queue_that_keeps_the_last_gives_credit_without_bound_once() -> None:
     joined = Joined("keep", 1)
     for _ in range(1000):
         joined.send()
-    assert len(joined.way.granted) == 1
+    assert len(joined.way.totals) == 1
     assert joined.way.is_closed
 
 
-def test_a_question_without_an_address_is_refused(joined: Joined) -> None:
+def test_a_request_without_an_address_is_refused(joined: Joined) -> None:
     pieces = frame.segments(NOTHING, None, Kind.CREDIT_REQUEST)
     with pytest.raises(WireError, match="not a str"):
-        joined.issuer.asked(frame.parse(b"".join(pieces)))
+        joined.issuer.requested(frame.parse(b"".join(pieces)))
 
 
-def test_a_grant_for_a_path_that_is_gone_says_nothing() -> None:
+def test_credit_for_a_route_that_is_gone_changes_nothing() -> None:
     credits_ = Credits()
-    gone = credits_.open("here").life  # nobody keeps it
+    gone = credits_.open("here").route  # nobody keeps it
     other = credits_.open("here")
     pieces = frame.segments(NOTHING, None, Kind.CREDIT, number=9, chain=gone)
     credits_.handle(frame.parse(b"".join(pieces)))
     other.sent = 1
     assert not other.has_room()
+
+
+def test_the_component_and_the_receiving_thread_send_nothing(joined: Joined) -> None:
+    """A source that takes no credit keeps only the I/O thread waiting."""
+    joined.issuer.requested(frame.parse(b"".join(joined.credit.request())))
+    assert joined.way.totals == []
+    joined.run()
+    for _ in range(4):
+        joined.push()
+    for _ in range(4):
+        assert joined.inbox.take() is not None
+    assert joined.way.totals == [4]
+    joined.run()
+    assert joined.way.totals == [4, 8]  # what came meanwhile goes out in one frame

@@ -14,7 +14,10 @@ from poise.runtime.connectors.channel_route import ChannelRoute
 from poise.runtime.connectors.interface import methods
 from poise.wire.connections.channel import Pieces
 from poise.wire.frame import FAILURE, Frame, Kind, segments
-from tests.runtime.conftest import LIMIT, Pair
+from tests.runtime.conftest import Pair
+from tests.waiting import LIMIT
+
+pytestmark = pytest.mark.slow
 
 AHEAD = 1000.0
 """How far the caller's clock is ahead where its computer is another [s]."""

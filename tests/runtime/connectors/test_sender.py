@@ -1,4 +1,4 @@
-"""An outlet sends every message over exactly one of its paths, in order."""
+"""A sender sends every message over exactly one of its routes, in order."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from poise.runtime.connectors.interface import Method
 from poise.runtime.connectors.sender import Facade, Sender
 from poise.runtime.execution.exclusion import Exclusion, new_chain
 from poise.wire.codec import WireError
+from tests.runtime.conftest import wait_until
 
 LONG = 20.0
 
@@ -71,10 +72,17 @@ class FakeRoute:
             raise Unavailable("nobody there")
 
     def send_marker(self, number: int) -> None:
-        self.went.append(f"mark {number}")
+        if not self.ready:
+            raise Unavailable("nobody there")
+        self.went.append(f"marker {number}")
 
     def close(self) -> None:
         self.is_closed = True
+
+
+def drain(sender: Sender) -> None:
+    """Wait until what was buffered went out."""
+    wait_until(lambda: sender._buffer is None)
 
 
 @pytest.fixture
@@ -104,14 +112,14 @@ def test_uses_the_first_path(sender: Sender, old: FakeRoute, new: FakeRoute) -> 
 def test_a_marker_goes_behind_all_that_went(sender: Sender, old: FakeRoute) -> None:
     sender.send(1)
     sender.send_marker(7)
-    assert old.went == [1, "mark 7"]
+    assert old.went == [1, "marker 7"]
 
 
-def test_no_mark_goes_to_nobody(sender: Sender) -> None:
+def test_no_marker_goes_to_nobody(sender: Sender) -> None:
     with pytest.raises(Unavailable, match="nobody at its other end"):
         sender.send_marker(7)
     sender.add("old", FakeRoute(ready=False))
-    with pytest.raises(Unavailable, match="nobody at its other end"):
+    with pytest.raises(Unavailable, match="nobody there"):
         sender.send_marker(7)
 
 
@@ -123,6 +131,7 @@ def test_what_is_kept_back_goes_when_its_source_works(
     assert old.went == []
     sender.send_buffered()
     sender.send(2)
+    drain(sender)
     assert old.went == [1, 2]
 
 
@@ -135,6 +144,7 @@ def test_what_is_kept_back_also_waits_for_a_target_that_moves(
     sender.send_buffered()
     assert (old.went, new.went) == ([], [])
     sender.switch("new")
+    drain(sender)
     assert (old.went, new.went) == ([], [1])
 
 
@@ -149,6 +159,7 @@ def test_what_was_held_goes_one_way_in_order(
     assert (old.went, new.went) == ([1], [])
     sender.switch(towards)
     sender.send(4)
+    drain(sender)
     expected = {"old": ([1, 2, 3, 4], []), "new": ([1], [2, 3, 4])}
     assert (old.went, new.went) == expected[towards]
 
@@ -162,6 +173,7 @@ def test_what_was_held_goes_where_one_way_is_left(
     sender.send(1)
     sender.remove(gone)
     sender.send(2)
+    drain(sender)
     went = {"old": old, "new": new}
     assert went[kept].went == [1, 2]
     assert went[gone].went == []
@@ -177,10 +189,12 @@ def test_what_was_held_goes_out_before_the_next_move(
     next_one = FakeRoute()
     sender.add("next", next_one)
     sender.remove("new")
+    drain(sender)
     assert (old.went, new.went, next_one.went) == ([1], [], [])
     sender.buffer_for_move()
     sender.send(2)
     sender.switch("next")
+    drain(sender)
     assert (old.went, next_one.went) == ([1], [2])
 
 
@@ -192,6 +206,7 @@ def test_what_was_held_and_cannot_cross_hinders_nothing_else(
         sender.send(value)
     sender.switch("new")
     sender.send(4)
+    drain(sender)
     assert (old.went, new.went) == ([], [1, 3, 4])
     assert sender.counts.drops == 1
 
@@ -222,6 +237,7 @@ def test_a_publisher_waits_while_too_much_is_held(
         sender.send(number)  # the third waits for the outlet's limit, and is lost
     assert sender.counts.drops == 1
     sender.switch("new")
+    drain(sender)
     assert new.went == [0, 1]
 
 
@@ -294,6 +310,7 @@ def test_who_waits_for_room_does_not_hinder_a_move(old: FakeRoute) -> None:
         sender.buffer_for_move()  # its message is held, too
         sent.result(LONG)
     sender.switch("new")
+    drain(sender)
     assert (old.went, new.went) == ([], [1])
 
 
@@ -347,3 +364,60 @@ def test_without_a_path_calls_are_unavailable(calling: tuple[Sender, Any]) -> No
     sender.remove("old")
     with pytest.raises(Unavailable, match=r"'a.sums-b.sums' is not connected"):
         facade.add(1)
+
+
+class SlowRoute(FakeRoute):
+    """Its receiver takes nothing until the test lets it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.begun, self.go_on = threading.Event(), threading.Event()
+
+    def push(self, method: Method | None, value: object) -> int:
+        self.begun.set()
+        assert self.go_on.wait(LONG)
+        return super().push(method, value)
+
+
+def test_only_the_publisher_waits_for_a_receiver_that_takes_nothing(
+    old: FakeRoute,
+) -> None:
+    """The thread that brings credits and the control thread go on."""
+    sender = Sender("a.notes-b.notes", Port("notes", "publishes", Note), None, LONG)
+    slow = SlowRoute()
+    sender.add("slow", slow)
+    with ThreadPoolExecutor(2) as pool:
+        sent = pool.submit(sender.send, 1)
+        assert slow.begun.wait(LONG)
+        sender.room()
+        sender.add("old", old)
+        sender.buffer_for_move()
+        sender.send(2)
+        marked = pool.submit(sender.send_marker, 7)
+        sender.switch("old")
+        assert not sent.done()
+        slow.go_on.set()
+        sent.result(LONG)
+        marked.result(LONG)
+    drain(sender)
+    assert sorted(map(str, [*slow.went, *old.went])) == ["1", "2", "marker 7"]
+    assert old.went[0] == 2
+
+
+def test_nobody_waits_while_what_was_buffered_goes_out(old: FakeRoute) -> None:
+    """Neither the step of a move that switches, nor one that closes a route."""
+    sender = Sender("a.notes-b.notes", Port("notes", "publishes", Note), None, LONG)
+    slow = SlowRoute()
+    sender.add("old", old)
+    sender.add("slow", slow)
+    sender.buffer_for_move()
+    for number in (1, 2):
+        sender.send(number)
+    sender.switch("slow")
+    assert slow.begun.wait(LONG)
+    sender.send(3)
+    sender.remove("old")
+    assert slow.went == []
+    slow.go_on.set()
+    sender.send_marker(7)  # waits: it goes behind them
+    assert slow.went == [1, 2, 3, "marker 7"]

@@ -72,6 +72,7 @@ def start(work: Callable[[], object]) -> threading.Thread:
     return thread
 
 
+@pytest.mark.slow
 @given(STEPS)
 def test_agrees_with_the_reference(steps: list[tuple[Any, ...]]) -> None:
     native, readable = Exclusion("callee"), reference.Exclusion("callee")
@@ -155,6 +156,7 @@ def test_pauses_only_when_nobody_is_inside(exclusion: Any) -> None:
     exclusion.enter(5, 0)
 
 
+@pytest.mark.slow
 def test_lets_one_chain_in_at_a_time_under_many_threads(exclusion: Any) -> None:
     """Eight threads add to one number without another lock; none is lost."""
     total = 0

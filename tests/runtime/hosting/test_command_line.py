@@ -16,6 +16,8 @@ from poise.runtime.hosting.command_line import Command, environment, program
 from poise.runtime.waker import wait_readable
 from poise.wire.records.deployment import ComponentSpec
 
+pytestmark = pytest.mark.slow
+
 LIMIT = 20.0
 
 

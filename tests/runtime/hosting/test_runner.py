@@ -17,7 +17,7 @@ from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.execution.exclusion import Redirected
 from poise.runtime.hosting.runner import Runner
 from poise.wire.records.deployment import ComponentSpec, State
-from tests.runtime.conftest import wait_until
+from tests.waiting import wait_until
 
 LIMIT = 20.0
 
@@ -198,6 +198,7 @@ def test_its_cpu_time_is_known_after_its_end(running: Fixture) -> None:
     assert runner.status().cpu > 0.0
 
 
+@pytest.mark.slow
 def test_many_that_end_at_once_are_asked_how_they_are(running: Fixture) -> None:
     # a status must not ask for the CPU clock of a thread that is ending
     for _ in range(50):

@@ -15,6 +15,7 @@ import pytest
 from poise.runtime import _calls
 from poise.runtime._calls import Account, Counts, Reader
 from poise.runtime.hosting.stats_page import new_memory
+from tests.waiting import wait_until
 
 EPOCH = 3
 
@@ -156,8 +157,8 @@ def test_tells_the_cpu_time_of_a_thread_also_after_its_end(book: Book) -> None:
     thread = threading.Thread(target=work)
     thread.start()
     assert burned.wait(20)
-    while book.cpu("eye") < 0.05:  # the kernel's number may be a tick old
-        time.sleep(0.001)
+    # the kernel's number may be a tick old
+    wait_until(lambda: book.cpu("eye") >= 0.05)
     may_end.set()
     thread.join(20)
     assert 0.05 <= book.cpu("eye") < 0.2
@@ -247,13 +248,13 @@ def test_a_name_may_be_as_long_as_two_components_and_their_ports(book: Book) -> 
     assert book.component("x" * 255)
 
 
+@pytest.mark.slow
 def test_counts_a_process_as_its_command(book: Book) -> None:
     account = book.account("driver")
     with subprocess.Popen([sys.executable, "-c", "while True: pass"]) as process:
         account.watch(process.pid)
         assert book.reader.commands() == [process.pid]
-        while book.cpu("driver") < 0.01:
-            time.sleep(0.001)
+        wait_until(lambda: book.cpu("driver") >= 0.01)
         read = book.reader.read()
         assert read is not None
         assert read[1] > book.cpu("driver") - 1  # it is in the container's time
@@ -283,6 +284,7 @@ def test_what_is_dropped_is_told_of_no_more(book: Book) -> None:
     assert book.reader.read() is None
 
 
+@pytest.mark.slow
 def test_a_process_that_has_ended_is_not_told_of(memory: int) -> None:
     book = Book(memory)
     book.account("eye")

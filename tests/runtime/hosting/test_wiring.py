@@ -18,7 +18,10 @@ from poise.runtime.execution.exclusion import new_chain
 from poise.wire.codec import WireError
 from poise.wire.frame import FAILURE, Frame, Kind, segments
 from poise.wire.records.deployment import ConnectorStatus
-from tests.runtime.conftest import LIMIT, Pair, every_kind, wait_until
+from tests.runtime.conftest import Pair, every_kind
+from tests.waiting import LIMIT, wait_until
+
+pytestmark = pytest.mark.slow
 
 
 class Scan(Message):

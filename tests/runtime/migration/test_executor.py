@@ -22,7 +22,7 @@ from poise.wire.records.migration import (
     Rest,
     Step,
 )
-from tests.runtime.conftest import LIMIT
+from tests.waiting import LIMIT
 
 
 class Nothing(Component):

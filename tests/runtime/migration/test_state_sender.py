@@ -20,7 +20,7 @@ from poise.wire import frame
 from poise.wire.connections.channel import Pieces
 from poise.wire.frame import Frame
 from poise.wire.records.deployment import ComponentSpec
-from tests.runtime.conftest import wait_until
+from tests.waiting import wait_until
 
 LIMIT = 20.0
 

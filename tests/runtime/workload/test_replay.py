@@ -92,6 +92,7 @@ def test_makes_up_messages_at_a_rate_and_a_size() -> None:
     assert sizes == [108] * 40
 
 
+@pytest.mark.slow
 def test_arrivals_may_be_random_and_are_the_same_for_a_seed() -> None:
     """1000 in 50 s on average; the standard deviation is 32."""
     found = []

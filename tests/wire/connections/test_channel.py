@@ -8,15 +8,18 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 
+import numpy as np
 import pytest
 
 from poise.endpoint import Endpoint
 from poise.errors import Timeout, Unavailable
 from poise.wire import frame
 from poise.wire.address import Address
-from poise.wire.codec import WireError
+from poise.wire.codec import WireError, codec
 from poise.wire.connections import connection_channel, connection_server
 from poise.wire.connections.channel import Closed, Pieces
 from poise.wire.connections.connection import HEAD, Connection
@@ -24,18 +27,10 @@ from poise.wire.connections.connection_channel import ConnectionChannel
 from poise.wire.connections.opening import CALLS, MESSAGES
 from poise.wire.connections.socket_path import socket_path
 from poise.wire.frame import LARGEST, Frame, Kind
-from tests.wire.conftest import (
-    LIMIT,
-    SHORT,
-    TEXT,
-    Receiver,
-    Wire,
-    both,
-    call,
-    message,
-    remote,
-    wait_until,
-)
+from tests.waiting import LIMIT, wait_until
+from tests.wire.conftest import SHORT, TEXT, Receiver, Wire, both, call, message, remote
+
+pytestmark = pytest.mark.slow
 
 
 @both
@@ -400,7 +395,6 @@ threading.Event().wait()
 
 
 @both
-@pytest.mark.slow
 def test_a_container_that_is_killed_during_a_call_is_unavailable(wire: Wire) -> None:
     argv = [sys.executable, "-c", BLOCKED, str(wire.folder)]
     with subprocess.Popen(argv, stdout=subprocess.PIPE) as killed:
@@ -599,3 +593,45 @@ def test_a_channel_without_a_free_file_is_unavailable(
     assert not channel.is_ready()
     with pytest.raises(Unavailable, match="Too many open files"):
         channel.request(call("a"), LIMIT)
+
+
+@pytest.mark.parametrize("wire", ["local"], indirect=True)
+def test_an_answer_brings_a_new_block_over_a_connection_that_was_opened(
+    wire: Wire,
+) -> None:
+    arrays = codec(np.ndarray)
+
+    def answer(received: Frame) -> Pieces:
+        return frame.segments(arrays, received.value(arrays) + 1, Kind.RESULT)
+
+    wire.server().open("echo", answer)
+    channel = wire.channel()
+    for number in range(3):
+        asked = frame.segments(arrays, np.full(100_000, number), Kind.CALL)
+        got = channel.request(asked, LIMIT).value(arrays)
+        assert got.shape == (100_000,)
+        assert (got == number + 1).all()
+
+
+@pytest.mark.parametrize("wire", ["local"], indirect=True)
+@pytest.mark.parametrize("num_queued", [0, 2])
+def test_nobody_waits_for_a_container_that_stands_still(
+    wire: Wire, num_queued: int
+) -> None:
+    """Else one frozen container holds up the control threads of its neighbours."""
+    path = str(socket_path(wire.folder, "there"))
+    with ExitStack() as stack:
+        frozen = stack.enter_context(socket.socket(socket.AF_UNIX))
+        frozen.bind(path)
+        frozen.listen(0)
+        for _ in range(num_queued):
+            queued = stack.enter_context(socket.socket(socket.AF_UNIX))
+            queued.setblocking(False)
+            queued.connect_ex(path)
+        channels = [wire.channel() for _ in range(20)]
+        began = time.monotonic()
+        assert not any(channel.is_ready() for channel in channels)
+        assert time.monotonic() - began < 2.0  # it waited 0.2 s for each
+        frozen.listen(64)
+        with pytest.raises(Unavailable, match="no answer from"):
+            channels[0].request(call("a"), SHORT)

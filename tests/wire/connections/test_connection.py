@@ -24,6 +24,8 @@ from poise.wire.connections import shared_memory
 from poise.wire.connections.connection import Connection
 from poise.wire.frame import LARGEST, Kind
 
+pytestmark = pytest.mark.slow
+
 ANY = codec(Any)
 LONG = 20.0
 NEW = 1 << 31

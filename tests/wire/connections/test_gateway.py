@@ -22,16 +22,10 @@ from poise.wire.connections.gateway import Gateway
 from poise.wire.connections.opening import MESSAGES
 from poise.wire.connections.socket_path import gateway_path
 from poise.wire.frame import VERSION, Kind
-from tests.wire.conftest import (
-    LIMIT,
-    TEXT,
-    Receiver,
-    Wire,
-    call,
-    message,
-    remote,
-    wait_until,
-)
+from tests.waiting import LIMIT, wait_until
+from tests.wire.conftest import TEXT, Receiver, Wire, call, message, remote
+
+pytestmark = pytest.mark.slow
 
 ANYBODY = "127.0.0.1"
 

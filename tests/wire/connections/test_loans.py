@@ -21,6 +21,8 @@ from poise.wire.connections.connection import Connection
 from poise.wire.connections.shared_memory import MOST_BLOCKS, THRESHOLD
 from poise.wire.frame import Kind
 
+pytestmark = pytest.mark.slow
+
 ANY = codec(Any)
 LONG = 20.0
 SIZE = 1 << 20

@@ -43,6 +43,7 @@ class World:
     def __init__(self, folder: Path) -> None:
         self.simulation = Simulation()
         self.finished_at: float | None = None
+        self.is_told_to_end = False
         self._began = 0.0
         self._sound = Sound()
         self._steps = 0
@@ -96,6 +97,10 @@ class World:
             "path_length": round(simulation.path_length, 3),
         }
 
+    def end(self) -> None:
+        """End after this step; a signal's handler may call it at any moment."""
+        self.is_told_to_end = True
+
     def close(self) -> None:
         """Remove the sockets."""
         for outlet in self._outlets.values():
@@ -106,7 +111,7 @@ def run(world: World, *, endless: bool = False) -> None:
     """Step the world as the clock goes, until it is over or told to end."""
     held = stat.S_ISFIFO(os.fstat(sys.stdin.fileno()).st_mode)
     due = time.monotonic()
-    while endless or not world.over:
+    while not world.is_told_to_end and (endless or not world.over):
         due += STEP
         wait = due - time.monotonic()
         if wait < -MOST_BEHIND:
@@ -137,22 +142,16 @@ def main() -> int:
         message = f"POISE_RUN names the folder for the sockets; it is {folder!r}"
         print(message, file=sys.stderr)  # noqa: T201, this is a program
         return 2
-    signal.signal(signal.SIGTERM, _end)
     world = World(Path(folder))
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: world.end())
     try:
         print("ready", flush=True)  # noqa: T201
         run(world, endless="--endless" in sys.argv)
-    except KeyboardInterrupt:
-        pass
-    finally:
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends already
-        world.close()
         print(json.dumps(world.result()), flush=True)  # noqa: T201
+    finally:
+        world.close()
     return 0
-
-
-def _end(*_: object) -> None:
-    raise KeyboardInterrupt
 
 
 if __name__ == "__main__":

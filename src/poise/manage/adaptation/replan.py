@@ -86,7 +86,7 @@ def propose(
         With the demands it was placed by.
     now
         Component -> computer.
-    standings
+    demand_estimates
         What the components need now.
     move
         What F grows by for every component that moves, plus as much for each MB of
@@ -120,6 +120,14 @@ def propose(
         steps=plan_transition(needy, now, result.placement),
         proven=result.proven,
     )
+
+
+def with_present_needs(
+    robot: Robot, demand_estimates: Iterable[DemandEstimate]
+) -> Robot:
+    """Return the robot with the CPU demands that its components have now [cores]."""
+    shifted = _shifted(robot, demand_estimates)
+    return _with_cpu(robot, {name: need.counted for name, need in shifted})
 
 
 def _shifted(

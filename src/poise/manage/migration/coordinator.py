@@ -187,6 +187,7 @@ class MigrationCoordinator:
 
     def _raise_on_failed(self) -> bool:
         run = self._run
+        run.raise_on_cancel()
         run.raise_on_lost()
         news = {(new.component, new.epoch): new for new in self._change.news}
         olds = {(old.component, old.epoch): old for old in self._change.olds}

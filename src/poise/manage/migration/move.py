@@ -10,6 +10,7 @@ from msgspec import structs
 
 from poise.errors import UsageError
 from poise.manage.deployment import Incarnation
+from poise.manage.journal import Kind
 from poise.manage.migration.cold_move import short_stop
 from poise.manage.migration.coordinator import MigrationCoordinator, MigrationReport
 from poise.manage.migration.plan import MigrationPlan
@@ -109,7 +110,7 @@ def _exchange(run: Run, old: Incarnation, new: Incarnation) -> MoveReport:
         short_stop=is_command,
         **structs.asdict(done),
     )
-    kind = "done" if report.committed else "failed"
+    kind: Kind = "done" if report.committed else "failed"
     run.journal.note(kind, _sentence(report), move=report)
     return report
 

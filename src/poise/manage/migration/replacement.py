@@ -10,6 +10,7 @@ from msgspec import structs
 from poise import plan
 from poise.errors import UsageError
 from poise.manage.deployment import Incarnation, Placement
+from poise.manage.journal import Kind
 from poise.manage.migration.coordinator import MigrationCoordinator, MigrationReport
 from poise.manage.migration.plan import MigrationPlan
 from poise.manage.run import Run
@@ -74,7 +75,7 @@ def replace_architecture(
         placement=where,
         **structs.asdict(done),
     )
-    kind = "done" if report.committed else "failed"
+    kind: Kind = "done" if report.committed else "failed"
     run.journal.note(kind, _sentence(report), replacement=report)
     return report
 

@@ -88,7 +88,7 @@ class Estimates:
     def demand_estimates(self) -> list[DemandEstimate]:
         """Return how every component stands, by name."""
         with self._lock:
-            return list(self._standings())
+            return list(self._demand_estimates())
 
     def traffic(self) -> list[Traffic]:
         """Return what goes over every connector, by name."""
@@ -131,7 +131,7 @@ class Estimates:
         known = self._profile.components.get(name) if self._profile else None
         return known.repeat if known else 0.0
 
-    def _standings(self) -> Iterator[DemandEstimate]:
+    def _demand_estimates(self) -> Iterator[DemandEstimate]:
         for name, running in sorted(self._running.items()):
             estimate = running.estimate()
             if estimate is not None:

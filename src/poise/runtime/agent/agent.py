@@ -34,6 +34,7 @@ from poise.runtime.agent.container_processes import (
     ContainerProcess,
     End,
 )
+from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.inbox import AgentInbox, answer
 from poise.runtime.agent.migration_relay import MigrationRelay
 from poise.runtime.agent.sampler import Sampler
@@ -48,13 +49,14 @@ from poise.wire.records.clocks import ClockStatus
 from poise.wire.records.deployment import (
     Accepted,
     AgentStatus,
+    Claim,
     ContainerSpec,
     Deployment,
     Fault,
+    ManagerRequest,
     Refused,
-    Request,
 )
-from poise.wire.records.migration import Order
+from poise.wire.records.migration import Failed, Order
 from poise.wire.records.samples import SAMPLE_EVERY
 
 log = logging.getLogger(__name__)
@@ -131,6 +133,7 @@ class Agent:
         self._zygote, self._zygote_pid = zygote.start(closing=held)
         self._waker = Waker()
         self._requests = AgentInbox(setup.computer, self._waker.wake)
+        self._fence = Fence(setup.robot, setup.computer)
 
     def run(self) -> None:
         """Work until asked to end by a signal or by the end of the lifeline.
@@ -167,6 +170,9 @@ class Agent:
             publisher = session.declare_publisher(f"{prefix}/status/{setup.computer}")
             key = f"{prefix}/agent/{setup.computer}"
             answers = session.declare_queryable(key, self._requests.hear)
+            managers = session.liveliness().declare_subscriber(
+                f"{prefix}/manager/*", self._fence.note_liveliness, history=True
+            )
             token = session.liveliness().declare_token(
                 f"{prefix}/alive/{setup.computer}"
             )
@@ -184,6 +190,7 @@ class Agent:
             finally:
                 clocks.stop()
                 collector.stop()
+                managers.undeclare()  # type: ignore[no-untyped-call]
                 answers.undeclare()  # type: ignore[no-untyped-call]
                 self._end_all()
                 token.undeclare()  # type: ignore[no-untyped-call]
@@ -200,19 +207,23 @@ class Agent:
         self._stopping = True
         self._waker.wake()
 
-    def _attend(self, request: Request, query: zenoh.Query) -> None:
-        if isinstance(request, Order):
-            self._orders.carry(request, query, self._clock.now())
+    def _attend(self, asked: ManagerRequest, query: zenoh.Query) -> None:
+        request, refusal = asked.request, self._fence.refusal(asked.token)
+        if isinstance(request, Claim):
+            answer(query, self._fence.claim(request, asked.token))
+        elif isinstance(request, Order):
+            if refusal:
+                answer(query, Failed(request.number, refusal))
+            else:
+                self._orders.carry(request, query, self._clock.now())
+        elif refusal:
+            answer(query, Refused(refusal))
         elif self._wanted and request.generation < self._wanted.generation:
-            reason = (
-                f"generation {request.generation} is older than "
-                f"{self._wanted.generation}, which '{self._setup.computer}' has: "
-                "another manager is at work"
-            )
-            answer(query, Refused(reason))
+            older = f"generation {request.generation} is older than "
+            answer(query, Refused(f"{older}{self._wanted.generation}"))
         else:
             self._take(request)
-            answer(query, Accepted(request.generation))
+            answer(query, Accepted())
 
     def _serve(self, publisher: zenoh.Publisher) -> None:
         report_at, reported = 0.0, _states(self._status())
@@ -343,6 +354,8 @@ class Agent:
         return AgentStatus(
             computer=self._setup.computer,
             generation=self._wanted.generation if self._wanted else 0,
+            token=self._fence.token,
+            manager=self._fence.manager,
             uptime=self._clock.now() - self._born,
             cpu=used,
             gateway=self._gateway,
@@ -376,4 +389,5 @@ def _states(status: AgentStatus) -> tuple[object, ...]:
         for container in status.containers
         for connector in container.connectors
     ]
-    return (status.generation, len(status.faults), components, connectors)
+    found = (status.generation, status.token, len(status.faults))
+    return (*found, components, connectors)

@@ -12,7 +12,7 @@ import msgspec
 import zenoh
 from msgspec import Struct
 
-from poise.wire.records.deployment import PROTOCOL, Answer, Refused, Request
+from poise.wire.records.deployment import PROTOCOL, Answer, ManagerRequest, Refused
 
 _MOST = 100
 
@@ -31,7 +31,7 @@ class AgentInbox:
     def __init__(self, computer: str, wake: Callable[[], None]) -> None:
         self._computer = computer
         self._wake = wake
-        self._waiting: deque[tuple[Request, zenoh.Query]] = deque()
+        self._waiting: deque[tuple[ManagerRequest, zenoh.Query]] = deque()
 
     def hear(self, query: zenoh.Query) -> None:
         """Keep a request, or refuse it; for zenoh's threads."""
@@ -42,7 +42,7 @@ class AgentInbox:
             if spoken != PROTOCOL:
                 answer(query, self._refusal_of(spoken))
                 return
-            request = msgspec.msgpack.decode(data, type=Request)
+            request = msgspec.msgpack.decode(data, type=ManagerRequest)
         except msgspec.DecodeError as error:
             answer(query, Refused(f"not a request: {error}"))
             return
@@ -52,7 +52,7 @@ class AgentInbox:
         self._waiting.append((request, query))
         self._wake()
 
-    def take(self) -> Iterator[tuple[Request, zenoh.Query]]:
+    def take(self) -> Iterator[tuple[ManagerRequest, zenoh.Query]]:
         """Take out all that wait, in order; each is to be answered."""
         while self._waiting:
             yield self._waiting.popleft()

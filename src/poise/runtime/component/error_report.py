@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import logging
 import math
+import time
 from collections.abc import Hashable
 from pathlib import Path
 from traceback import (
@@ -14,8 +15,11 @@ from traceback import (
     format_exception_only,
 )
 
+from msgspec.structs import replace
+
 import poise
 from poise.errors import PoiseError
+from poise.wire.records.deployment import ErrorCount
 
 _OURS = (
     *(
@@ -25,6 +29,8 @@ _OURS = (
     "<frozen importlib",
 )
 
+MOST_DISTINCT = 20
+"""Errors of so many lines are kept apart; further ones count with the last of these."""
 AGAIN = 10.0
 """What is like something that was logged is logged again after this time [s]."""
 
@@ -63,15 +69,32 @@ class Errors:
         self._log = logging.getLogger(f"poise.component.{component}")
         self.count = 0
         self.last = ""
+        self._distinct: dict[Hashable, ErrorCount] = {}
         self._sparing = Sparing()
 
     def note(self, where: str, error: BaseException, now: float) -> None:
         """Count an error that a method or hook raised at `now` [s]."""
         self.count += 1
         self.last = told(error)
+        self._add(where, error)
         more = self._sparing.more((where, type(error)), now)
         if more is not None:
             self._log.error("%s%s: %s", where, more, self.last)
+
+    def counts(self) -> tuple[ErrorCount, ...]:
+        """Return the errors by line and type, in the order in which they first came."""
+        return tuple(self._distinct.values())
+
+    def _add(self, where: str, error: BaseException) -> None:
+        line = next(reversed(_outside(extract_tb(error.__traceback__))), None)
+        place = line and (line.filename, line.lineno)
+        key: Hashable = where, type(error), place
+        if key not in self._distinct and len(self._distinct) >= MOST_DISTINCT:
+            key = next(reversed(self._distinct))
+        before = self._distinct.get(key) or ErrorCount(
+            where=where, text=self.last, first=time.time(), count=0
+        )
+        self._distinct[key] = replace(before, count=before.count + 1)
 
 
 def told(error: BaseException) -> str:

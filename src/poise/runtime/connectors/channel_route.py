@@ -72,7 +72,9 @@ class ChannelRoute:
             kind, tag, coder = Kind.ONEWAY, method.tag, method.arguments
         credit = self._credit
         number = credit.sent + 1
-        pieces = segments(coder, value, kind, tag=tag, number=number, chain=credit.life)
+        pieces = segments(
+            coder, value, kind, tag=tag, number=number, chain=credit.route
+        )
         if number == 1:
             self.ask()
         self._channel.push(pieces, self._limit)
@@ -85,7 +87,7 @@ class ChannelRoute:
 
     def ask(self) -> None:
         """Ask for a grant, behind all that went out."""
-        self._channel.push(self._credit.question(), self._limit)
+        self._channel.push(self._credit.request(), self._limit)
 
     def send_marker(self, number: int) -> None:
         """Send a mark."""
@@ -166,7 +168,7 @@ def receiving(
             return serve(received)
         try:
             if received.kind is Kind.CREDIT_REQUEST:
-                issuer.asked(received)
+                issuer.requested(received)
                 return None
             latency = received.age + remote.ahead
             counts.add_message(0, received.size, latency, remote.error)

@@ -1,8 +1,12 @@
 """The source's end of a connector: one to the component, whatever route it takes.
 
-A route leads to one incarnation of the target, directly or over a pipe. While a
-component moves there are two routes; the outlet holds messages meanwhile and then
-switches, so that every message goes over exactly one of them, in order.
+A route leads to one incarnation of the target, directly or over a channel. While a
+component moves there are two routes; the sender buffers messages meanwhile and then
+switches, so that every message takes exactly one of them, in order.
+
+No lock is held while a route sends: a message claims the sender, and others wait. A
+thread of its own sends what was buffered, so that no step of a move and no control
+thread waits for a receiver.
 """
 
 from __future__ import annotations
@@ -11,7 +15,8 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, NoReturn, Protocol
 
 from poise.errors import CallError, RunError, Timeout, Unavailable
@@ -27,13 +32,11 @@ from poise.wire.codec import WireError
 log = logging.getLogger(__name__)
 
 _WHILE_MOVING = 2
-"""So many routes an outlet has while its target moves: to either incarnation."""
+"""The number of routes while the target moves: one to either incarnation."""
 MOST_BUFFERED = 5_000
-"""Messages that wait in an outlet while a component moves; then publishers wait."""
-
-
+"""Messages that a sender buffers while a component moves; then publishers wait."""
 _ASK_FIRST, _ASK_LAST = 0.005, 0.1
-"""Whoever waits for room asks for it after this time, and then ever less often [s]."""
+"""A sender without room asks for it after this time, and then ever less often [s]."""
 
 
 class Route(Protocol):
@@ -65,15 +68,15 @@ class Route(Protocol):
         ...
 
     def ask(self) -> None:
-        """Ask for room, in case that the news of it got lost; raises as `push`."""
+        """Ask for room, in case that a credit got lost; raises as `push`."""
         ...
 
     def send_marker(self, number: int) -> None:
-        """Send a mark, which gets there after all that was pushed; raises as `push`."""
+        """Send a marker behind all that was pushed; raises as `push`."""
         ...
 
     def close(self) -> None:
-        """Give back what it holds; harmless when repeated."""
+        """Release its resources at once; harmless when repeated."""
         ...
 
 
@@ -84,7 +87,7 @@ class Facade:
         self._what = what
 
     def __getattr__(self, name: str) -> NoReturn:
-        """Say which methods there are; only asked for one that is not."""
+        """Name the methods that exist; Python asks only for one that does not."""
         known = [each for each in vars(self) if not each.startswith("_")]
         raise AttributeError(
             f"{self._what} has no method '{name}'{did_you_mean(name, known)}; "
@@ -93,7 +96,7 @@ class Facade:
 
 
 class Sender:
-    """The source's end of one connector.
+    """The source's end of one connector. Any thread may use it.
 
     Parameters
     ----------
@@ -106,7 +109,7 @@ class Sender:
     limit
         Time limit of a call, and of a message that waits [s].
     exclusion
-        Of a re-entrant source: let go while it waits in a call.
+        Of a re-entrant source: released while it waits in a call.
     """
 
     def __init__(
@@ -129,21 +132,23 @@ class Sender:
         self._current: Route | None = None
         self._buffer: deque[tuple[Method | None, object, float]] | None = None
         self._source_is_inactive = self._target_moves = False
+        self._is_claimed = self._is_draining = False
         self._changed = threading.Condition()
+        self._num_waiting = 0
         self._disconnect()
 
     def add(self, key: str, route: Route) -> None:
-        """Know one more route; the first is used at once."""
+        """Add a route; the first is used at once."""
         with self._changed:
             self._routes[key] = route
             if self._current is None:
                 self._use(route)
 
     def remove(self, key: str) -> None:
-        """Close a route; when it was used, another one is, if there is one.
+        """Close a route; when it was used, the other one is, if there is one.
 
-        The move for which there were two is over, and what was held goes out: so no
-        message waits for ever for a `release` that got lost.
+        The move for which there were two is over, and buffered messages are sent: so
+        none of them waits for ever for a lost order to `switch`.
         """
         with self._changed:
             route = self._routes.pop(key)
@@ -154,36 +159,22 @@ class Sender:
         route.close()
 
     def routes(self) -> dict[str, Route]:
-        """Return the known routes by key."""
+        """Return the routes by key."""
         return dict(self._routes)
 
     def send(self, value: object, method: Method | None = None) -> None:
-        """Send a message or one-way call, or hold it; what cannot go out is counted.
+        """Send or buffer a message or one-way call; what cannot go out is counted.
 
         Waits while the target has no room, up to the limit; a re-entrant source lets
         others in meanwhile.
         """
-        if self._exclusion is None or self._has_room():
+        if self._exclusion is None or self._is_free():
             self._send(value, method)
         else:
             stepping_out(self._exclusion, self._send)(value, method)
 
-    def _send(self, value: object, method: Method | None) -> None:
-        began = time.monotonic()
-        with self._changed:
-            if not self._has_room() and not self._wait_for_room(began + self._limit):
-                self.counts.drops += 1
-                more = self._sparing.more("dropped", time.monotonic())
-                if more is not None:
-                    text = "connector %s: no room for %g s, a message is dropped%s"
-                    log.warning(text, self.name, self._limit, more)
-            elif self._buffer is None:
-                self._push(method, value, began)
-            else:
-                self._buffer.append((method, value, began))
-
     def buffer_for_move(self) -> None:
-        """Hold messages from now on; harmless when repeated.
+        """Buffer messages from now on: the target moves. Harmless when repeated.
 
         Raises
         ------
@@ -197,24 +188,24 @@ class Sender:
             self._begin_to_buffer()
 
     def buffer_until_active(self) -> None:
-        """Hold messages until `let_go`: the source is not at work yet."""
+        """Buffer messages until `send_buffered`: the source is not active yet."""
         with self._changed:
             self._source_is_inactive = True
             self._begin_to_buffer()
 
     def send_buffered(self) -> None:
-        """Send what was kept back, and keep no more; harmless when repeated."""
+        """Send what was buffered, and buffer no more; harmless when repeated."""
         with self._changed:
             self._source_is_inactive = False
             self._drain()
 
     def switch(self, key: str) -> None:
-        """Use a route, send what was held, and hold no more; harmless when repeated.
+        """Use a route, and send what was buffered; harmless when repeated.
 
         Raises
         ------
         Unavailable
-            There is no such route; all is as it was.
+            There is no such route; nothing has changed.
         """
         with self._changed:
             if key not in self._routes:
@@ -224,17 +215,21 @@ class Sender:
             self._drain()
 
     def send_marker(self, number: int) -> None:
-        """Send a mark behind all that went out.
+        """Send a marker behind all that went out.
 
         Raises
         ------
-        Unavailable
-            Nobody is there who could take it.
+        CallError
+            It did not go out: nobody is there, or others sent for all of the limit.
         """
         with self._changed:
-            if self._current is None or not self._current.is_ready():
+            if not self._wait(self._is_quiet, self._limit):
+                raise Timeout(f"connector {self.name} sends since {self._limit:g} s")
+            route = self._claim()
+        with self._claimed():
+            if route is None:
                 raise Unavailable(f"connector {self.name} has nobody at its other end")
-            self._current.send_marker(number)
+            route.send_marker(number)
 
     def again(
         self,
@@ -253,7 +248,7 @@ class Sender:
         """
         with self._changed:
             left = deadline - time.monotonic()
-            if not self._changed.wait_for(lambda: self._current is not route, left):
+            if not self._wait(lambda: self._current is not route, left):
                 raise Timeout(f"connector {self.name}: its target did not come back")
         return getattr(self._facade, name)(*args, **kwargs)
 
@@ -263,29 +258,85 @@ class Sender:
             self.remove(key)
 
     def room(self) -> None:
-        """Let those go on who wait for room: the target may have some."""
+        """Wake senders that wait for room: the target may have some."""
         with self._changed:
             self._changed.notify_all()
 
-    def _has_room(self) -> bool:
+    def _send(self, value: object, method: Method | None) -> None:
+        began = time.monotonic()
+        deadline, pause = began + self._limit, _ASK_FIRST
+        while True:
+            with self._changed:
+                left = deadline - time.monotonic()
+                if self._is_free() or self._wait(self._is_free, min(pause, left)):
+                    if self._buffer is not None:
+                        self._buffer.append((method, value, began))
+                        return
+                    route = self._claim()
+                    break
+            if left <= pause:
+                self._note_no_room()
+                return
+            if not self._ask_for_room():
+                self.counts.drops += 1
+                return
+            pause = min(2 * pause, _ASK_LAST)
+        with self._claimed():
+            self._push(route, method, value, began)
+
+    def _is_free(self) -> bool:
+        """Return whether a message may be sent or buffered now."""
         if self._buffer is not None:
             return len(self._buffer) < MOST_BUFFERED
+        if self._is_claimed:
+            return False
         return self._current is None or self._current.has_room()
 
-    def _wait_for_room(self, deadline: float) -> bool:
-        pause = _ASK_FIRST
-        while True:
-            left = deadline - time.monotonic()
-            if self._changed.wait_for(self._has_room, min(pause, left)):
+    def _is_quiet(self) -> bool:
+        return not self._is_claimed and not self._is_draining
+
+    def _wait(self, holds: Callable[[], bool], limit: float) -> bool:
+        self._num_waiting += 1
+        try:
+            return self._changed.wait_for(holds, limit)
+        finally:
+            self._num_waiting -= 1
+
+    def _claim(self) -> Route | None:
+        self._is_claimed = True
+        return self._current
+
+    @contextmanager
+    def _claimed(self) -> Iterator[None]:
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._is_claimed = False
+                if self._num_waiting:
+                    self._changed.notify_all()
+
+    def _ask_for_room(self) -> bool:
+        """Ask the target for room, unless another thread sends; whether it is there."""
+        with self._changed:
+            if self._is_claimed or self._buffer is not None or self._current is None:
                 return True
-            if left <= pause:
-                return False
-            pause = min(2 * pause, _ASK_LAST)
+            route = self._claim()
+        with self._claimed():
             try:
-                if self._buffer is None and self._current is not None:
-                    self._current.ask()
-            except CallError:
-                return True  # nobody is there: to send it will tell so
+                if route is not None:
+                    route.ask()
+            except CallError as error:
+                log.debug("connector %s: %s", self.name, error)
+                return False
+        return True
+
+    def _note_no_room(self) -> None:
+        self.counts.drops += 1
+        more = self._sparing.more("dropped", time.monotonic())
+        if more is not None:
+            text = "connector %s: no room for %g s, a message is dropped%s"
+            log.warning(text, self.name, self._limit, more)
 
     def _begin_to_buffer(self) -> None:
         if self._buffer is None:
@@ -293,24 +344,49 @@ class Sender:
             self._changed.notify_all()
 
     def _drain(self) -> None:
-        if self._target_moves or self._source_is_inactive:
-            return
-        while self._buffer:
-            method, value, began = self._buffer.popleft()
-            try:
-                self._push(method, value, began)
-            except WireError as error:  # nobody is there to be told: it was taken
-                self.counts.drops += 1
-                log.warning("connector %s: a message is dropped: %s", self.name, error)
-        self._buffer = None
-        self._changed.notify_all()
+        """Send what was buffered, if nothing speaks against it, and buffer no more."""
+        if self._may_drain() and not self._is_draining:
+            if self._buffer:
+                self._is_draining = True
+                threading.Thread(
+                    target=self._send_all, name="drain", daemon=True
+                ).start()
+            else:
+                self._buffer = None
+                self._changed.notify_all()
 
-    def _push(self, method: Method | None, value: object, began: float) -> None:
-        if self._current is None:
+    def _may_drain(self) -> bool:
+        return not self._target_moves and not self._source_is_inactive
+
+    def _send_all(self) -> None:
+        while True:
+            with self._changed:
+                self._wait(lambda: not self._is_claimed, self._limit)
+                if not self._buffer or not self._may_drain():
+                    self._is_draining = False
+                    self._drain()
+                    self._changed.notify_all()
+                    return
+                if self._is_claimed:
+                    continue
+                route = self._claim()
+                method, value, began = self._buffer.popleft()
+            with self._claimed():
+                try:
+                    self._push(route, method, value, began)
+                except WireError as error:  # its publisher has gone on
+                    self.counts.drops += 1
+                    text = "connector %s: a message is dropped: %s"
+                    log.warning(text, self.name, error)
+
+    def _push(
+        self, route: Route | None, method: Method | None, value: object, began: float
+    ) -> None:
+        if route is None:
             self.counts.drops += 1
             return
         try:
-            size = self._current.push(method, value)
+            size = route.push(method, value)
         except CallError as error:
             self.counts.drops += 1
             log.debug("connector %s: %s", self.name, error)
@@ -330,7 +406,7 @@ class Sender:
 
     def _function(self, method: Method, route: Route) -> Callable[..., Any]:
         if method.oneway:
-            return _sender(self, method)
+            return _oneway(self, method)
         call = route.function(method, self)
         return call if self._exclusion is None else stepping_out(self._exclusion, call)
 
@@ -348,7 +424,7 @@ def refusing(what: str) -> Callable[..., NoReturn]:
     return call
 
 
-def _sender(sender: Sender, method: Method) -> Callable[..., None]:
+def _oneway(sender: Sender, method: Method) -> Callable[..., None]:
     def call(*args: Any, **kwargs: Any) -> None:  # noqa: ANN401, the call's own
         sender.send(method.bind(*args, **kwargs), method)
 

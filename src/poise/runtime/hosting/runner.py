@@ -59,9 +59,8 @@ class Runner:
         self.spec = spec
         self.exclusion = Exclusion(spec.name)
         self.ports = ports_of(implementation)
-        self._requires = tuple(
-            port.name for port in self.ports.values() if port.kind == "requires"
-        )
+        self._handler: tuple[str, float] | None = None
+        self._deactivated_at: float | None = None
         self.component = create(
             implementation,
             Context(
@@ -254,19 +253,29 @@ class Runner:
             Its CPU time, calls included [s]; None: that of its thread.
         """
         now = self._clock.now()
+        handler, since = self._handler or ("", now)
+        # releases of timers count while it is active
+        until = now if self._deactivated_at is None else self._deactivated_at
         return ComponentStatus(
             name=self.spec.name,
             epoch=self.spec.epoch,
             state=self._state,
             error=self._errors.last,
             errors=self._errors.count,
+            error_counts=self._errors.counts(),
+            handler=handler,
+            handler_seconds=now - since,
             cpu=self.account.cpu() if cpu is None else cpu,
             start=self._start,
             snapshot=self._snapshot,
-            requires=self._requires,
-            timers=tuple(s.status(now) for s in list(self.schedules.values())),
+            requires=self._ports_that("requires"),
+            subscribes=self._ports_that("subscribes"),
+            timers=tuple(s.status(until) for s in list(self.schedules.values())),
             measures={n: h.summary() for n, h in list(self._measures.items())},
         )
+
+    def _ports_that(self, kind: str) -> tuple[str, ...]:
+        return tuple(port.name for port in self.ports.values() if port.kind == kind)
 
     def _measure(self, name: str, value: float) -> None:
         self._measures.setdefault(name, Histogram()).add(value)
@@ -310,6 +319,7 @@ class Runner:
         if hook == "deactivate":
             self.account.plan([])
             self._come_to_rest()
+            self._deactivated_at = self._clock.now()
         elif hook == "activate":
             # the incarnation before it may still be at work, and goes first
             self.endpoints.buffer_until_active()
@@ -337,6 +347,7 @@ class Runner:
 
     def _plan_timers(self) -> None:
         now = self._clock.now()
+        self._deactivated_at = None
         for name, timer in self._timers.items():
             first = self._phases.get(name, now + timer.period)
             self.schedules[name] = Timers(timer, first - timer.period)
@@ -415,12 +426,14 @@ class Runner:
 
     def _run(self, method: Callable[..., Any], what: str, *args: object) -> None:
         """Run user code in the exclusion that was entered, and leave it."""
+        self._handler = what, self._clock.now()
         try:
             method(*args)
         # a user's method may raise anything
         except (Exception, SystemExit) as error:  # noqa: BLE001
             self._errors.note(what, error, self._clock.now())
         finally:
+            self._handler = None
             self.account.note_done()
             self.exclusion.leave()
             if self._awaits_lull and self.endpoints.is_empty():

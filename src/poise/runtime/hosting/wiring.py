@@ -18,6 +18,7 @@ from poise.runtime.component.ports import Kind, Port
 from poise.runtime.connectors.channel_route import ChannelRoute, receiving
 from poise.runtime.connectors.direct import DirectRoute
 from poise.runtime.connectors.flow_control import CREDITS, Credit, CreditIssuer, Credits
+from poise.runtime.connectors.io_thread import IoThread
 from poise.runtime.connectors.recorded_inputs import noting_calls
 from poise.runtime.connectors.remote_clock import RemoteClock, nobody_knows
 from poise.runtime.connectors.sender import Route, Sender
@@ -70,6 +71,7 @@ class Transports:
     def __init__(self, place: Place) -> None:
         self._place = place
         self._credits = Credits()
+        self.io = IoThread()
         self.server = ConnectionServer(Path(place.folder), place.container)
         self.server.open(CREDITS, self._credits.handle, shared=True)
 
@@ -95,6 +97,7 @@ class Transports:
     def close(self) -> None:
         """Close all that was opened."""
         self.server.close()
+        self.io.close()
 
 
 class OpenEndpoints:
@@ -277,8 +280,11 @@ class Wiring:
         spec = ends.spec
         port = _port(target, spec.target_port, TAKING)
         feed = target.endpoints.feed(port.name, ends.counts)
-        open_pipe = partial(self._transports.channel, CREDITS, calls=False)
-        issuer = CreditIssuer(spec.name, feed, ends.counts, open_pipe)
+        transports = self._transports
+        open_channel = partial(transports.channel, CREDITS, calls=False)
+        issuer = CreditIssuer(
+            spec.name, feed, ends.counts, open_channel, transports.io.post
+        )
         ends.closing.callback(issuer.close)
         handler = receiving(
             spec, target.endpoints, port, feed, issuer, ends.remote_clock
@@ -287,7 +293,7 @@ class Wiring:
             caller = f"{spec.source}.{spec.source_port}"
             handler, file = noting_calls(handler, caller, Path(spec.record))
             ends.closing.callback(file.close)
-        server = self._transports.server
+        server = transports.server
         server.open(spec.key, handler, ends.counts.refuse)
         ends.closing.callback(server.shut, spec.key)
 

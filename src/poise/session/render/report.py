@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -33,19 +34,41 @@ def report_parts(report: RunReport) -> Iterator[RenderableType]:
         f"{name} {share:.0%}" for name, share in report.cpu_share.items()
     )
     yield f"ran for {report.seconds:.1f} s; CPU used: {shares}"
-    for component in report.components:
-        if component.errors:
-            many = "1 error" if component.errors == 1 else f"{component.errors} errors"
-            yield f"[red]{component.name}: {many}, the last:[/]"
-            # as it is: it may hold anything, and lines of code are not wrapped
-            yield Text(component.last_error, no_wrap=True, overflow="ignore")
-    for fault in report.faults:
-        yield f"[red]container {fault.container}[/] {escape(fault.message)}"
+    yield from _failures(report)
     if report.simulation:
         facts = ", ".join(f"{key} {value}" for key, value in report.simulation.items())
         yield f"the simulated world says: {escape(facts)}"
     if report.invalid:
         yield f"[bold yellow]invalid run:[/] {escape(report.invalid)}"
+
+
+def _failures(report: RunReport) -> Iterator[RenderableType]:
+    """Yield what is not as it should be, the worst first."""
+    for error in report.errors:
+        many = "1 error" if error.count == 1 else f"{error.count} errors"
+        since = time.strftime("%H:%M:%S", time.localtime(error.first))
+        where = f"{error.component} on {error.computer}: {many} in '{error.where}'"
+        yield f"[red]{where}, the first at {since}:[/]"
+        # as it is: it may hold anything, and lines of code are not wrapped
+        yield Text(error.text, no_wrap=True, overflow="ignore")
+    for hung in report.hung:
+        yield (
+            f"[red]{hung.component} on {hung.computer}: '{hung.handler}' still ran "
+            f"after {hung.seconds:.1f} s[/]"
+        )
+    for fault in report.faults:
+        yield f"[red]container {fault.container}[/] {escape(fault.message)}"
+    for name, count in report.refused.items():
+        yield f"[red]{name}: {count} messages were refused: not of the port's type[/]"
+    for name, count in report.lost.items():
+        yield f"[red]{name}: {count} messages were sent and not processed[/]"
+    for connector in report.connectors:
+        if connector.drops:
+            yield f"[yellow]{connector.name}: {connector.drops} messages dropped[/]"
+    for port in report.silent:
+        yield f"[yellow]{escape(str(port))}[/]"
+    if report.interrupted:
+        yield "[yellow]the run was ended early[/]"
 
 
 def _component_table(report: RunReport) -> Table:

@@ -20,11 +20,13 @@ import contextlib
 import errno
 import math
 import os
+import select
 import socket
 import struct
+import time
 from weakref import WeakValueDictionary
 
-from poise.errors import Unavailable
+from poise.errors import Timeout, Unavailable
 from poise.wire import _channel
 from poise.wire.address import LOST_AFTER
 from poise.wire.codec import Unreadable, WireError
@@ -190,7 +192,8 @@ class Connection:
                 raise Unreadable(f"a shared block {block} was announced over TCP")
             if not block & _NEW:
                 raise Unreadable(f"there is no shared block {block}")
-            self._accept(block ^ _NEW, used, int.from_bytes(data, "little"))
+            slot = int.from_bytes(data, "little")
+            self._accept(block ^ _NEW, used, slot, deadline)
             got = self._channel.receive(deadline, LARGEST, self._lenders)
         return got
 
@@ -245,14 +248,19 @@ class Connection:
         except OSError as error:
             raise Unavailable(f"the other end is gone: {error}") from error
 
-    def _accept(self, number: int, capacity: int, slot: int) -> None:
-        """Map a block that the other end announced."""
+    def _accept(self, number: int, capacity: int, slot: int, deadline: float) -> None:
+        """Map a block that the other end announced; its file comes soon."""
         if not (0 < number <= _MOST_NUMBER and 0 < capacity <= MOST_BYTES):
             raise Unreadable(f"a shared block {number} of {capacity} B was announced")
         if slot >= DATA:
             raise Unreadable(f"a shared block with slot {slot} was announced")
+        poll = select.poll()
+        poll.register(self._connection, select.POLLIN)
+        left = min(LOST_AFTER, deadline - time.monotonic())
         try:
             self._connection.sendall(_READY)
+            if not poll.poll(max(0.0, 1000 * left)):
+                raise Timeout("no file came for a shared block")
             data, files, _, _ = socket.recv_fds(self._connection, 1, 1)
         except OSError as error:
             raise Unavailable(f"the other end is gone: {error}") from error

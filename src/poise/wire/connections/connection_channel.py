@@ -23,8 +23,6 @@ from poise.wire.connections.connection import LAST_ANSWER, Connection
 from poise.wire.connections.opening import CALLS, MESSAGES, Opening
 from poise.wire.frame import Frame
 
-_PATIENCE = 0.2
-"""Who asks whether a container of this computer is ready waits so long for it [s]."""
 _PAUSE, _LONGEST_PAUSE = 0.02, 0.1
 """Who was refused is not asked again for this time, and then ever longer [s]."""
 _SPARE = 8
@@ -183,8 +181,7 @@ class ConnectionChannel:
     def close(self) -> None:
         """Send no more; links in use are closed when their call is over."""
         self._is_closed = True
-        with self._ordering:
-            self._messages.close()
+        self._messages.close()
         self._calls.close()
         while self._openings:
             self._openings.popitem()[1].close()
@@ -243,8 +240,7 @@ class ConnectionChannel:
         ):
             return False
         try:
-            patience = 0.0 if self._address.gateway else _PATIENCE
-            connection = self._opened(self._use, time.monotonic() + patience)
+            connection = self._opened(self._use, 0.0)
             if connection is not None:
                 self._connections[self._use].give_back(connection)
                 self._pause = _PAUSE

@@ -20,7 +20,7 @@ from poise.wire import frame
 from poise.wire.address import LOST_AFTER, Address, family_of, tune
 from poise.wire.codec import WireError, codec
 from poise.wire.connections.connection import Connection
-from poise.wire.connections.socket_path import connect, socket_path
+from poise.wire.connections.socket_path import socket_path
 from poise.wire.frame import Kind
 
 NAME = codec(str)
@@ -28,9 +28,10 @@ CALLS, MESSAGES = 0, 1
 """The use of a connection: the number in the frame that names the connector."""
 ANSWER_LIMIT = LOST_AFTER
 """A container that is there accepts a connection within this time [s]."""
-_FIRST_RETRY = 0.2
-"""TCP connects again after this time, and then after twice the time [s]. The kernel
-repeats a lost SYN only after 1, 3 and 7 s: too late after a short cut."""
+_RETRY, _REMOTE_RETRY = 0.005, 0.2
+"""It connects again after this time, and then after twice the time [s]: to a container
+whose queue is full, and to a computer that is silent. The kernel repeats a lost SYN
+only after 1, 3 and 7 s: too late after a short cut."""
 
 
 class Opening:
@@ -48,7 +49,7 @@ class Opening:
         self._folder = folder
         self._is_asked = False
         self._give_up_at = time.monotonic() + ANSWER_LIMIT
-        self._patience = _FIRST_RETRY
+        self._patience = _REMOTE_RETRY if address.gateway else _RETRY
         self._closing = ExitStack()
         try:
             self._begin()
@@ -85,17 +86,22 @@ class Opening:
         self.connection = Connection(self._socket)
         self._retry_at = time.monotonic() + self._patience
         self._patience *= 2
-        if gateway is None:
-            path = socket_path(self._folder, self._address.container)
-            connect(self._socket, path, ANSWER_LIMIT)
-            return
-        tune(self._socket)
         self._socket.setblocking(False)
-        _raise_if(self._socket.connect_ex((gateway.host, gateway.port)))
+        if gateway:
+            tune(self._socket)
+            error = self._socket.connect_ex((gateway.host, gateway.port))
+        else:
+            path = socket_path(self._folder, self._address.container)
+            error = self._socket.connect_ex(os.fspath(path))
+        self._is_queue_full = error == errno.EAGAIN
+        if not self._is_queue_full:
+            _raise_if(error)
 
     def _is_connected(self, use: int, deadline: float) -> bool:
         while not self._is_asked:
-            if self._is_ready(select.POLLOUT, min(deadline, self._retry_at)):
+            # of a socket that is not even connecting, `poll` says that it is ready
+            event = 0 if self._is_queue_full else select.POLLOUT
+            if self._is_ready(event, min(deadline, self._retry_at)):
                 _raise_if(self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR))
                 self._ask(use)
             elif time.monotonic() < self._retry_at:
@@ -123,7 +129,8 @@ class Opening:
 
     def _is_ready(self, event: int, deadline: float) -> bool:
         poll = select.poll()
-        poll.register(self._socket, event)
+        if event:
+            poll.register(self._socket, event)
         left = deadline - time.monotonic()
         return bool(poll.poll(max(0.0, 1000 * left)))
 

@@ -8,6 +8,7 @@ do in a move stands in `poise.wire.records.migration`.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from typing import Any, Literal
 
@@ -16,7 +17,7 @@ from msgspec import Struct
 from poise.wire.records.clocks import ClockStatus
 from poise.wire.records.migration import Done, Failed, Order
 
-PROTOCOL = 3
+PROTOCOL = 4
 """Manager, agents and containers of different protocol versions refuse each other."""
 
 Goal = Literal["inactive", "active", "stay"]
@@ -122,15 +123,43 @@ class ContainerSpec(Struct, frozen=True, kw_only=True, tag=True):
 class Deployment(Struct, frozen=True, kw_only=True, tag=True):
     """All that should run on one computer. A higher `generation` replaces a lower."""
 
-    protocol: int = PROTOCOL
     generation: int
     containers: tuple[ContainerSpec, ...]
 
 
-class Accepted(Struct, frozen=True, tag=True):
-    """An agent's answer: it works towards this generation now."""
+class ManagerId(Struct, frozen=True, kw_only=True):
+    """One start of a manager.
 
-    generation: int
+    Parameters
+    ----------
+    key
+        Unique; its liveliness token is ``poise/ROBOT/manager/KEY``.
+    user, host, pid
+        Where it runs, for people.
+    since
+        When it started [s since 1970].
+    """
+
+    key: str
+    user: str
+    host: str
+    pid: int
+    since: float
+
+    def __str__(self) -> str:
+        """Return who it is, for people."""
+        began = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(self.since))
+        return f"user {self.user} on {self.host} (process {self.pid}) since {began}"
+
+
+class Claim(Struct, frozen=True, tag=True):
+    """Obey this manager from now on."""
+
+    manager: ManagerId
+
+
+class Accepted(Struct, frozen=True, tag=True):
+    """An agent's answer: it obeys the manager, or works towards its deployment."""
 
 
 class Refused(Struct, frozen=True, tag=True):
@@ -141,8 +170,21 @@ class Refused(Struct, frozen=True, tag=True):
 
 Answer = Accepted | Refused | Done | Failed
 
-Request = Deployment | Order
+Request = Claim | Deployment | Order
 """What a manager asks of an agent."""
+
+
+class ManagerRequest(Struct, frozen=True, kw_only=True):
+    """A request with its manager's fencing token.
+
+    Each manager claims its agents with a token above all that they have seen. An agent
+    refuses deployments and orders with any other token than that of the manager which
+    it obeys: what a replaced manager still sends has no effect.
+    """
+
+    protocol: int = PROTOCOL
+    token: int
+    request: Request
 
 
 class Summary(Struct, frozen=True):
@@ -226,6 +268,25 @@ class ConnectorStatus(Struct, frozen=True, kw_only=True):
     latency_error: float = 0.0
 
 
+class ErrorCount(Struct, frozen=True, kw_only=True):
+    """Errors of one type that one line of a component's code raised.
+
+    Parameters
+    ----------
+    where
+        The hook, timer or port whose code raised them.
+    text
+        The first one's traceback.
+    first
+        When that was [s since 1970].
+    """
+
+    where: str
+    text: str
+    first: float
+    count: int
+
+
 class ComponentStatus(Struct, frozen=True, kw_only=True):
     """A component as its container sees it.
 
@@ -233,6 +294,10 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
     ----------
     error
         The last traceback, or empty.
+    error_counts
+        The errors by line and type, in the order in which they first came.
+    handler, handler_seconds
+        The timer or port whose code its thread runs now, and for how long already [s].
     cpu
         CPU time of its own code, whoever's thread ran it [s].
     start
@@ -240,8 +305,8 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
         program ran [s].
     snapshot
         Size of its snapshot, if that was taken [bytes].
-    requires
-        Its ports over which it calls others.
+    requires, subscribes
+        Its ports over which it calls others, and those to which messages come.
     """
 
     name: str
@@ -249,10 +314,14 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
     state: State
     error: str = ""
     errors: int = 0
+    error_counts: tuple[ErrorCount, ...] = ()
+    handler: str = ""
+    handler_seconds: float = 0.0
     cpu: float = 0.0
     start: float = 0.0
     snapshot: int = 0
     requires: tuple[str, ...] = ()
+    subscribes: tuple[str, ...] = ()
     timers: tuple[TimerStatus, ...] = ()
     measures: Mapping[str, Summary] = {}
 
@@ -291,12 +360,15 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
 
     `cpu` is the CPU time of the agent and all its containers, ended ones too [s];
     `uptime` the time since the agent started [s]; `clocks` what is known of other
-    computers' clocks, by name; `gateway` the IP address and TCP port of its gateway.
+    computers' clocks, by name; `gateway` the IP address and TCP port of its gateway;
+    `manager` the one that it obeys, or obeyed last, with that one's fencing `token`.
     """
 
     protocol: int = PROTOCOL
     computer: str
     generation: int
+    token: int = 0
+    manager: ManagerId | None = None
     uptime: float
     cpu: float
     gateway: str = ""

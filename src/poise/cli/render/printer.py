@@ -1,0 +1,92 @@
+"""Prints on a thread of its own: a pipe that nobody reads holds up nobody else."""
+
+from __future__ import annotations
+
+import logging
+import os
+import queue
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Self, TextIO
+
+MOST_LINES = 1000
+"""At most this many lines wait to be printed; further ones are counted, and dropped."""
+_CLOSE_LIMIT = 1.0
+"""At the end, lines that wait are printed within this time [s], or never."""
+
+
+class Printer:
+    """Prints to a file descriptor. Use it as a context manager.
+
+    Parameters
+    ----------
+    file
+        Where to; its descriptor is written to directly, because a thread that is
+        blocked within Python's own files would also hold up the end of the program.
+    """
+
+    def __init__(self, file: TextIO = sys.stdout) -> None:
+        self._file = file
+        self._lines: queue.Queue[str | None] = queue.Queue(MOST_LINES)
+        self._dropped = 0
+        self._thread = threading.Thread(target=self._run, name="printer", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            self._lines.put(None, timeout=_CLOSE_LIMIT)
+        except queue.Full:
+            return
+        self._thread.join(_CLOSE_LIMIT)
+
+    def print(self, line: str) -> None:
+        """Print a line later, or count it when too many wait; from any thread."""
+        try:
+            self._lines.put_nowait(line)
+        except queue.Full:
+            self._dropped += 1
+
+    def _run(self) -> None:
+        try:
+            while (line := self._lines.get()) is not None:
+                self._write(line)
+                if self._dropped and self._lines.empty():
+                    dropped, self._dropped = self._dropped, 0
+                    self._write(f"... {dropped} lines not shown")
+        except OSError:  # nobody reads any more; the robot goes on
+            return
+
+    def _write(self, line: str) -> None:
+        left = f"{line}\n".encode(errors="replace")
+        while left:
+            left = left[os.write(self._file.fileno(), left) :]
+
+
+@contextmanager
+def log_printer() -> Iterator[None]:
+    """Print the warnings of Poise to stderr on a thread of its own meanwhile."""
+    logger = logging.getLogger("poise")
+    with Printer(sys.stderr) as printer:
+        handler = _LogPrinter(printer)
+        logger.addHandler(handler)
+        try:
+            yield
+        finally:
+            logger.removeHandler(handler)
+
+
+class _LogPrinter(logging.Handler):
+    """Prints what is logged."""
+
+    def __init__(self, printer: Printer) -> None:
+        super().__init__(logging.WARNING)
+        self._printer = printer
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a record later."""
+        self._printer.print(self.format(record))

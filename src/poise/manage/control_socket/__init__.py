@@ -1,0 +1,1 @@
+"""How commands such as `poise status` and `poise move` reach a running manager."""

@@ -1,0 +1,164 @@
+"""What a control client sends to the manager of a running robot, and its answers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from msgspec import Struct
+
+from poise.errors import PoiseError, RobotError, RunError, UsageError
+from poise.manage.adaptation.replan import Proposal
+from poise.manage.migration.move import MoveReport
+from poise.manage.migration.replacement import ReplaceReport
+from poise.manage.migration.transition_run import TransitionReport
+from poise.manage.observe.deviations import Deviation
+from poise.manage.observe.estimates import DemandEstimate
+from poise.wire.records.deployment import AgentStatus, ManagerId
+
+
+class StatusCommand(Struct, frozen=True, tag=True):
+    """Return the last known state; answered at once, even during a move."""
+
+
+class StopCommand(Struct, frozen=True, tag=True):
+    """Stop the robot; a move under way is rolled back."""
+
+
+class MoveCommand(Struct, frozen=True, tag=True):
+    """Move a component; `force`: even where it does not fit."""
+
+    component: str
+    computer: str
+    force: bool = False
+
+
+class ReplaceCommand(Struct, frozen=True, tag=True):
+    """Swap a component's implementation.
+
+    `adapt` maps its state; `fresh`: it begins without state.
+    """
+
+    component: str
+    implementation: str
+    adapt: str = ""
+    fresh: bool = False
+
+
+class ReplaceArchitectureCommand(Struct, frozen=True, tag=True):
+    """Put the architecture `by` in the place of another.
+
+    `adapt` maps the states; `fresh`: all components begin without state.
+    """
+
+    architecture: str
+    by: str
+    adapt: str = ""
+    fresh: bool = False
+
+
+class RebalanceCommand(Struct, frozen=True, tag=True):
+    """Find a better placement, and go there unless `dry`.
+
+    `move` is what F grows by for each component that moves.
+    """
+
+    move: float
+    dry: bool = False
+
+
+Command = (
+    StatusCommand
+    | StopCommand
+    | MoveCommand
+    | ReplaceCommand
+    | ReplaceArchitectureCommand
+    | RebalanceCommand
+)
+
+
+class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
+    """The last known state of a running robot.
+
+    Parameters
+    ----------
+    placement
+        Component -> computer, as the manager wants it.
+    computers
+        Computer -> what its agent reported last.
+    out_of_reach
+        Computer -> since when its agent has not been reached [s since 1970].
+    deviations
+        Everything that is not as the robot file says.
+    demand_estimates
+        What components need now, against what their profile says.
+    """
+
+    robot: str
+    task: str
+    manager: ManagerId
+    placement: Mapping[str, str]
+    computers: Mapping[str, AgentStatus]
+    out_of_reach: Mapping[str, float] = {}
+    deviations: tuple[Deviation, ...] = ()
+    demand_estimates: tuple[DemandEstimate, ...] = ()
+
+
+class StopReport(Struct, frozen=True, tag=True):
+    """The robot has stopped; `remaining` says what still runs where, if anything."""
+
+    remaining: tuple[str, ...] = ()
+
+
+class Moved(Struct, frozen=True, tag=True):
+    """The outcome of a move, or of a new implementation."""
+
+    report: MoveReport
+
+
+class Replaced(Struct, frozen=True, tag=True):
+    """The outcome of the replacement of an architecture."""
+
+    report: ReplaceReport
+
+
+class Rebalanced(Struct, frozen=True, tag=True):
+    """A proposal, and the outcome of going there; no report when nothing was done."""
+
+    proposal: Proposal
+    report: TransitionReport | None = None
+
+
+Result = RobotStatus | StopReport | Moved | Replaced | Rebalanced
+
+
+class Refusal(Struct, frozen=True, tag=True):
+    """The command was not carried out; `error` is the class of the client's error."""
+
+    reason: str
+    error: Literal["UsageError", "RobotError", "RunError"] = "UsageError"
+
+    @classmethod
+    def from_error(cls, error: PoiseError) -> Refusal:
+        """Return the refusal for an error of the manager."""
+        for name in ("UsageError", "RobotError"):
+            if type(error).__name__ == name:
+                return cls(str(error), name)
+        return cls(str(error), "RunError")
+
+    def to_error(self) -> PoiseError:
+        """Return the client's error."""
+        classes = {e.__name__: e for e in (UsageError, RobotError, RunError)}
+        return classes[self.error](self.reason)
+
+
+class ControlRequest(Struct, frozen=True):
+    """One record on the control socket, from the client."""
+
+    command: Command
+
+
+class ControlResponse(Struct, frozen=True):
+    """One record on the control socket, from the manager."""
+
+    result: Result | Refusal

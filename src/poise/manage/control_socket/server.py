@@ -1,0 +1,163 @@
+"""The manager's control socket: accepts commands on threads of its own.
+
+A record comes in on each connection, and one goes back. A connection waits on its own
+thread for the result, so no client holds up another. A client that disconnects cancels
+its command, unless that has begun.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import threading
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Future, wait
+from pathlib import Path
+from typing import Self
+
+from poise.errors import RunError, UsageError
+from poise.manage.control_socket.location import is_alive, path_of
+from poise.manage.control_socket.records import (
+    Command,
+    ControlRequest,
+    ControlResponse,
+    Refusal,
+    Result,
+)
+from poise.wire import record_channel
+from poise.wire.codec import WireError
+
+Submit = Callable[[Command], "Future[Result | Refusal]"]
+"""Takes a command, from any thread, at once; its future may be cancelled."""
+
+MOST_CLIENTS = 64
+"""At most this many clients are served at a time; further ones wait to connect."""
+_LOOK_EVERY = 0.1
+_CLOSE_LIMIT = 2.0
+"""Clients that have their result take it within this time at the end [s]."""
+
+
+class ControlServer:
+    """The control socket of a robot. Use it as a context manager.
+
+    Raises
+    ------
+    UsageError
+        A robot of this name runs already.
+    RunError
+        The socket cannot be opened, or its folder is another user's.
+    """
+
+    def __init__(self, robot: str) -> None:
+        self._robot = robot
+        self._path = path_of(robot)
+        self._is_closed = threading.Event()
+        self._free = threading.Semaphore(MOST_CLIENTS)
+        self._threads: set[threading.Thread] = set()
+        try:
+            self._make_folder()
+            self._listener = _listening(self._path)
+        except OSError as error:
+            raise RunError(
+                f"{self._path} cannot be listened on ({error}): set XDG_RUNTIME_DIR to "
+                "a folder of yours with a short path"
+            ) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def start(self, submit: Submit) -> None:
+        """Serve clients from now on; those that came before have waited."""
+        threading.Thread(
+            target=self._accept, args=(submit,), name="control", daemon=True
+        ).start()
+
+    def close(self) -> None:
+        """Serve no more clients, and let those that have their result take it."""
+        self._path.unlink(missing_ok=True)
+        self._is_closed.set()
+        with contextlib.suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)  # which wakes `accept`
+        for thread in list(self._threads):
+            thread.join(_CLOSE_LIMIT)
+        self._listener.close()
+
+    def _make_folder(self) -> None:
+        folder = self._path.parent
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if folder.stat().st_uid != os.getuid():
+            raise RunError(
+                f"{folder} is another user's: set XDG_RUNTIME_DIR to a folder of yours"
+            )
+        if is_alive(self._path):
+            name = self._robot
+            raise UsageError(f"robot '{name}' runs already; `poise stop` ends it")
+        for left in folder.glob("*.sock"):  # by managers that were killed
+            if not is_alive(left):
+                left.unlink(missing_ok=True)
+
+    def _accept(self, submit: Submit) -> None:
+        while not self._is_closed.is_set():
+            self._free.acquire()
+            try:
+                connection, _ = self._listener.accept()
+            except OSError:  # it was closed
+                return
+            thread = threading.Thread(
+                target=self._serve, args=(connection, submit), daemon=True
+            )
+            self._threads.add(thread)
+            thread.start()
+
+    def _serve(self, connection: socket.socket, submit: Submit) -> None:
+        try:
+            with connection, contextlib.suppress(WireError, RunError):
+                request = record_channel.receive(connection, ControlRequest)
+                result = self._result(connection, submit(request.command))
+                if result is not None:
+                    record_channel.send(connection, ControlResponse(result))
+        finally:
+            self._threads.discard(threading.current_thread())
+            self._free.release()
+
+    def _result(
+        self, connection: socket.socket, future: Future[Result | Refusal]
+    ) -> Result | Refusal | None:
+        """Return the result once it is there; None when the client has left."""
+        while not wait([future], _LOOK_EVERY).done:
+            if _has_left(connection):
+                future.cancel()
+                return None
+            if self._is_closed.is_set() and future.cancel():
+                return Refusal(f"robot '{self._robot}' has stopped", "RunError")
+        try:
+            return future.result()
+        except CancelledError:
+            return None
+
+
+def _listening(path: Path) -> socket.socket:
+    """Return a socket that listens, and is at `path` only since it does."""
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        draft = path.with_suffix(f".{os.getpid()}")
+        listener.bind(os.fspath(draft))
+        listener.listen(MOST_CLIENTS)
+        draft.rename(path)
+    except OSError:
+        listener.close()
+        raise
+    return listener
+
+
+def _has_left(connection: socket.socket) -> bool:
+    try:
+        return not connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True

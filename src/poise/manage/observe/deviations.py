@@ -1,0 +1,95 @@
+"""What is not as the manager wants it, by what the agents reported. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+
+from msgspec import Struct
+
+from poise.manage.deployment import DeploymentPlan, Incarnation
+from poise.wire.records.deployment import AgentStatus, ComponentStatus
+
+
+class Deviation(Struct, frozen=True, kw_only=True):
+    """One thing that is not as it should be.
+
+    Parameters
+    ----------
+    what
+        A sentence for people; the same for as long as it lasts.
+    computer, component
+        Where; `component` is empty when it concerns the computer.
+    since
+        When the manager noticed it [s since 1970].
+    """
+
+    what: str
+    computer: str
+    component: str = ""
+    since: float
+
+    @property
+    def key(self) -> str:
+        """What it is about: of two with the same key, the later takes the place."""
+        return self.component or self.what
+
+    def end(self) -> str:
+        """Return a sentence for when it is over."""
+        if self.component:
+            return f"component '{self.component}' is as it should be again"
+        return f"no more: {self.what}"
+
+
+def find_deviations(
+    placed: Mapping[str, Incarnation],
+    layout: DeploymentPlan,
+    statuses: Mapping[str, AgentStatus],
+    now: float,
+) -> Iterator[Deviation]:
+    """Yield what differs between the placement and what the agents reported.
+
+    Parameters
+    ----------
+    placed
+        Component -> where it should run.
+    statuses
+        Computer -> what its agent reported last, if it is reached.
+    now
+        The time [s since 1970].
+    """
+    for computer, status in sorted(statuses.items()):
+        wanted = [each for each in placed.values() if each.computer == computer]
+        for component, what in _of_computer(computer, status, wanted, layout):
+            yield Deviation(
+                what=what, computer=computer, component=component, since=now
+            )
+
+
+def _of_computer(
+    computer: str,
+    status: AgentStatus,
+    wanted: Collection[Incarnation],
+    layout: DeploymentPlan,
+) -> Iterator[tuple[str, str]]:
+    """Yield a component, or nothing, and a sentence about it."""
+    there = {
+        (component.name, component.epoch): component
+        for container in status.containers
+        for component in container.components
+    }
+    for each in wanted:
+        found = there.get((each.component, each.epoch))
+        if found is None or found.state != each.goal:
+            yield each.component, _state(each, found)
+    names = {layout.container_of(each.component) for each in wanted}
+    for container in status.containers:
+        if container.name not in names:
+            yield "", f"container '{container.name}' runs on '{computer}', unwanted"
+
+
+def _state(wanted: Incarnation, found: ComponentStatus | None) -> str:
+    what = f"component '{wanted.component}' on '{wanted.computer}'"
+    if found is None:
+        return f"{what} does not run"
+    last = found.error.rstrip().rpartition("\n")[2]
+    return f"{what} is {found.state}" + (f": {last}" if last else "")

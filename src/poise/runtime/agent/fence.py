@@ -1,0 +1,60 @@
+"""Which manager an agent obeys: one at a time, by its fencing token."""
+
+from __future__ import annotations
+
+import zenoh
+
+from poise.wire.records.deployment import Accepted, Claim, ManagerId, Refused
+
+
+class Fence:
+    """The manager that claimed an agent last, while no later one succeeds it.
+
+    A manager is succeeded only once its liveliness token is gone, and only by one with
+    a higher fencing token. What the earlier one still sends is refused from then on.
+
+    Parameters
+    ----------
+    robot, computer
+        The agent's, for messages.
+    """
+
+    def __init__(self, robot: str, computer: str) -> None:
+        self._robot = robot
+        self._computer = computer
+        self._gone: set[str] = set()
+        self.manager: ManagerId | None = None
+        self.token = 0
+
+    def note_liveliness(self, sample: zenoh.Sample) -> None:
+        """Note that a manager's liveliness token came or went; for zenoh's threads."""
+        key = str(sample.key_expr).rpartition("/")[2]
+        if sample.kind == zenoh.SampleKind.PUT:
+            self._gone.discard(key)
+        else:
+            self._gone.add(key)
+
+    def claim(self, claim: Claim, token: int) -> Accepted | Refused:
+        """Obey a manager from now on, if nobody else is obeyed or that one is gone."""
+        before = self.manager
+        is_free = (
+            before is None
+            or before.key == claim.manager.key
+            or before.key in self._gone
+        )
+        if not is_free or token <= self.token:
+            return Refused(self._manages())
+        self.manager, self.token = claim.manager, token
+        return Accepted()
+
+    def refusal(self, token: int) -> str:
+        """Return why a request with this token is refused; empty when it is not."""
+        if self.manager is None:
+            return f"no manager has claimed '{self._computer}' since its agent started"
+        return "" if token == self.token else self._manages()
+
+    def _manages(self) -> str:
+        return (
+            f"robot '{self._robot}' is managed by {self.manager}, whose fencing token "
+            f"is {self.token}"
+        )
