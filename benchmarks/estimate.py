@@ -37,7 +37,7 @@ from poise.manage.observe.measure import measure
 from poise.manage.observe.profiling import Subject, figures
 from poise.manage.observe.recording import Recording
 from poise.model.robot import Robot
-from poise.runtime._calls import Account
+from poise.runtime._calls import ComponentCounters
 from poise.session.measure_alone import measure_alone
 from poise.session.placement import place
 from poise.session.profiles import read_profile
@@ -289,7 +289,7 @@ def overhead(lengths: Lengths) -> dict[str, object]:
 
 def counting_seconds() -> float:
     """Return what a component's thread counts for each of its jobs [s]."""
-    account = Account()
+    account = ComponentCounters()
     account.begin()
     best = math.inf
     for _ in range(50):

@@ -6,9 +6,7 @@ import os
 import threading
 from collections.abc import Callable
 
-import pytest
-
-from poise.priority import ahead, as_usual, first, gently, go_first
+from poise.priority import ahead, as_usual, first, give_way, go_first
 
 USUAL = os.getpriority(os.PRIO_PROCESS, 0)
 REAL_TIME = 1000
@@ -47,15 +45,17 @@ def be_ahead() -> None:
     os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), USUAL - 10)
 
 
-def test_gives_way_only_on_a_thread_of_its_own() -> None:
-    before = nice()
-    assert gently(nice) == 19
-    assert nice() == before
+def test_a_thread_that_gives_way_goes_last() -> None:
+    seen: list[int] = []
 
+    def run() -> None:
+        give_way()
+        seen.append(nice())
 
-def test_what_is_raised_gently_is_raised_here() -> None:
-    with pytest.raises(ZeroDivisionError):
-        gently(lambda: 1 // 0)
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    assert seen == [19]
 
 
 def test_each_goes_before_the_next_so_far_as_it_is_allowed() -> None:

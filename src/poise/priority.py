@@ -11,17 +11,13 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TypeVar
 
 _USUAL = os.getpriority(os.PRIO_PROCESS, 0)
 _AHEAD, _LAST = _USUAL - 10, 19
 _LOWEST = 1
 """The lowest real-time priority: a robot's own real-time threads go before."""
-
-T = TypeVar("T")
 
 
 def go_first() -> None:
@@ -60,27 +56,12 @@ def as_usual() -> Iterator[None]:
         yield
 
 
-def gently(work: Callable[[], T]) -> T:
-    """Run `work` on a thread that gives way to all others, and return what it returns.
+def give_way() -> None:
+    """Let this thread leave the CPU to all others, for good.
 
-    A thread of its own, because only the privileged may take back that they gave way.
-
-    Raises
-    ------
-    BaseException
-        Whatever `work` raises.
+    Only the privileged may take that back, so use a thread that does nothing else.
     """
-    future: Future[T] = Future()
-
-    def run() -> None:
-        _be_nice(_LAST)
-        try:
-            future.set_result(work())
-        except BaseException as error:  # noqa: BLE001, the caller gets it
-            future.set_exception(error)
-
-    threading.Thread(target=run, name="gently").start()
-    return future.result()
+    _be_nice(_LAST)
 
 
 @contextmanager

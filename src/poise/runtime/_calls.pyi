@@ -124,22 +124,24 @@ class Histogram:
     def summary(self) -> Summary:
         """Return count, mean, median, 99th percentile and maximum."""
 
-class Ledger:
-    """The container's end of the memory in which it counts; `ledger.Ledger` uses it.
+class StatsPage:
+    """The container's end of its stats page, for `stats_page.StatsPage`.
 
     Parameters
     ----------
     descriptor
-        From `ledger.new_memory`; not needed any more when this returns.
+        From `stats_page.new_memory`; not needed any more when this returns.
     """
 
     def __init__(self, descriptor: int) -> None: ...
+    def beat(self) -> None:
+        """Increment the heartbeat, which shows the agent that this thread runs."""
 
-LINE_SIZE: int
-"""What one line of a ledger takes [bytes]."""
+RECORD_SIZE: int
+"""What one record of a stats page takes [bytes]."""
 
-class Reader:
-    """The agent's end of a container's ledger.
+class PageSampler:
+    """The agent's end of a container's stats page.
 
     Parameters
     ----------
@@ -173,11 +175,14 @@ class Reader:
         Waits are those of components without jobs.
         """
 
+    def heartbeat(self) -> int:
+        """Return how often the container's control thread has run."""
+
     def commands(self) -> list[int]:
         """Return the processes of the command-line components."""
 
-class Account:
-    """What a component used and did, in a ledger or not."""
+class ComponentCounters:
+    """What a component used and did, in a stats page or not."""
 
     def __init__(self) -> None: ...
     def begin(self) -> None:
@@ -213,17 +218,17 @@ class Account:
     def cpu(self) -> float:
         """Return the CPU time so far, without calls [s]."""
 
-    def enter(self, ledger: Ledger, name: str, epoch: int) -> bool:
-        """Go on counting in a ledger; False when it is full.
+    def enter(self, page: StatsPage, name: str, epoch: int) -> bool:
+        """Go on counting in a stats page; False when it is full.
 
         A name of over 255 bytes is cut.
         """
 
     def leave(self) -> None:
-        """Go on counting outside; harmless when it is in no ledger."""
+        """Go on counting outside; harmless when it is in no stats page."""
 
 class Counts:
-    """What one end of a connector counts, in a ledger or not.
+    """What one end of a connector counts, in a stats page or not.
 
     Parameters
     ----------
@@ -298,17 +303,19 @@ class Counts:
     def add_cpu(self, seconds: float) -> None:
         """Count the CPU time of a call that was measured elsewhere."""
 
-    def enter(self, ledger: Ledger, name: str) -> bool:
-        """Go on counting in a ledger, as `Account.enter`."""
+    def enter(self, page: StatsPage, name: str) -> bool:
+        """Go on counting in a stats page, as `ComponentCounters.enter`."""
 
-    def attribute(self, source: Account | None, target: Account | None) -> None:
-        """Say whose accounts, in the same ledger, the CPU time of calls moves between.
+    def attribute(
+        self, source: ComponentCounters | None, target: ComponentCounters | None
+    ) -> None:
+        """Say between whose counters, in the same page, the CPU time of calls moves.
 
         None: that end is in another container.
         """
 
     def leave(self) -> None:
-        """Go on counting outside; harmless when it is in no ledger."""
+        """Go on counting outside; harmless when it is in no stats page."""
 
 class DirectCall:
     """Calls `method` on the caller's thread, under `exclusion`, and counts it.

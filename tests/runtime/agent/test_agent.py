@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -26,9 +27,11 @@ from poise.wire.records.deployment import (
     Claim,
     ComponentSpec,
     ComponentStatus,
+    ContainerHealth,
     ContainerSpec,
     ContainerStatus,
     Deployment,
+    Fault,
     Goal,
     ManagerId,
     ManagerRequest,
@@ -42,8 +45,9 @@ from tests.waiting import LIMIT, wait_until
 pytestmark = pytest.mark.slow
 
 MODULE = """
-import os, signal, sys
-from poise import Component
+import ctypes, os, pathlib, signal, sys, time
+os.chdir(os.path.dirname(__file__))
+from poise import Component, every
 
 class Quiet(Component): pass
 
@@ -54,6 +58,29 @@ class Angry(Component):
 class Suicidal(Component):
     def activate(self):
         os.kill(os.getpid(), signal.SIGSEGV)
+
+class Busy(Component):
+    @every(0.05)
+    def work(self):
+        until = time.thread_time() + 0.01
+        while time.thread_time() < until: pass
+
+class Forking(Component):
+    # one child is in its process group, one has a session and no parent of its own
+    def activate(self):
+        for leave in (False, True):
+            if os.fork() == 0:
+                if leave:
+                    os.setsid()
+                    if os.fork():
+                        os._exit(0)
+                    pathlib.Path("daemon").write_text(str(os.getpid()))
+                signal.pause()
+                os._exit(0)
+
+class Greedy(Component):
+    def activate(self):
+        ctypes.PyDLL(None).sleep(1000)  # with the GIL
 
 class Stubborn(Component):
     def deactivate(self):
@@ -74,6 +101,7 @@ class Manager:
         self._port = free_port()
         self._changed = threading.Condition()
         self._status: AgentStatus | None = None
+        self._known_faults = 0
         self._generation = 0
         self.lifeline, self._held = os.pipe()
         self.process = self.start_agent()
@@ -126,6 +154,10 @@ class Manager:
 
     def wait_active(self, name: str, but_not: int = 0) -> ContainerStatus:
         """Wait until a container runs, in another process than `but_not`."""
+        status = self.wait_active_status(name, but_not)
+        return next(c for c in status.containers if c.name == name)
+
+    def wait_active_status(self, name: str, but_not: int = 0) -> AgentStatus:
 
         def runs(status: AgentStatus) -> bool:
             return any(
@@ -135,8 +167,18 @@ class Manager:
                 for c in status.containers
             )
 
-        status = self.wait_for(runs)
-        return next(c for c in status.containers if c.name == name)
+        return self.wait_for(runs)
+
+    def forget_faults(self) -> None:
+        """Let `faults` give only those that follow."""
+        self._known_faults = max((f.number for f in self._now().faults), default=0)
+
+    def faults(self, status: AgentStatus | None = None) -> list[Fault]:
+        faults = (status or self._now()).faults
+        return [f for f in faults if f.number > self._known_faults]
+
+    def _now(self) -> AgentStatus:
+        return self.wait_for(lambda _: True)
 
     def cut_lifeline(self) -> None:
         if self._held >= 0:
@@ -195,6 +237,7 @@ def manager(_shared: Manager) -> Iterator[Manager]:
     yield _shared
     _shared.deploy()
     _shared.wait_for(lambda status: not status.containers)
+    _shared.forget_faults()
 
 
 def wait_gone(pid: int) -> None:
@@ -208,8 +251,13 @@ def wait_gone(pid: int) -> None:
 
 
 def children(pid: int) -> list[int]:
-    told = Path(f"/proc/{pid}/task/{pid}/children").read_text()
-    return [int(each) for each in told.split()]
+    threads = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(each) for thread in threads for each in thread.read_text().split()]
+
+
+def health(status: AgentStatus, name: str) -> ContainerHealth:
+    none = ContainerHealth(name=name, state="stopped", since=0.0)
+    return next((h for h in status.health if h.name == name), none)
 
 
 def only(status: AgentStatus) -> ComponentStatus:
@@ -238,17 +286,50 @@ def test_heals_a_container_that_was_killed(manager: Manager) -> None:
     first = manager.wait_active("quiet")
     os.kill(first.pid, signal.SIGKILL)
     second = manager.wait_active("quiet", but_not=first.pid)
-    status = manager.wait_for(lambda status: bool(status.faults))
-    assert [(f.container, f.message) for f in status.faults] == [
-        ("quiet", "was killed by SIGKILL")
-    ]
     assert second.pid != first.pid
+    (fault,) = manager.faults()
+    assert fault.container == "quiet"
+    assert fault.message == (
+        "was killed by SIGKILL; the state of 'quiet' is gone: it begins anew"
+    )
+    assert abs(fault.at - time.time()) < LIMIT
+
+
+def test_counts_restarts_and_keeps_the_last_fault_of_a_container(
+    manager: Manager,
+) -> None:
+    manager.deploy("quiet")
+    before = health(manager.wait_active_status("quiet"), "quiet").restarts
+    pid = 0
+    for _ in range(2):
+        pid = manager.wait_active("quiet", but_not=pid).pid
+        os.kill(pid, signal.SIGKILL)
+    status = manager.wait_active_status("quiet", but_not=pid)
+    now = health(status, "quiet")
+    assert now.restarts == before + 2
+    assert now.state == "running"
+    assert now.last_fault == manager.faults(status)[-1]
+    manager.deploy()
+    status = manager.wait_for(
+        lambda s: not s.containers and health(s, "quiet").state == "stopped"
+    )
+    assert health(status, "quiet").last_fault == now.last_fault
+
+
+def test_says_what_computer_and_containers_use(manager: Manager) -> None:
+    manager.deploy("busy")
+    manager.wait_active("busy")
+    status = manager.wait_for(lambda s: health(s, "busy").cpu > 0.1)
+    assert health(status, "busy").memory > 1e6
+    assert status.load >= health(status, "busy").cpu
+    assert status.memory > health(status, "busy").memory
 
 
 def test_heals_one_that_breaks_again_and_again(manager: Manager) -> None:
     manager.deploy("suicidal", "quiet")
-    status = manager.wait_for(lambda status: len(status.faults) >= 3)
-    assert {f.message for f in status.faults} == {"was killed by SIGSEGV"}
+    manager.wait_for(lambda status: len(manager.faults(status)) >= 3)
+    assert {f.message for f in manager.faults()} == {"was killed by SIGSEGV"}
+    assert [f.restarts for f in manager.faults()][:3] == [0, 1, 2]
     manager.wait_active("quiet")
     manager.deploy()
     manager.wait_for(lambda status: not status.containers)
@@ -289,8 +370,8 @@ def test_kills_one_that_will_not_end(manager: Manager) -> None:
 
 def test_runs_a_command_and_starts_it_anew_when_it_ends(manager: Manager) -> None:
     manager.deploy("sleeper", command=("sh", "-c", "sleep 0.1; exit 4"))
-    status = manager.wait_for(lambda status: len(status.faults) >= 2)
-    assert "its command ended with exit code 4" in status.faults[0].message
+    manager.wait_for(lambda status: len(manager.faults(status)) >= 2)
+    assert "its command ended with exit code 4" in manager.faults()[0].message
     manager.deploy()
     manager.wait_for(lambda status: not status.containers)
 
@@ -309,7 +390,8 @@ def test_a_command_that_is_made_inactive_ends_and_its_container_does_not(
         )
     )
     wait_gone(process)
-    assert ([c.pid for c in status.containers], status.faults) == ([pid], ())
+    assert [c.pid for c in status.containers] == [pid]
+    assert manager.faults(status) == []
     manager.deploy("sleeper", command=command)
     assert manager.wait_active("sleeper").pid == pid
 
@@ -328,6 +410,68 @@ def test_a_command_ends_with_its_container(manager: Manager) -> None:
     (command,) = children(container.pid)
     os.kill(container.pid, signal.SIGKILL)
     wait_gone(command)
+
+
+@pytest.mark.parametrize("how", ["killed", "stopped"])
+def test_what_a_component_forked_ends_with_its_container(
+    manager: Manager, how: str
+) -> None:
+    daemon = manager.folder / "daemon"
+    daemon.unlink(missing_ok=True)
+    manager.deploy("forking")
+    container = manager.wait_active("forking")
+    wait_until(lambda: daemon.exists() and daemon.read_text() != "")
+    # its parent ends, and the container takes its place
+    wait_until(lambda: int(daemon.read_text()) in children(container.pid))
+    forked = children(container.pid)
+    assert len(forked) >= 2
+    if how == "killed":
+        os.kill(container.pid, signal.SIGKILL)
+    else:
+        manager.deploy()
+    for pid in forked:
+        wait_gone(pid)
+
+
+def test_a_stopped_container_is_told_within_a_second_or_so(manager: Manager) -> None:
+    manager.deploy("quiet")
+    container = manager.wait_active("quiet")
+    os.kill(container.pid, signal.SIGSTOP)
+    status = manager.wait_for(lambda s: health(s, "quiet").state == "unresponsive")
+    assert only(status).state == "unresponsive"
+    (fault,) = manager.faults(status)
+    assert "does not respond since" in fault.message
+    assert "its process is stopped (SIGSTOP)" in fault.message
+    order = Order(number=8, container="quiet", steps=(Retire("x", 0),), limit=LIMIT)
+    assert manager.ask(order) == Failed(
+        8, "container 'quiet' does not respond: its process is stopped (SIGSTOP)"
+    )
+    os.kill(container.pid, signal.SIGCONT)
+    status = manager.wait_for(lambda s: health(s, "quiet").state == "running")
+    assert "responds again" in manager.faults(status)[-1].message
+    assert manager.wait_active("quiet").pid == container.pid
+
+
+def test_an_interpreter_that_is_held_is_told(manager: Manager) -> None:
+    manager.deploy("greedy")
+    status = manager.wait_for(lambda s: health(s, "greedy").state == "unresponsive")
+    assert "holds its interpreter (GIL)" in health(status, "greedy").reason
+    manager.deploy()
+    manager.wait_for(lambda s: not s.containers)  # nobody waits for it
+
+
+def test_a_step_in_a_container_that_is_stopped_meanwhile_fails_at_once(
+    manager: Manager,
+) -> None:
+    """It does not wait for the limit of the order, which is longer than the test's."""
+    manager.deploy("quiet")
+    container = manager.wait_active("quiet")
+    os.kill(container.pid, signal.SIGSTOP)
+    order = Order(number=9, container="quiet", steps=(Retire("x", 0),), limit=1e3)
+    failed = manager.ask(order)
+    assert isinstance(failed, Failed)
+    assert "does not respond" in failed.reason
+    os.kill(container.pid, signal.SIGKILL)
 
 
 def test_refuses_another_protocol_whatever_it_looks_like(manager: Manager) -> None:

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from poise.runtime import _calls
-from poise.runtime._calls import Account, Reader
+from poise.runtime._calls import ComponentCounters, PageSampler
 from poise.runtime.agent.sampler import Sampler, proportional_memory, resident_memory
 from poise.runtime.hosting.stats_page import new_memory
 from poise.wire.records.samples import AgentSample
@@ -19,15 +19,19 @@ def decoded(body: bytes) -> AgentSample:
     return msgspec.msgpack.decode(body, type=AgentSample)
 
 
+def ignore(_: object) -> None:
+    pass
+
+
 @pytest.mark.parametrize("every", [0.0, 1.0])
 def test_tells_every_container_with_something_in_it(every: float) -> None:
     memories = [new_memory(), new_memory()]
-    accounts = [Account(), Account()]
-    readers = [Reader(memory, os.getpid()) for memory in memories]
-    accounts[0].enter(_calls.Ledger(memories[0]), "eye", 2)
+    counters = [ComponentCounters(), ComponentCounters()]
+    readers = [PageSampler(memory, os.getpid()) for memory in memories]
+    counters[0].enter(_calls.StatsPage(memories[0]), "eye", 2)
     here = [("see", 7, readers[0]), ("empty", 8, readers[1])]
-    collector = Sampler("a", every, lambda: here, lambda _: None)
-    sample = decoded(collector.sample())
+    sampler = Sampler("a", every, lambda: here, ignore, ignore)
+    sample = decoded(sampler.sample())
     assert sample.computer == "a"
     (container,) = sample.containers
     assert (container.name, container.pid) == ("see", 7)
@@ -38,9 +42,9 @@ def test_tells_every_container_with_something_in_it(every: float) -> None:
 
 
 def test_tells_again_and_again() -> None:
-    memory, account = new_memory(), Account()
-    account.enter(_calls.Ledger(memory), "eye", 0)
-    reader = Reader(memory, os.getpid())
+    memory, counters = new_memory(), ComponentCounters()
+    counters.enter(_calls.StatsPage(memory), "eye", 0)
+    reader = PageSampler(memory, os.getpid())
     told: list[AgentSample] = []
     enough = threading.Event()
 
@@ -50,10 +54,10 @@ def test_tells_again_and_again() -> None:
             enough.set()
 
     pid = os.getpid()
-    collector = Sampler("a", 0.001, lambda: [("see", pid, reader)], publish)
-    collector.start()
+    sampler = Sampler("a", 0.001, lambda: [("see", pid, reader)], publish, ignore)
+    sampler.start()
     assert enough.wait(20)
-    collector.stop()
+    sampler.stop()
     os.close(memory)
     moments = [sample.containers[0].at for sample in told]
     assert moments == sorted(set(moments))
@@ -72,10 +76,10 @@ def test_what_could_not_be_told_once_ends_nothing(
             raise RuntimeError("nobody listens")
         enough.set()
 
-    collector = Sampler("a", 0.001, list, publish)
-    collector.start()
+    sampler = Sampler("a", 0.001, list, publish, ignore)
+    sampler.start()
     assert enough.wait(20)
-    collector.stop()
+    sampler.stop()
     assert "nobody listens" in caplog.text
 
 
@@ -92,21 +96,22 @@ def test_memory_is_weighed_again_when_there_is_more_or_less_of_it(
     """With one container it is due at each tenth sample, and each tenth time anyway."""
     held, weighed = [1000], list[int]()
 
-    def weigh(_: int) -> int:
-        weighed.append(held[0])
+    def weigh(pid: int) -> int:
+        if pid == 1:  # the container's, and not the agent's own
+            weighed.append(held[0])
         return held[0] // 2
 
     monkeypatch.setattr(
         "poise.runtime.agent.sampler.resident_memory", lambda _: held[0]
     )
     monkeypatch.setattr("poise.runtime.agent.sampler.proportional_memory", weigh)
-    memory, account = new_memory(), Account()
-    account.enter(_calls.Ledger(memory), "eye", 0)
-    here = [("see", os.getpid(), Reader(memory, os.getpid()))]
-    collector = Sampler("a", 0, lambda: here, lambda _: None)
+    memory, counters = new_memory(), ComponentCounters()
+    counters.enter(_calls.StatsPage(memory), "eye", 0)
+    here = [("see", 1, PageSampler(memory, os.getpid()))]
+    sampler = Sampler("a", 0, lambda: here, ignore, ignore)
 
     def told() -> int:
-        return decoded(collector.sample()).containers[0].memory
+        return decoded(sampler.sample()).containers[0].memory
 
     for _ in range(30):
         assert told() == 500

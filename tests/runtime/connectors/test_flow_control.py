@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from poise.errors import Unavailable
-from poise.runtime._calls import Account
+from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.ports import Policy, Queue
 from poise.runtime.connectors.flow_control import CreditIssuer, Credits
 from poise.runtime.execution.connector_counters import Counts
@@ -59,7 +59,7 @@ class Joined:
     def start_target(self, policy: Policy = "block", size: int = 4) -> None:
         self.inbox = Inbox("notes", Queue(policy, size))
         self.counts = Counts()
-        self.feed = Feed(Mailbox(Account()), self.inbox, self.counts)
+        self.feed = Feed(Mailbox(ComponentCounters()), self.inbox, self.counts)
         self.issuer = CreditIssuer(
             "a.b", self.feed, self.counts, lambda _: self.way, self.tasks.append
         )

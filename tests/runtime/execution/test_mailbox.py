@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from poise.runtime._calls import Account
+from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.ports import Queue
 from poise.runtime.execution import mailbox as module
 from poise.runtime.execution.connector_counters import Counts
@@ -16,7 +16,7 @@ LIMIT = 20.0
 
 
 def feed(inbox: Inbox, mailbox: Mailbox | None = None) -> Feed:
-    return Feed(mailbox or Mailbox(Account()), inbox, Counts())
+    return Feed(mailbox or Mailbox(ComponentCounters()), inbox, Counts())
 
 
 def put(feed: Feed, *numbers: int) -> None:
@@ -109,13 +109,13 @@ def test_tells_whoever_waits_when_it_comes_to_rest() -> None:
 
 
 def test_wakes_once_for_every_message_that_waits() -> None:
-    mailbox, inbox = Mailbox(Account()), Inbox("scan", Queue("keep", 2))
+    mailbox, inbox = Mailbox(ComponentCounters()), Inbox("scan", Queue("keep", 2))
     put(feed(inbox, mailbox), 1, 2, 3)
     assert [mailbox.next(0.0) for _ in range(3)] == [inbox, inbox, None]
 
 
 def test_serves_ports_in_the_order_of_arrival() -> None:
-    mailbox = Mailbox(Account())
+    mailbox = Mailbox(ComponentCounters())
     one, two = (Inbox(name, Queue("keep", 5)) for name in ("one", "two"))
     for inbox in (two, one, two):
         put(feed(inbox, mailbox), 0)
@@ -123,6 +123,6 @@ def test_serves_ports_in_the_order_of_arrival() -> None:
 
 
 def test_a_wake_up_brings_nothing() -> None:
-    mailbox = Mailbox(Account())
+    mailbox = Mailbox(ComponentCounters())
     mailbox.wake()
     assert mailbox.next(LIMIT) is None

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from poise.runtime import _calls
-from poise.runtime._calls import Account, Counts, Reader
+from poise.runtime._calls import ComponentCounters, Counts, PageSampler
 from poise.runtime.hosting.stats_page import new_memory
 from tests.waiting import wait_until
 
@@ -21,21 +21,24 @@ EPOCH = 3
 
 
 class Book:
-    """A ledger with both of its ends in this process."""
+    """A stats_page with both of its ends in this process."""
 
     def __init__(self, memory: int, proc: str = "/proc") -> None:
-        self.stats_page = _calls.Ledger(memory)
-        self.reader = Reader(memory, os.getpid(), proc)
-        self._held: list[Account | Counts] = []
+        self.stats_page = _calls.StatsPage(memory)
+        self.reader = PageSampler(memory, os.getpid(), proc)
+        self._held: list[ComponentCounters | Counts] = []
 
-    def account(self, name: str) -> Account:
-        account = Account()
-        assert account.enter(self.stats_page, name, EPOCH)
-        self._held.append(account)
-        return account
+    def counters(self, name: str) -> ComponentCounters:
+        counters = ComponentCounters()
+        assert counters.enter(self.stats_page, name, EPOCH)
+        self._held.append(counters)
+        return counters
 
     def counts(
-        self, name: str, source: Account | None, target: Account | None
+        self,
+        name: str,
+        source: ComponentCounters | None,
+        target: ComponentCounters | None,
     ) -> Counts:
         counts = Counts()
         assert counts.enter(self.stats_page, name)
@@ -80,7 +83,7 @@ def test_tells_nothing_while_nothing_is_entered(book: Book) -> None:
 
 
 def test_tells_what_a_connector_counts(book: Book) -> None:
-    book.account("eye")
+    book.counters("eye")
     counts = Counts()
     counts.calls, counts.bytes_out, counts.bytes_in = 2, 10, 20
     counts.enter(book.stats_page, "eye.x-mind.x")
@@ -93,7 +96,7 @@ def test_tells_what_a_connector_counts(book: Book) -> None:
 
 def test_tells_how_long_what_came_was_under_way(book: Book) -> None:
     """A call and a message of whom it is known, and a message of whom it is not."""
-    book.account("eye")
+    book.counters("eye")
     counts = book.counts("eye.x-mind.x", None, None)
     counts.add_call(1.0, 10, 20, 0.5, 0.125)
     counts.add_message(0, 30, 0.25, 0.25)
@@ -107,7 +110,7 @@ def test_tells_how_long_what_came_was_under_way(book: Book) -> None:
 
 def test_what_comes_before_it_was_sent_was_not_under_way(book: Book) -> None:
     """The clocks are known within an error: by that much it may seem so."""
-    book.account("eye")
+    book.counters("eye")
     counts = book.counts("eye.x-mind.x", None, None)
     counts.add_message(0, 1, -0.5, 0.75)
     assert counts.latency.summary().maximum == 0
@@ -117,8 +120,8 @@ def test_what_comes_before_it_was_sent_was_not_under_way(book: Book) -> None:
 
 
 def test_counts_go_on_outside(book: Book) -> None:
-    account = book.account("eye")
-    counts = book.counts("eye.x-mind.x", account, None)
+    counters = book.counters("eye")
+    counts = book.counts("eye.x-mind.x", counters, None)
     counts.calls = 7
     counts.leave()
     counts.leave()
@@ -127,32 +130,32 @@ def test_counts_go_on_outside(book: Book) -> None:
     read = book.reader.read()
     assert read is not None
     assert read[3] == []
-    account.leave()
+    counters.leave()
     assert book.reader.read() is None
 
 
 def test_a_line_is_used_again_under_another_name(book: Book) -> None:
-    book.account("eye")
+    book.counters("eye")
     for name in ("one", "two"):
-        account = book.account(name)
-        account.note_done()
+        counters = book.counters(name)
+        counters.note_done()
         assert book.jobs(name) == (0, 0)  # nothing was asked for
-        account.leave()
+        counters.leave()
     read = book.reader.read()
     assert read is not None
     assert [each[:2] for each in read[2]] == [("eye", EPOCH)]
 
 
 def test_tells_the_cpu_time_of_a_thread_also_after_its_end(book: Book) -> None:
-    account = book.account("eye")
+    counters = book.counters("eye")
     burned, may_end = threading.Event(), threading.Event()
 
     def work() -> None:
-        account.begin()
+        counters.begin()
         burn(0.05)
         burned.set()
         may_end.wait(20)
-        account.end()
+        counters.end()
 
     thread = threading.Thread(target=work)
     thread.start()
@@ -162,12 +165,12 @@ def test_tells_the_cpu_time_of_a_thread_also_after_its_end(book: Book) -> None:
     may_end.set()
     thread.join(20)
     assert 0.05 <= book.cpu("eye") < 0.2
-    assert account.cpu() == pytest.approx(book.cpu("eye"))
+    assert counters.cpu() == pytest.approx(book.cpu("eye"))
 
 
 def test_a_call_counts_for_its_callee(book: Book) -> None:
     """Of 0.3 s on the caller's thread 0.2 s were the callee's, 0.05 s the third's."""
-    caller, callee, third = (book.account(n) for n in ("caller", "callee", "third"))
+    caller, callee, third = (book.counters(n) for n in ("caller", "callee", "third"))
     there = book.counts("caller.x-callee.x", caller, callee)
     on = book.counts("callee.x-third.x", callee, third)
     before = book.cpu("caller")
@@ -179,21 +182,21 @@ def test_a_call_counts_for_its_callee(book: Book) -> None:
 
 
 def test_a_call_from_another_container_takes_from_nobody(book: Book) -> None:
-    callee = book.account("callee")
+    callee = book.counters("callee")
     book.counts("caller.x-callee.x", None, callee).add_cpu(0.2)
     assert book.cpu("callee") == pytest.approx(0.2)
 
 
 def test_calls_to_one_that_left_count_for_nobody(book: Book) -> None:
-    caller, callee = book.account("caller"), book.account("callee")
+    caller, callee = book.counters("caller"), book.counters("callee")
     book.counts("caller.x-callee.x", caller, callee).add_cpu(0.2)
     callee.leave()
-    book.account("other")  # takes the callee's line
+    book.counters("other")  # takes the callee's line
     assert book.cpu("caller") == book.cpu("other") == 0.0
 
 
 def test_who_only_answers_has_its_calls_for_jobs(book: Book) -> None:
-    callee = book.account("callee")
+    callee = book.counters("callee")
     counts = book.counts("caller.x-callee.x", None, callee)
     counts.calls = 9
     assert book.jobs("callee") == (9, 9)
@@ -203,63 +206,63 @@ def test_who_only_answers_has_its_calls_for_jobs(book: Book) -> None:
 
 def test_releases_are_asked_for_though_nobody_wakes(book: Book) -> None:
     """From -10.5 s on every second: 10 releases; those of a shut timer stay."""
-    account = book.account("eye")
+    counters = book.counters("eye")
     now = time.monotonic()
-    account.plan([(now - 10.5, 1e3), (now - 105e3, 1e4)])
-    account.note_asked()
-    account.note_done()
+    counters.plan([(now - 10.5, 1e3), (now - 105e3, 1e4)])
+    counters.note_asked()
+    counters.note_done()
     assert book.jobs("eye") == (11, 1)
-    account.plan([])
+    counters.plan([])
     assert book.jobs("eye") == (11, 1)
-    account.plan([(now - 21e4, 1e5)])
+    counters.plan([(now - 21e4, 1e5)])
     assert book.jobs("eye") == (13, 1)
 
 
 def test_timers_planned_before_are_entered_too(book: Book) -> None:
-    account = Account()
-    account.plan([(time.monotonic() - 35e3, 1e4)])
-    account.enter(book.stats_page, "eye", EPOCH)
+    counters = ComponentCounters()
+    counters.plan([(time.monotonic() - 35e3, 1e4)])
+    counters.enter(book.stats_page, "eye", EPOCH)
     assert book.jobs("eye") == (3, 0)
 
 
-def test_a_ledger_that_is_full_takes_no_more(tmp_path: Path) -> None:
-    small = tmp_path / "ledger"
-    small.write_bytes(bytes(64 + 2 * _calls.LINE_SIZE))
+def test_a_stats_page_that_is_full_takes_no_more(tmp_path: Path) -> None:
+    small = tmp_path / "stats_page"
+    small.write_bytes(bytes(64 + 2 * _calls.RECORD_SIZE))
     with small.open("r+b") as file:
-        stats_page = _calls.Ledger(file.fileno())
-    accounts = [Account() for _ in range(3)]
-    assert [a.enter(stats_page, "x", 0) for a in accounts] == [True, True, False]
-    accounts[0].leave()
-    assert accounts[2].enter(stats_page, "x", 0)
+        stats_page = _calls.StatsPage(file.fileno())
+    all_counters = [ComponentCounters() for _ in range(3)]
+    assert [a.enter(stats_page, "x", 0) for a in all_counters] == [True, True, False]
+    all_counters[0].leave()
+    assert all_counters[2].enter(stats_page, "x", 0)
 
 
-def test_memory_that_is_no_ledger_is_refused(tmp_path: Path) -> None:
+def test_memory_that_is_no_stats_page_is_refused(tmp_path: Path) -> None:
     empty = tmp_path / "empty"
     empty.touch()
     with empty.open("rb") as file, pytest.raises(RuntimeError, match="too small"):
-        Reader(file.fileno(), os.getpid())
+        PageSampler(file.fileno(), os.getpid())
 
 
 def test_a_name_may_be_as_long_as_two_components_and_their_ports(book: Book) -> None:
     name = "-".join(["é" * 31 + "." + "x" * 63] * 2)
-    book.account(name)
+    book.counters(name)
     assert book.component(name)[0] == name
-    book.account("x" * 300)
+    book.counters("x" * 300)
     assert book.component("x" * 255)
 
 
 @pytest.mark.slow
 def test_counts_a_process_as_its_command(book: Book) -> None:
-    account = book.account("driver")
+    counters = book.counters("driver")
     with subprocess.Popen([sys.executable, "-c", "while True: pass"]) as process:
-        account.watch(process.pid)
+        counters.watch(process.pid)
         assert book.reader.commands() == [process.pid]
         wait_until(lambda: book.cpu("driver") >= 0.01)
         read = book.reader.read()
         assert read is not None
         assert read[1] > book.cpu("driver") - 1  # it is in the container's time
         process.kill()
-    account.end()
+    counters.end()
     assert book.cpu("driver") == 0.0
     assert book.reader.commands() == []
 
@@ -269,8 +272,8 @@ def test_without_the_schedulers_counters_there_are_ticks(
 ) -> None:
     """70 + 30 ticks of 10 ms are a second; nobody tells of waits then."""
     book = Book(memory, str(tmp_path))
-    account = book.account("eye")
-    account.begin()
+    counters = book.counters("eye")
+    counters.begin()
     thread = tmp_path / str(threading.get_native_id())
     thread.mkdir()
     (thread / "stat").write_text("5 (a) (b) R 1 2 3 4 -5 6 7 8 9 10 70 30 0 0 20 0")
@@ -278,17 +281,17 @@ def test_without_the_schedulers_counters_there_are_ticks(
 
 
 def test_what_is_dropped_is_told_of_no_more(book: Book) -> None:
-    account = Account()
-    account.enter(book.stats_page, "eye", EPOCH)
-    del account
+    counters = ComponentCounters()
+    counters.enter(book.stats_page, "eye", EPOCH)
+    del counters
     assert book.reader.read() is None
 
 
 @pytest.mark.slow
 def test_a_process_that_has_ended_is_not_told_of(memory: int) -> None:
     book = Book(memory)
-    book.account("eye")
+    book.counters("eye")
     with subprocess.Popen([sys.executable, "-c", ""]) as process:
         process.wait(20)
         pid = process.pid
-    assert Reader(memory, pid).read() is None
+    assert PageSampler(memory, pid).read() is None

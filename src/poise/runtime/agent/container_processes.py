@@ -6,15 +6,19 @@ import contextlib
 import os
 import signal
 import socket
+from signal import SIGKILL
 
 from msgspec import Struct
 
 from poise.clock import Clock
-from poise.errors import PoiseError, Timeout, Unavailable
-from poise.runtime._calls import Reader
+from poise.errors import Timeout, Unavailable
+from poise.runtime._calls import PageSampler
+from poise.runtime.agent.watchdog import Silence
 from poise.wire import record_channel
 from poise.wire.codec import WireError
 from poise.wire.records.deployment import (
+    ComponentStatus,
+    ContainerFailure,
     ContainerSpec,
     ContainerStatus,
     FromContainer,
@@ -64,16 +68,16 @@ class BackOff:
 class ContainerProcess:
     """A running container, from the agent's side.
 
-    `pid` is 0 until the zygote has told it; from then on there is `counted`, which
-    tells what the container counts in its ledger. `kill_at` is when it has had time
-    enough to end [s].
+    `pid` is 0 until the zygote has reported it; from then on `counted` reads the
+    container's stats page. `kill_at` is when it has had time enough to end [s].
+    `silence` says why it does not respond; None: it does.
 
     Parameters
     ----------
     connection
         Its control socket.
-    ledger
-        The descriptor of its ledger's memory; closed when it is of no more use.
+    stats_page
+        The descriptor of its stats page; closed when it is not needed any more.
     """
 
     def __init__(
@@ -83,19 +87,20 @@ class ContainerProcess:
         self.spec = spec
         self.connection = connection
         self.pid = 0
-        self.counted: Reader | None = None
+        self.counted: PageSampler | None = None
         self._stats_page = stats_page
         self.status: ContainerStatus | None = None
+        self.silence: Silence | None = None
         self.kill_at = float("inf")
         self.is_stopping = False
         self.is_deaf = False
-        self._why_deaf = ""
+        self._why_ended = ""
         self._send(spec)
 
     def note_born(self, pid: int) -> None:
         """Take note of its process id."""
         self.pid = pid
-        self.counted = Reader(self._stats_page, pid)
+        self.counted = PageSampler(self._stats_page, pid)
         if self.is_deaf:
             self.kill()
 
@@ -123,18 +128,22 @@ class ContainerProcess:
         try:
             what = record_channel.receive(self.connection, FromContainer).what
         except (Unavailable, Timeout, WireError) as error:
-            self._give_up(error)
+            # a container that ends closes its end: the zygote reports that
+            self.give_up("" if isinstance(error, Unavailable) else str(error))
             return None
         if isinstance(what, ContainerStatus):
             self.status = what
             return None
+        if isinstance(what, ContainerFailure):
+            self._why_ended = what.reason
+            return None
         return what
 
     def stop(self, clock: Clock) -> None:
-        """Ask it to end; harmless when repeated."""
+        """Ask it to end, or kill one that does not respond; harmless when repeated."""
         if self.pid and not self.is_stopping:
             self.is_stopping = True
-            self.kill_at = clock.now() + STOP_LIMIT
+            self.kill_at = clock.now() + (0.0 if self.silence else STOP_LIMIT)
             _signal(self.pid, signal.SIGTERM)
 
     def kill(self) -> None:
@@ -144,29 +153,50 @@ class ContainerProcess:
             _signal(self.pid, signal.SIGKILL)
 
     def last_error(self) -> str:
-        """Return the last lines of the errors that it told or made, or nothing."""
-        errors = [c for c in self.status.components if c.error] if self.status else []
-        said = [f"{c.name}: {c.error.splitlines()[-1]}" for c in errors]
-        return "; ".join([*said, *filter(None, [self._why_deaf])])
+        """Return the last lines of the errors that it ended with, or nothing."""
+        failed = [c for c in self._components() if c.error and c.state == "failed"]
+        said = [f"{c.name}: {c.error.splitlines()[-1]}" for c in failed]
+        return "; ".join(filter(None, [*said, self._why_ended]))
+
+    def loss(self) -> str:
+        """Return which components lost their state with it, in words."""
+        names = [f"'{c.name}'" for c in self._components() if c.state == "active"]
+        if not names:
+            return ""
+        begins = "it begins" if len(names) == 1 else "they begin"
+        return f"the state of {', '.join(names)} is gone: {begins} anew"
+
+    def may_be_oom(self, how: End | str) -> bool:
+        """Return whether the kernel may have ended it, or one of its commands."""
+        has_command = any(component.command for component in self.spec.components)
+        return isinstance(how, End) and (how.is_kill or has_command)
+
+    def give_up(self, why: str = "") -> None:
+        """Listen no more: it is ending, or stuck. The zygote reports its end."""
+        self.is_deaf = True
+        if why:
+            self._why_ended = f"its agent gave it up: {why}"
+        self.kill()
+
+    def _components(self) -> tuple[ComponentStatus, ...]:
+        return self.status.components if self.status else ()
 
     def _send(self, what: ContainerSpec | Order) -> None:
         try:
             record_channel.send(self.connection, ToContainer(what))
         except (Timeout, Unavailable, WireError) as error:
-            self._give_up(error)
-
-    def _give_up(self, error: PoiseError) -> None:
-        """Listen no more: it is ending, or stuck. The zygote tells when it ended."""
-        self.is_deaf = True
-        if not isinstance(error, Unavailable):
-            self._why_deaf = f"its agent gave it up: {error}"
-        self.kill()
+            self.give_up("" if isinstance(error, Unavailable) else str(error))
 
 
 class End(Struct, frozen=True):
     """How a process ended, for people."""
 
     status: int
+
+    @property
+    def is_kill(self) -> bool:
+        """Whether it was killed."""
+        return os.WIFSIGNALED(self.status) and os.WTERMSIG(self.status) == SIGKILL
 
     def __str__(self) -> str:
         if os.WIFSIGNALED(self.status):

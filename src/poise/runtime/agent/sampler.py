@@ -1,8 +1,9 @@
-"""Reads the ledgers of a computer's containers and tells them, in one message."""
+"""Samples the stats pages of a computer's containers and watches their heartbeats."""
 
 from __future__ import annotations
 
 import logging
+import os
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -12,16 +13,24 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct, structs
 
-from poise.runtime._calls import Reader
+from poise.runtime._calls import PageSampler
+from poise.runtime.agent.health import Usage
+from poise.runtime.agent.watchdog import LOOK_EVERY, Silence, Watchdog
 
 log = logging.getLogger(__name__)
 
 _SELDOM = 10
-"""With every so many-th sample the memory of one container is read: that takes the
-kernel a millisecond or two, more than all the rest. So it is only done when the
-container holds more or less than before, and every `_ANYWAY`-th time: what it shares
-with others may have changed."""
+"""Every tenth sample reads the memory of one container, which takes the kernel a
+millisecond or two, more than all the rest. It is skipped while the container's resident
+memory stays the same, but not more than `_ANYWAY` times: what it shares with others may
+have changed."""
 _ANYWAY = 10
+
+
+USAGE_EVERY = 1.0
+"""CPU use is the mean over at least this time [s]."""
+_AGENT = ""
+"""The name under which the agent's own use is kept."""
 
 
 class Sampler:
@@ -32,35 +41,41 @@ class Sampler:
     computer
         Its name.
     every
-        [s]; 0: only when asked by `sample`.
+        How often to publish a sample [s]; 0: never.
     containers
-        Returns name, process number and ledger of the containers that run; called on
-        the thread.
+        Returns name, process number and stats page of the containers that run; called
+        on the thread.
     publish
         Takes an encoded `poise.wire.records.samples.AgentSample`; called on the thread.
+    on_silence
+        Called on the thread when a container does not respond, or does so again.
     """
 
     def __init__(
         self,
         computer: str,
         every: float,
-        containers: Callable[[], Sequence[tuple[str, int, Reader]]],
+        containers: Callable[[], Sequence[tuple[str, int, PageSampler]]],
         publish: Callable[[bytes], None],
+        on_silence: Callable[[Silence], None],
     ) -> None:
         self._computer = computer
         self._every = every
         self._containers = containers
         self._publish = publish
+        self._on_silence = on_silence
+        self._watchdog = Watchdog()
         self._memory: dict[int, _Weight] = {}
+        self._own_memory: _Weight | None = None
         self._count = 0
+        self._rates: dict[str, _Rate] = {}
+        self._usage: Usage = {}
         self._ended = threading.Event()
         self._encoder = msgspec.msgpack.Encoder()
-        self._thread = threading.Thread(
-            target=self._main, name="collector", daemon=True
-        )
+        self._thread = threading.Thread(target=self._main, name="sampler", daemon=True)
 
     def start(self) -> None:
-        """Begin to collect; `every` is greater than 0."""
+        """Begin to sample and to watch."""
         self._thread.start()
 
     def stop(self) -> None:
@@ -69,37 +84,81 @@ class Sampler:
         if self._thread.is_alive():
             self._thread.join(1.0)
 
+    def usage(self) -> Usage:
+        """Return what the agent (an empty name) and each container use; any thread."""
+        return self._usage
+
     def sample(self) -> bytes:
         """Return what is counted now, encoded."""
         containers = self._containers()
         self._weigh(containers)
         found = []
-        for name, pid, reader in containers:
-            read = reader.read()
+        for name, pid, page in containers:
+            read = page.read()
             if read is not None:
                 at, cpu, components, connectors = read
                 memory = self._memory[pid].proportional
                 found.append((name, pid, at, cpu, memory, components, connectors))
-        now = time.monotonic()
+        now, own = time.monotonic(), time.process_time()
+        self._note_usage(now, own, {n: (cpu, m) for n, _, _, cpu, m, *_ in found})
         # an `AgentSample`, whose records are arrays
-        return self._encoder.encode((self._computer, now, time.process_time(), found))
+        return self._encoder.encode((self._computer, now, own, found))
+
+    def _note_usage(
+        self, now: float, own: float, containers: dict[str, tuple[float, int]]
+    ) -> None:
+        before, self._rates = self._rates, {}
+        if self._count % _SELDOM == 0:
+            self._own_memory = _weigh([os.getpid()], self._own_memory)
+        agent = own, self._own_memory.proportional if self._own_memory else 0
+        for name, (cpu, size) in {_AGENT: agent, **containers}.items():
+            self._rates[name] = _Rate.next(before.get(name), now, cpu, size)
+        self._usage = {n: (rate.cores, rate.memory) for n, rate in self._rates.items()}
 
     def _main(self) -> None:
-        while not self._ended.wait(self._every):
+        period = min(self._every or LOOK_EVERY, LOOK_EVERY)
+        sample_at = usage_at = time.monotonic()
+        while not self._ended.wait(period):
             try:
-                self._publish(self.sample())
-            except Exception:  # what is told next may go out again
-                log.exception("a sample could not be told")
+                for silence in self._watchdog.look(self._containers()):
+                    self._on_silence(silence)
+                now = time.monotonic()
+                is_due = bool(self._every) and now >= sample_at
+                if is_due or now >= usage_at:
+                    sample, usage_at = self.sample(), now + USAGE_EVERY
+                if is_due:
+                    sample_at = max(sample_at + self._every, now)
+                    self._publish(sample)
+            except Exception:  # the next sample may be published again
+                log.exception("a sample could not be published")
 
-    def _weigh(self, containers: Sequence[tuple[str, int, Reader]]) -> None:
+    def _weigh(self, containers: Sequence[tuple[str, int, PageSampler]]) -> None:
         """Read the memory of new containers, and of the others one after the other."""
         self._count = (self._count + 1) % max(1, len(containers) * _SELDOM)
         before, self._memory = self._memory, {}
-        for place, (_, pid, reader) in enumerate(containers):
+        for place, (_, pid, page) in enumerate(containers):
             known = before.get(pid)
             if known is None or self._count == place * _SELDOM:
-                known = _weigh([pid, *reader.commands()], known)
+                known = _weigh([pid, *page.commands()], known)
             self._memory[pid] = known
+
+
+class _Rate(Struct, frozen=True):
+    """CPU use [cores] since the moment before `at` [s], and memory use [bytes]."""
+
+    at: float
+    cpu: float
+    cores: float
+    memory: int
+
+    @classmethod
+    def next(cls, known: _Rate | None, now: float, cpu: float, memory: int) -> _Rate:
+        """Return the use at `now` [s], when `cpu` [s] was used in all."""
+        if known is None or cpu < known.cpu:
+            return cls(now, cpu, 0.0, memory)
+        if now - known.at < USAGE_EVERY:
+            return cls(known.at, known.cpu, known.cores, memory)
+        return cls(now, cpu, (cpu - known.cpu) / (now - known.at), memory)
 
 
 class _Weight(Struct, frozen=True):

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 from poise.errors import Timeout
-from poise.runtime._calls import Account
+from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.component import Component
 from poise.runtime.component.ports import Port, Published, Queue, methods_of
 from poise.runtime.connectors.sender import Facade, Sender, refusing
@@ -31,7 +31,7 @@ class Endpoints:
         The component's.
     exclusion
         What callers enter.
-    account
+    counters
         Where what comes is counted.
     """
 
@@ -41,12 +41,12 @@ class Endpoints:
         component: Component,
         ports: Mapping[str, Port],
         exclusion: Exclusion,
-        account: Account,
+        counters: ComponentCounters,
     ) -> None:
         self.component = component
         self.ports = ports
         self.exclusion = exclusion
-        self.mailbox = Mailbox(account)
+        self.mailbox = Mailbox(counters)
         self.inboxes = {
             port.name: Inbox(port.name, port.queue or _ONEWAY)
             for port in ports.values()

@@ -1,7 +1,8 @@
 """A container: the process in which components run.
 
-It is told by its agent what should be (`ContainerSpec`), makes it so step by step, and
-tells what is (`ContainerStatus`) whenever that changes, and now and then.
+Its agent sends what should run (`ContainerSpec`). The control thread makes it so, and
+reports what runs (`ContainerStatus`) at every change and once a second. It waits for no
+import and for no component.
 """
 
 from __future__ import annotations
@@ -19,12 +20,10 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import FrameType
 
-from poise.errors import RunError, Timeout, Unavailable
-from poise.priority import as_usual, gently, go_first
+from poise.errors import PoiseError, RunError, Timeout, Unavailable
+from poise.priority import as_usual, go_first
 from poise.runtime.clock_table import ComputerClock
-from poise.runtime.component.component import Component
-from poise.runtime.component.error_report import told
-from poise.runtime.component.implementation import find, specialised
+from poise.runtime.container.preparation import Preparation
 from poise.runtime.hosting.command_line import Command
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.stats_page import Incarnation, StatsPage
@@ -32,9 +31,12 @@ from poise.runtime.hosting.wiring import Place, Transports, Wiring
 from poise.runtime.migration.executor import MigrationExecutor
 from poise.runtime.waker import Waker, is_writable, wait_readable
 from poise.wire import record_channel
+from poise.wire.codec import WireError
+from poise.wire.connections.fork import keep_private
 from poise.wire.records.deployment import (
     ComponentSpec,
     ComponentStatus,
+    ContainerFailure,
     ContainerSpec,
     ContainerStatus,
     FromContainer,
@@ -47,6 +49,8 @@ log = logging.getLogger(__name__)
 
 REPORT_EVERY = 1.0
 """A status goes out at least this often [s]."""
+BEAT_EVERY = 0.2
+"""The heartbeat that the agent watches is incremented at least this often [s]."""
 _JOINING_EVERY = 0.02
 """While a connector is not joined, it is looked for this often [s]."""
 _STOP_LIMIT = 1.0
@@ -62,7 +66,7 @@ class Container:
     ----------
     agent
         The control socket.
-    ledger
+    stats_page
         The descriptor of the memory in which it counts.
     """
 
@@ -71,12 +75,15 @@ class Container:
     ) -> None:
         self._name = name
         self._agent = agent
+        keep_private(agent)
         self._clock = ComputerClock(place.computer, Path(place.folder))
         self._transports = Transports(place)
         self._wiring = Wiring(self._transports, self._clock.ahead)
+        self._wanted: ContainerSpec | None = None
+        self._preparing: dict[Incarnation, Preparation] = {}
         self._runners: dict[Incarnation, Runner] = {}
         self._commands: dict[Incarnation, Command] = {}
-        self._hanging: list[Runner] = []
+        self._ending: dict[Incarnation, tuple[Runner | Command, float]] = {}
         self._broken: dict[Incarnation, ComponentStatus] = {}
         self._steps = MigrationExecutor(self._runners, self._wiring, self._transports)
         # steps wait for components and for other computers; the control thread must not
@@ -91,20 +98,29 @@ class Container:
 
         Raises
         ------
-        RunError
-            The process of a command-line component ended by itself.
+        RunError, Timeout, WireError
+            The process of a command-line component ended by itself, or the agent
+            cannot be understood; the agent was told.
         """
         sys.setswitchinterval(_SWITCH_EVERY)
         signal.signal(signal.SIGTERM, self._on_signal)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        os.register_at_fork(after_in_child=_end_by_signals)
         try:
             go_first()
             self._serve()
         except Unavailable:
             log.warning("container '%s': the agent is gone", self._name)
+        except (RunError, Timeout, WireError) as error:
+            self._tell_failure(error)
+            raise
         finally:
             self._stop()
+
+    def _tell_failure(self, error: PoiseError) -> None:
+        with contextlib.suppress(Timeout, Unavailable):
+            self._tell(ContainerFailure(str(error)))
 
     def _on_signal(self, _signal: int, _frame: FrameType | None) -> None:
         self._stopping = True
@@ -113,22 +129,26 @@ class Container:
     def _serve(self) -> None:
         report_at, unjoined = 0.0, self._wiring.unjoined()
         while not self._stopping:
-            look_at = report_at
+            self._stats_page.beat()
+            look_at = min(report_at, self._clock.now() + BEAT_EVERY)
             if unjoined:
-                look_at = min(report_at, self._clock.now() + _JOINING_EVERY)
+                look_at = min(look_at, self._clock.now() + _JOINING_EVERY)
             has_news = self._listen(max(0.0, look_at - self._clock.now()))
+            has_news |= self._settle()
             before, unjoined = unjoined, self._wiring.unjoined()
             if has_news or unjoined != before or self._clock.now() >= report_at:
                 self._report(self._status())
                 report_at = self._clock.now() + REPORT_EVERY
 
     def _listen(self, limit: float) -> bool:
-        """Wait up to `limit` [s] for news, and attend to it; whether it is to be told.
+        """Wait up to `limit` [s] for news, and take it in; whether it is to be told.
 
         An order is not: what it changes will be.
         """
         agent, waker = self._agent.fileno(), self._waker.fileno()
-        ended = [fd for each in self._commands.values() for fd in each.watched()]
+        ending = [r for r, _ in self._ending.values() if isinstance(r, Command)]
+        commands = [*self._commands.values(), *ending]
+        ended = [fd for each in commands for fd in each.watched()]
         ready = wait_readable([agent, waker, *ended], limit)
         if waker in ready:
             self._waker.clear()
@@ -142,7 +162,7 @@ class Container:
         return bool(ready)
 
     def _raise_if_ended(self) -> None:
-        """End with a command that ended: the agent starts both anew, after a while."""
+        """End with a command that ended: the agent starts both again, after a while."""
         try:
             for command in self._commands.values():
                 command.raise_if_ended()
@@ -159,6 +179,7 @@ class Container:
             self._step_threads.submit(self._take_steps, self._steps.hear(what))
         else:
             self._steps.note_deployment()
+            self._wanted = what
             with as_usual():
                 self._apply(what)
 
@@ -167,23 +188,25 @@ class Container:
         with contextlib.suppress(Timeout, Unavailable):  # the agent gave up on us
             self._tell(outcome)
 
-    def _tell(self, what: ContainerStatus | Done | Failed) -> None:
+    def _tell(self, what: ContainerStatus | ContainerFailure | Done | Failed) -> None:
         with self._telling:
             record_channel.send(self._agent, FromContainer(what))
 
     def _apply(self, spec: ContainerSpec) -> None:
         wanted = {(c.name, c.epoch): c for c in spec.components}
+        known = {*self._running(), *self._preparing, *self._ending, *self._broken}
         for key, component in wanted.items():
-            if key not in {*self._running(), *self._broken}:
-                self._add(component, spec.folder)
+            if key not in known:
+                self._add(key, component, spec.folder)
         self._connect(spec, [key for key in self._runners if key in wanted])
         for key, running in self._running().items():
             if key in wanted:
                 self._aim(running, wanted[key].goal)
             else:
                 self._remove(key)
-        for key in set(self._broken) - set(wanted):
-            del self._broken[key]
+        for gone in (self._broken, self._preparing):
+            for key in gone.keys() - wanted:
+                del gone[key]
         self._stats_page.show(self._running(), self._wiring.endpoints())
 
     def _running(self) -> dict[Incarnation, Runner | Command]:
@@ -196,89 +219,107 @@ class Container:
         elif isinstance(running, Runner):
             running.stay()
 
-    def _add(self, component: ComponentSpec, folder: str) -> None:
-        asked_at = self._clock.now()
+    def _add(self, key: Incarnation, component: ComponentSpec, folder: str) -> None:
         if component.command:
-            self._commands[component.name, component.epoch] = Command(component, folder)
+            self._commands[key] = Command(component, folder)
             return
-        try:
-            implementation = specialised(
-                self._found(component, folder), component.parameters, folder
-            )
-            runner = Runner(component, implementation, self._clock, self._waker.wake)
-            runner.asked_at = asked_at
-        # it is the user's: it may raise anything
-        except (Exception, SystemExit) as error:  # noqa: BLE001
-            text = told(error)
-            log.error("component '%s' cannot start: %s", component.name, text)  # noqa: TRY400, told
-            self._note_broken(component, text)
-            return
-        self._runners[component.name, component.epoch] = runner
-        runner.start()
-
-    def _found(self, component: ComponentSpec, folder: str) -> type[Component]:
-        """Import the class of a component, with what CPU time is left if it says so.
-
-        Not while others work here: they would wait for the interpreter, which a thread
-        that hardly gets a CPU may hold.
-        """
+        # While others work here they would wait for the interpreter, which a thread
+        # that hardly gets a CPU may hold.
         is_idle = all(each.state != "active" for each in self._runners.values())
-        if component.gently and is_idle:
-            return gently(lambda: find(component.implementation, folder))
-        return find(component.implementation, folder)
-
-    def _note_broken(self, component: ComponentSpec, error: str) -> None:
-        self._broken[component.name, component.epoch] = ComponentStatus(
-            name=component.name,
-            epoch=component.epoch,
-            state="failed",
-            error=error,
-            errors=1,
+        self._preparing[key] = Preparation(
+            component,
+            folder,
+            self._clock,
+            self._waker.wake,
+            gives_way=component.gently and is_idle,
         )
+
+    def _settle(self) -> bool:
+        """Go on with components that are prepared or have ended; whether any are."""
+        with as_usual():
+            has_changed = self._take_prepared() | self._end_removed()
+            if has_changed and self._wanted is not None:
+                self._apply(self._wanted)
+        return has_changed
+
+    def _take_prepared(self) -> bool:
+        """Start the components whose preparation is done; whether there were any."""
+        done = [key for key, each in self._preparing.items() if each.is_done()]
+        for key in done:
+            prepared = self._preparing.pop(key)
+            if prepared.runner is None:
+                self._broken[key] = prepared.status()
+            else:
+                self._runners[key] = prepared.runner
+                prepared.runner.start()
+        return bool(done)
 
     def _connect(self, spec: ContainerSpec, staying: list[Incarnation]) -> None:
         runners = {key: self._runners[key] for key in staying}
         for key, text in self._wiring.apply(spec.connectors, runners).items():
             log.error("component '%s' cannot be joined: %s", key[0], text)
-            self._note_broken(runners[key].spec, text)
+            self._broken[key] = ComponentStatus(
+                name=key[0], epoch=key[1], state="failed", error=text, errors=1
+            )
 
     def _remove(self, key: Incarnation) -> None:
         running = self._running()[key]
-        runner = self._runners.pop(key, None)
         running.aim("finalized")
-        ended = running.wait_ended(_STOP_LIMIT)
+        self._ending[key] = running, self._clock.now() + _STOP_LIMIT
         self._commands.pop(key, None)
-        if not ended:
-            log.warning("component '%s' did not end in %g s", key[0], _STOP_LIMIT)
+        runner = self._runners.pop(key, None)
         if runner is not None:
             self._steps.forget(runner)
-            self._hanging += () if ended else (runner,)
+
+    def _end_removed(self) -> bool:
+        """Forget removed components that have ended; whether there were any.
+
+        A command that takes too long is killed.
+        """
+        ended = []
+        for key, (running, limit) in self._ending.items():
+            is_late = self._clock.now() > limit
+            if running.has_ended() or (is_late and running.wait_ended(0.0)):
+                ended.append(key)
+            elif is_late and limit:
+                log.warning("component '%s' did not end in %g s", key[0], _STOP_LIMIT)
+                self._ending[key] = running, 0.0
+        for key in ended:
+            del self._ending[key]
+        return bool(ended)
 
     def _status(self) -> ContainerStatus:
         used = self._stats_page.cpu()
-        self._hanging = [each for each in self._hanging if not each.wait_ended(0)]
-        hanging = {(r.spec.name, r.spec.epoch): r.status() for r in self._hanging}
-        components = hanging | {
+        components = {key: each.status() for key, (each, _) in self._ending.items()}
+        components |= {key: each.status() for key, each in self._preparing.items()}
+        components |= {
             key: each.status(used.get(key)) for key, each in self._running().items()
         }
         return ContainerStatus(
             name=self._name,
             pid=os.getpid(),
             cpu=time.process_time()
-            + sum(each.account.cpu() for each in self._commands.values()),
+            + sum(each.counters.cpu() for each in self._commands.values()),
             components=tuple((components | self._broken).values()),
             connectors=self._wiring.status(),
         )
 
     def _stop(self) -> None:
         deadline = self._clock.now() + _STOP_LIMIT
-        for running in self._running().values():
-            running.aim("finalized")
-        for (name, _), running in self._running().items():
-            if not running.wait_ended(max(0.0, deadline - self._clock.now())):
+        running = {**self._running(), **{k: r for k, (r, _) in self._ending.items()}}
+        for each in running.values():
+            each.aim("finalized")
+        for (name, _), each in running.items():
+            if not each.wait_ended(max(0.0, deadline - self._clock.now())):
                 log.warning("component '%s' did not end in time", name)
         with contextlib.suppress(Timeout, Unavailable):  # nobody may be left to tell
             self._report(self._status())
         self._step_threads.shutdown(wait=False, cancel_futures=True)
         self._wiring.close()
         self._transports.close()
+
+
+def _end_by_signals() -> None:
+    """Let signals end what a component forks: they are not the container's there."""
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, signal.SIG_DFL)

@@ -4,8 +4,8 @@ A fork costs milliseconds and a few MB, a fresh interpreter 40 to 100 ms and its
 copy of everything. The zygote has one thread and no zenoh session, so that what it
 forks starts clean. It is forked from the agent before the agent opens anything.
 
-It sees to it that no container outlives the agent: whoever has not ended by itself
-`PATIENCE` seconds after the agent is killed.
+No container outlives the agent: those that have not ended by themselves `PATIENCE`
+seconds after the agent are killed. No process that a container forked outlives it.
 """
 
 from __future__ import annotations
@@ -24,6 +24,13 @@ from msgspec import Struct
 
 from poise.errors import Unavailable
 from poise.runtime.container.container import Container
+from poise.runtime.container.descendants import (
+    adopt_orphans,
+    children,
+    end_children,
+    kill_all,
+    lead_session,
+)
 from poise.runtime.hosting.wiring import Place
 from poise.runtime.waker import Waker, wait_readable
 from poise.wire import record_channel
@@ -35,12 +42,16 @@ PATIENCE = 2.0
 _OOM_SCORE = "500"
 _LARGEST = 1 << 16
 _LOOK = 0.01
+_KILL_LIMIT = 1.0
+_PASSED = 2
+"""Descriptors that come with the request for a container."""
+_LOOK_AT_ENDED = os.WEXITED | os.WNOHANG | os.WNOWAIT
 
 
 class Fork(Struct, frozen=True, kw_only=True):
     """The agent asks for a container.
 
-    Its control socket and its ledger come with the record.
+    Its control socket and its stats page come with the record.
     """
 
     name: str
@@ -78,8 +89,8 @@ def start(closing: Sequence[int] = ()) -> tuple[socket.socket, int]:
     """
     # one record is one packet, so neither end ever waits for the rest of one
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    for end in (ours, theirs):
-        end.settimeout(record_channel.LIMIT)
+    # the zygote has nothing else to do than to wait for the agent
+    ours.settimeout(record_channel.LIMIT)
     pid = os.fork()
     if pid == 0:
         ours.close()
@@ -95,21 +106,26 @@ def ask(
 ) -> socket.socket:
     """Ask for a container and return the agent's end of its control socket.
 
-    `ledger` is the descriptor of the memory in which it is to count.
+    `stats_page` is the descriptor of the memory in which it is to count.
 
     Raises
     ------
     Unavailable
         The zygote is gone.
+    OSError
+        No descriptor is free, or the zygote does not respond.
     """
     ours, theirs = socket.socketpair()
     with theirs:
         try:
             packet = record_channel.pack(Fork(name=name, place=place))
             socket.send_fds(zygote, [packet], [theirs.fileno(), stats_page])
-        except OSError as error:
+        except ConnectionError as error:
             ours.close()
             raise Unavailable(f"the zygote is gone: {error}") from error
+        except OSError:
+            ours.close()
+            raise
     return ours
 
 
@@ -178,6 +194,7 @@ class _Zygote:
     def serve(self) -> None:
         """Fork what the agent asks for, until the agent is gone."""
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        adopt_orphans()
         # Blocked, not ignored: only the agent's end ends the zygote, and a container
         # must not lose one that comes before it has its handler.
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
@@ -207,25 +224,40 @@ class _Zygote:
             self._tell(Ended(pid, status))
 
     def _ended(self) -> list[tuple[int, int]]:
-        """Return the containers that ended since the last look, and how."""
+        """Return the containers that ended since the last look, and how.
+
+        What they left behind is killed: other children than containers are theirs.
+        """
         ended = []
         with contextlib.suppress(ChildProcessError):
-            while (found := os.waitpid(-1, os.WNOHANG))[0]:
-                self._containers.discard(found[0])
-                ended.append(found)
+            while info := os.waitid(os.P_ALL, 0, _LOOK_AT_ENDED):
+                # before it is reaped no other process has its number
+                kill_all({info.si_pid} & self._containers)
+                found = os.waitpid(info.si_pid, 0)
+                if info.si_pid in self._containers:
+                    self._containers.remove(info.si_pid)
+                    ended.append(found)
+        kill_all(children() - self._containers)
         return ended
 
     def _fork_next(self) -> None:
-        body, fds, _, _ = socket.recv_fds(self._agent, _LARGEST, 2)
+        body, fds, _, _ = socket.recv_fds(self._agent, _LARGEST, _PASSED)
         if not body:
             raise Unavailable("the agent is gone")
         wanted: Fork = record_channel.unpack(body, Fork)
+        if len(fds) != _PASSED:
+            for fd in fds:
+                os.close(fd)
+            self._tell(
+                NotForked(wanted.name, "cannot be started: no descriptor is free")
+            )
+            return
         control_fd, stats_page = fds
         with socket.socket(fileno=control_fd) as connection, _closing(stats_page):
             try:
                 pid = os.fork()
             except OSError as error:
-                self._tell(NotForked(wanted.name, f"cannot be forked: {error}"))
+                self._tell(NotForked(wanted.name, f"cannot be started: {error}"))
                 return
             if pid == 0:
                 _leave(lambda: self._become(wanted, connection, stats_page))
@@ -236,6 +268,8 @@ class _Zygote:
         """Be a container from now on; keep nothing that is the zygote's."""
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        lead_session()
+        adopt_orphans()
         self._agent.close()
         self._waker.close()
         # when memory is short, the kernel ends a container before the agent
@@ -249,6 +283,4 @@ class _Zygote:
         while self._containers and time.monotonic() < deadline:
             self._ended()
             time.sleep(_LOOK)
-        for pid in self._containers:
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
+        end_children(_KILL_LIMIT)

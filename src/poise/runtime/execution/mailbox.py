@@ -14,7 +14,7 @@ from collections.abc import Callable
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from poise.runtime._calls import Account
+from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.ports import Queue
 from poise.runtime.execution.connector_counters import Counts
 
@@ -141,17 +141,17 @@ class Mailbox:
 
     Parameters
     ----------
-    account
+    counters
         Where all that comes is counted, also what is dropped.
     """
 
-    def __init__(self, account: Account) -> None:
-        self._account = account
+    def __init__(self, counters: ComponentCounters) -> None:
+        self._counters = counters
         self._filled: SimpleQueue[Inbox | None] = SimpleQueue()
 
     def add(self, inbox: Inbox, entry: Entry, feed: Feed) -> None:
         """Queue a message for the component; what finds no room is counted."""
-        self._account.note_asked()
+        self._counters.note_asked()
         if inbox.add(entry, feed):
             self._filled.put(inbox)
 

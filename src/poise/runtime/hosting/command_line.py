@@ -25,7 +25,7 @@ from pathlib import Path
 
 import msgspec
 
-from poise.runtime._calls import Account
+from poise.runtime._calls import ComponentCounters
 from poise.runtime.waker import wait_readable
 from poise.wire.records.deployment import Aim, ComponentSpec, ComponentStatus, State
 
@@ -58,7 +58,7 @@ class Command:
         self._was_asked_to_end = False
         self._pidfd = -1
         self._began_within = 0.0
-        self.account = Account()
+        self.counters = ComponentCounters()
 
     def aim(self, goal: Aim) -> None:
         """Bring it to `goal` at once, but do not wait for its process to end.
@@ -77,7 +77,7 @@ class Command:
                 self._process = self._start()
                 self._began_within = time.monotonic() - began
                 self._pidfd = os.pidfd_open(self._process.pid)
-                self.account.watch(self._process.pid)
+                self.counters.watch(self._process.pid)
                 self._state = "active"
         except (OSError, ValueError, subprocess.SubprocessError) as error:
             self._error = f"'{self.spec.command[0]}' cannot be started: {error}"
@@ -108,15 +108,17 @@ class Command:
 
     def wait_ended(self, limit: float) -> bool:
         """Wait up to `limit` [s] for its process, then kill it; whether it is gone."""
-        if self._process is None:
-            return True
-        if not wait_readable([self._pidfd], limit):
+        if self._process is not None and not wait_readable([self._pidfd], limit):
             self._signal(signal.SIGKILL)
-            if not wait_readable([self._pidfd], _KILL_LIMIT):
-                return False
-        self._reap()
-        self._state = "finalized"
-        return True
+            wait_readable([self._pidfd], _KILL_LIMIT)
+        return self.has_ended()
+
+    def has_ended(self) -> bool:
+        """Return at once whether its process is gone."""
+        if self._process is not None and wait_readable([self._pidfd], 0.0):
+            self._reap()
+            self._state = "finalized"
+        return self._process is None
 
     def status(self, cpu: float | None = None) -> ComponentStatus:
         """Return what is known of it now; `cpu` as for components in Python [s]."""
@@ -127,7 +129,7 @@ class Command:
             error=self._error,
             errors=1 if self._error else 0,
             start=self._began_within,
-            cpu=self.account.cpu() if cpu is None else cpu,
+            cpu=self.counters.cpu() if cpu is None else cpu,
         )
 
     def _argv(self) -> list[str]:
@@ -155,7 +157,7 @@ class Command:
         self._signal(signal.SIGKILL)
         code = self._process.wait(_KILL_LIMIT)
         os.close(self._pidfd)
-        self.account.end()
+        self.counters.end()
         self._process = None
         return code
 

@@ -17,7 +17,7 @@ from typing import Any
 from poise.clock import Clock, ComponentClock
 from poise.errors import RunError, Timeout
 from poise.priority import ahead
-from poise.runtime._calls import Account
+from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.component import Component, Context, create
 from poise.runtime.component.error_report import Errors
 from poise.runtime.component.ports import ports_of, timers_of
@@ -71,9 +71,9 @@ class Runner:
                 measure=self._measure,
             ),
         )
-        self.account = Account()
+        self.counters = ComponentCounters()
         self.endpoints = Endpoints(
-            spec.name, self.component, self.ports, self.exclusion, self.account
+            spec.name, self.component, self.ports, self.exclusion, self.counters
         )
         self.schedules: dict[str, Timers] = {}
         self._phases: Mapping[str, float] = {}
@@ -148,6 +148,10 @@ class Runner:
         """Wait up to `limit` [s] for its thread to end; whether it did."""
         self._thread.join(limit)
         return not self._thread.is_alive()
+
+    def has_ended(self) -> bool:
+        """Return at once whether its code runs no more."""
+        return self._state in {"finalized", "failed"} or not self._thread.is_alive()
 
     @contextmanager
     def at_rest(self) -> Iterator[None]:
@@ -265,7 +269,7 @@ class Runner:
             error_counts=self._errors.counts(),
             handler=handler,
             handler_seconds=now - since,
-            cpu=self.account.cpu() if cpu is None else cpu,
+            cpu=self.counters.cpu() if cpu is None else cpu,
             start=self._start,
             snapshot=self._snapshot,
             requires=self._ports_that("requires"),
@@ -281,14 +285,14 @@ class Runner:
         self._measures.setdefault(name, Histogram()).add(value)
 
     def _main(self) -> None:
-        self.account.begin()
+        self.counters.begin()
         try:
             while self._state not in {"finalized", "failed"}:
                 self._go_to_goal()
         finally:
             # nobody waits for what has ended: calls go where the component is now
             self.exclusion.redirect()
-            self.account.end()
+            self.counters.end()
 
     def _go_to_goal(self) -> None:
         step = self._next_step()
@@ -297,9 +301,9 @@ class Runner:
         elif self._goal == "active":
             self._work()
         else:
-            self.account.note_idle()
+            self.counters.note_idle()
             self._goal_changed.wait()
-            self.account.note_busy()
+            self.counters.note_busy()
             self._goal_changed.clear()
 
     def _next_step(self) -> tuple[str, State] | None:
@@ -317,7 +321,7 @@ class Runner:
 
     def _take(self, hook: str, state: State) -> None:
         if hook == "deactivate":
-            self.account.plan([])
+            self.counters.plan([])
             self._come_to_rest()
             self._deactivated_at = self._clock.now()
         elif hook == "activate":
@@ -351,7 +355,7 @@ class Runner:
         for name, timer in self._timers.items():
             first = self._phases.get(name, now + timer.period)
             self.schedules[name] = Timers(timer, first - timer.period)
-        self.account.plan([s.releases for s in self.schedules.values()])
+        self.counters.plan([s.releases for s in self.schedules.values()])
 
     def _come_to_rest(self) -> None:
         try:
@@ -379,9 +383,9 @@ class Runner:
                 self._run_timer(schedule)
         due = min((s.due for s in schedules), default=None)
         limit = None if due is None else max(0.0, due - self._clock.now())
-        self.account.note_idle()
+        self.counters.note_idle()
         inbox = self.endpoints.mailbox.next(limit)
-        self.account.note_busy()
+        self.counters.note_busy()
         if inbox is not None and self._enter():
             self._deliver(inbox)
 
@@ -434,7 +438,7 @@ class Runner:
             self._errors.note(what, error, self._clock.now())
         finally:
             self._handler = None
-            self.account.note_done()
+            self.counters.note_done()
             self.exclusion.leave()
             if self._awaits_lull and self.endpoints.is_empty():
                 self._lull.set()

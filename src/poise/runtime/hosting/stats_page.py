@@ -1,8 +1,9 @@
-"""What a container counts, where its agent reads it: in memory that both have.
+"""The stats page: shared memory in which a container counts and which its agent reads.
 
-Nobody is woken for it and nothing is sent. The container's threads add to numbers in
-place; the agent looks at all containers at once and asks the kernel for the CPU time of
-their components' threads. The code is native (``native/ledger.h``, ``reader.h``).
+No process is woken and nothing is sent. The container's threads add to numbers in
+place; the agent samples all containers at once and asks the kernel for the CPU time of
+their components' threads. The code is native (``native/stats_page.h``,
+``page_sampler.h``).
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import os
 from collections.abc import Iterable, Mapping
 
 from poise.runtime import _calls
-from poise.runtime._calls import Account, Counts, Reader
+from poise.runtime._calls import ComponentCounters, Counts, PageSampler
 from poise.runtime.hosting.command_line import Command
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.wiring import OpenEndpoints
@@ -21,22 +22,21 @@ from poise.runtime.hosting.wiring import OpenEndpoints
 log = logging.getLogger(__name__)
 
 MOST = 8192
-"""Components, timers and ends of connectors that fit; lines that are never used take no
-memory."""
+"""Components, timers and ends of connectors that fit; unused records take no memory."""
 
 Incarnation = tuple[str, int]
 
 
 def new_memory() -> int:
-    """Return the descriptor of memory for one ledger, which never becomes smaller."""
-    fd = os.memfd_create("ledger", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
-    os.ftruncate(fd, MOST * _calls.LINE_SIZE)
+    """Return the descriptor of memory for one stats page of fixed size."""
+    fd = os.memfd_create("stats_page", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+    os.ftruncate(fd, MOST * _calls.RECORD_SIZE)
     fcntl.fcntl(fd, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW)
     return fd
 
 
 class StatsPage:
-    """A container's ledger.
+    """A container's end of its stats page.
 
     Parameters
     ----------
@@ -45,47 +45,51 @@ class StatsPage:
     """
 
     def __init__(self, memory: int) -> None:
-        self._native = _calls.Ledger(memory)
-        self._reader = Reader(memory, os.getpid())
+        self._native = _calls.StatsPage(memory)
+        self._sampler = PageSampler(memory, os.getpid())
         os.close(memory)
-        self._shown: dict[int, Account | Counts] = {}
+        self._shown: dict[int, ComponentCounters | Counts] = {}
+
+    def beat(self) -> None:
+        """Show the agent that the calling thread runs; a few times a second."""
+        self._native.beat()
 
     def show(
         self,
         running: Mapping[Incarnation, Runner | Command],
         ends: Iterable[OpenEndpoints],
     ) -> None:
-        """Let the agent see the accounts and counts of these, and of no others."""
-        accounts = {key: each.account for key, each in running.items()}
+        """Let the agent see the counters of these, and of no others."""
+        components = {key: each.counters for key, each in running.items()}
         connectors = list(ends)
-        wanted: list[Account | Counts] = [*accounts.values()]
+        wanted: list[ComponentCounters | Counts] = [*components.values()]
         wanted += [each.counts for each in connectors]
         ids = {id(each) for each in wanted}
         for key in self._shown.keys() - ids:
             self._shown.pop(key).leave()
-        for (name, epoch), account in accounts.items():
-            if self._is_new(account) and not account.enter(self._native, name, epoch):
-                self._refuse(account, f"component '{name}'")
+        for (name, epoch), counters in components.items():
+            if self._is_new(counters) and not counters.enter(self._native, name, epoch):
+                self._refuse(counters, f"component '{name}'")
         for each in connectors:
             spec, counts = each.spec, each.counts
             if self._is_new(counts) and not counts.enter(self._native, spec.name):
                 self._refuse(counts, f"connector {spec.name}")
-            # during a move an outlet has two paths: the later one is the one it uses
+            # during a move a sender has two routes: the later one is the one it uses
             counts.attribute(
-                accounts.get((spec.source, spec.source_epoch)),
-                accounts.get((spec.target, spec.target_epoch)),
+                components.get((spec.source, spec.source_epoch)),
+                components.get((spec.target, spec.target_epoch)),
             )
 
     def cpu(self) -> dict[Incarnation, float]:
         """Return the CPU time of each component so far [s]."""
-        found = self._reader.read()
+        found = self._sampler.read()
         return {} if found is None else {(c[0], c[1]): c[2] for c in found[2]}
 
-    def _is_new(self, each: Account | Counts) -> bool:
+    def _is_new(self, each: ComponentCounters | Counts) -> bool:
         is_new = id(each) not in self._shown
         self._shown[id(each)] = each
         return is_new
 
-    def _refuse(self, each: Account | Counts, what: str) -> None:
+    def _refuse(self, each: ComponentCounters | Counts, what: str) -> None:
         del self._shown[id(each)]
-        log.warning("%s is not counted: the ledger's %d lines are full", what, MOST)
+        log.warning("%s is not counted: all %d records are in use", what, MOST)

@@ -33,8 +33,8 @@ void set_too_late(const DirectCall* call, double elapsed, double limit) {
 }
 
 void count_failed(Counts& counts, double elapsed) {
-  counts.tally().calls.add(1);
-  counts.tally().errors.add(1);
+  counts.totals().calls.add(1);
+  counts.totals().errors.add(1);
   counts.delay.add(elapsed);
 }
 
@@ -64,7 +64,7 @@ PyObject* invoke(PyObject* self, PyObject* const* args, std::size_t num, PyObjec
 
   // the facade may let go of this object while the callee runs
   Py_INCREF(self);
-  const bool measured = counts.tally().cpu.should_measure(inside);
+  const bool measured = counts.totals().cpu.should_measure(inside);
   const std::int64_t cpu_began = measured ? cpu_now() : 0;
   PyObject* result;
   {
@@ -75,19 +75,19 @@ PyObject* invoke(PyObject* self, PyObject* const* args, std::size_t num, PyObjec
   call->exclusion_of->leave();
 
   const Moment ended = wall_now();
-  Tally& tally = counts.tally();  // by now it may be elsewhere than before
+  ConnectorTotals& totals = counts.totals();  // by now it may be elsewhere than before
   if (measured)
-    tally.cpu.add_measured(inside, ended - inside, cpu);
+    totals.cpu.add_measured(inside, ended - inside, cpu);
   else
-    tally.cpu.add(ended - inside);
+    totals.cpu.add(ended - inside);
   const double elapsed = 1e-9 * static_cast<double>(ended - began);
-  tally.calls.add(1);
+  totals.calls.add(1);
   counts.delay.add(elapsed);
   if (!result) {
-    tally.errors.add(1);
+    totals.errors.add(1);
     translate_error(call->translate);
   } else if (elapsed > limit) {
-    tally.errors.add(1);
+    totals.errors.add(1);
     Py_CLEAR(result);
     set_too_late(call, elapsed, limit);
   }

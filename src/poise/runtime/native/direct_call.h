@@ -7,29 +7,29 @@
 #include <cmath>
 
 #include "histogram.h"
-#include "ledger.h"
+#include "stats_page.h"
 
 namespace poise {
 
 // What one end of a connector counts; the delays of its calls are its own.
 struct Counts {
-  Entered entered;
+  Slot entered;
   Histogram delay;    // of calls [s]
   Histogram wait;     // of messages [s]
   Histogram size;     // of what went over a wire, calls both ways [bytes]
   Histogram latency;  // of what came over a wire [s]
 
-  Tally& tally() { return entered->tally; }
+  ConnectorTotals& totals() { return entered->totals; }
 
   void add_call(double seconds, std::uint64_t out, std::uint64_t in, double under_way,
                 double error, bool failed) {
-    tally().calls.add(1);
-    tally().errors.add(failed);
+    totals().calls.add(1);
+    totals().errors.add(failed);
     delay.add(seconds);
     add_crossing(out, in, under_way, error);
   }
   void add_message(std::uint64_t out, std::uint64_t in, double under_way, double error) {
-    tally().messages.add(1);
+    totals().messages.add(1);
     add_crossing(out, in, under_way, error);
   }
 
@@ -37,14 +37,14 @@ struct Counts {
   // `under_way` is no number when nobody knows how long what came was so.
   void add_crossing(std::uint64_t out, std::uint64_t in, double under_way, double error) {
     if (out + in == 0) return;
-    tally().bytes_out.add(out);
-    tally().bytes_in.add(in);
+    totals().bytes_out.add(out);
+    totals().bytes_in.add(in);
     size.add(static_cast<double>(out + in));
     if (!std::isfinite(under_way + error)) return;
     latency.add(under_way);
-    tally().arrivals.add(1);
-    tally().latency.add(nanoseconds(under_way));
-    tally().latency_error.add(nanoseconds(error));
+    totals().arrivals.add(1);
+    totals().latency.add(nanoseconds(under_way));
+    totals().latency_error.add(nanoseconds(error));
   }
   static std::uint64_t nanoseconds(double seconds) {
     return static_cast<std::uint64_t>(1e9 * std::clamp(seconds, 0.0, 1e9));

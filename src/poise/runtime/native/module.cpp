@@ -7,10 +7,10 @@
 
 #include <limits>
 
-#include "account.h"
+#include "counters.h"
 #include "deadline.h"
 #include "direct_call.h"
-#include "reader.h"
+#include "page_sampler.h"
 #include "served_call.h"
 #include "exclusion.h"
 
@@ -32,8 +32,8 @@ static void require(bool was_held) {
 template <auto Member>
 static void def_number(nb::class_<Counts>& counts, const char* name) {
   counts.def_prop_rw(
-      name, [](Counts& counts) { return (counts.tally().*Member).get(); },
-      [](Counts& counts, std::uint64_t value) { (counts.tally().*Member).set(value); });
+      name, [](Counts& counts) { return (counts.totals().*Member).get(); },
+      [](Counts& counts, std::uint64_t value) { (counts.totals().*Member).set(value); });
 }
 
 NB_MODULE(_calls, module) {
@@ -85,36 +85,39 @@ NB_MODULE(_calls, module) {
                              histogram.quantile(0.99), histogram.maximum());
       });
 
-  nb::class_<Ledger>(module, "Ledger").def(nb::init<int>(), nb::arg("descriptor"));
-  module.attr("LINE_SIZE") = sizeof(Line);
+  nb::class_<StatsPage>(module, "StatsPage")
+      .def(nb::init<int>(), nb::arg("descriptor"))
+      .def("beat", &StatsPage::beat);
+  module.attr("RECORD_SIZE") = sizeof(Record);
 
-  nb::class_<Reader>(module, "Reader")
+  nb::class_<PageSampler>(module, "PageSampler")
       .def(nb::init<int, int, std::string>(), nb::arg("descriptor"), nb::arg("process"),
            nb::arg("proc") = "/proc")
-      .def("read", &Reader::read)
-      .def("commands", &Reader::commands);
+      .def("read", &PageSampler::read)
+      .def("heartbeat", &PageSampler::heartbeat)
+      .def("commands", &PageSampler::commands);
 
-  nb::class_<Account>(module, "Account")
+  nb::class_<ComponentCounters>(module, "ComponentCounters")
       .def(nb::init<>())
-      .def("begin", &Account::begin)
-      .def("watch", &Account::watch, nb::arg("process"))
-      .def("end", &Account::end)
-      .def("note_idle", &Account::note_idle)
-      .def("note_busy", &Account::note_busy)
-      .def("note_asked", &Account::note_asked)
-      .def("note_done", &Account::note_done)
-      .def("plan", &Account::plan, nb::arg("timers"))
-      .def("cpu", &Account::cpu)
-      .def("enter", &Account::enter, nb::arg("ledger"), nb::arg("name"), nb::arg("epoch"))
-      .def("leave", &Account::leave);
+      .def("begin", &ComponentCounters::begin)
+      .def("watch", &ComponentCounters::watch, nb::arg("process"))
+      .def("end", &ComponentCounters::end)
+      .def("note_idle", &ComponentCounters::note_idle)
+      .def("note_busy", &ComponentCounters::note_busy)
+      .def("note_asked", &ComponentCounters::note_asked)
+      .def("note_done", &ComponentCounters::note_done)
+      .def("plan", &ComponentCounters::plan, nb::arg("timers"))
+      .def("cpu", &ComponentCounters::cpu)
+      .def("enter", &ComponentCounters::enter, nb::arg("page"), nb::arg("name"), nb::arg("epoch"))
+      .def("leave", &ComponentCounters::leave);
 
   auto counts = nb::class_<Counts>(module, "Counts").def(nb::init<>());
-  def_number<&Tally::calls>(counts, "calls");
-  def_number<&Tally::messages>(counts, "messages");
-  def_number<&Tally::bytes_out>(counts, "bytes_out");
-  def_number<&Tally::bytes_in>(counts, "bytes_in");
-  def_number<&Tally::errors>(counts, "errors");
-  def_number<&Tally::drops>(counts, "drops");
+  def_number<&ConnectorTotals::calls>(counts, "calls");
+  def_number<&ConnectorTotals::messages>(counts, "messages");
+  def_number<&ConnectorTotals::bytes_out>(counts, "bytes_out");
+  def_number<&ConnectorTotals::bytes_in>(counts, "bytes_in");
+  def_number<&ConnectorTotals::errors>(counts, "errors");
+  def_number<&ConnectorTotals::drops>(counts, "drops");
   counts.def_ro("delay", &Counts::delay)
       .def_ro("wait", &Counts::wait)
       .def_ro("size", &Counts::size)
@@ -126,27 +129,27 @@ NB_MODULE(_calls, module) {
            nb::arg("bytes_in") = 0, nb::arg("latency") = unknown, nb::arg("error") = 0.0)
       .def_prop_ro("latency_error",
                    [](Counts& counts) {
-                     const auto num = static_cast<double>(counts.tally().arrivals.get());
-                     const auto sum = static_cast<double>(counts.tally().latency_error.get());
+                     const auto num = static_cast<double>(counts.totals().arrivals.get());
+                     const auto sum = static_cast<double>(counts.totals().latency_error.get());
                      return num > 0.0 ? 1e-9 * sum / num : 0.0;
                    })
-      .def_prop_ro("cpu", [](Counts& counts) { return counts.tally().cpu.seconds(); })
+      .def_prop_ro("cpu", [](Counts& counts) { return counts.totals().cpu.seconds(); })
       .def(
           "add_cpu",
           [](Counts& counts, double seconds) {
             const auto time = static_cast<std::int64_t>(1e9 * seconds);
-            counts.tally().cpu.add_measured(wall_now(), time, time);
+            counts.totals().cpu.add_measured(wall_now(), time, time);
           },
           nb::arg("seconds"))
       .def(
           "enter",
-          [](Counts& counts, std::shared_ptr<Ledger> ledger, const std::string& name) {
-            return counts.entered.enter(std::move(ledger), Kind::connector, name, 0);
+          [](Counts& counts, std::shared_ptr<StatsPage> page, const std::string& name) {
+            return counts.entered.enter(std::move(page), Kind::connector, name, 0);
           },
-          nb::arg("ledger"), nb::arg("name"))
+          nb::arg("page"), nb::arg("name"))
       .def(
           "attribute",
-          [](Counts& counts, const Account* source, const Account* target) {
+          [](Counts& counts, const ComponentCounters* source, const ComponentCounters* target) {
             counts.entered->source.set(source ? source->id() : 0);
             counts.entered->target.set(target ? target->id() : 0);
           },

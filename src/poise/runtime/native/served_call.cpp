@@ -102,7 +102,7 @@ ServedCall::ServedCall(nb::object decode, nb::object method, nb::object encode, 
 
 nb::object ServedCall::answer(nb::handle frame, double ahead) {
   const Moment began = wall_now();
-  const bool measured = counts_of_.tally().cpu.should_measure_served(began);
+  const bool measured = counts_of_.totals().cpu.should_measure_served(began);
   const std::int64_t cpu_began = measured ? cpu_now() : 0;
 
   const Moment until = deadline_of(frame, ahead, began);
@@ -121,7 +121,7 @@ nb::object ServedCall::answer(nb::handle frame, double ahead) {
     pieces = run(values);
   }
 
-  CpuShare& cpu = counts_of_.tally().cpu;  // by now it may be elsewhere than before
+  CpuShare& cpu = counts_of_.totals().cpu;  // by now it may be elsewhere than before
   const std::int64_t wall = wall_now() - began;
   if (measured)
     cpu.add_measured(began, wall, cpu_now() - cpu_began);

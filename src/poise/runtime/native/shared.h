@@ -1,7 +1,12 @@
 // Numbers that a container writes, under its GIL, and its agent reads at any time.
 #pragma once
 
+#include <algorithm>
+#include <array>
 #include <atomic>
+#include <cstdint>
+#include <cstring>
+#include <string>
 
 namespace poise {
 
@@ -27,6 +32,37 @@ class Shared {
 
  private:
   std::atomic<Number> value_;
+};
+
+// A short text, for records that are filled and read under a sequence lock.
+template <std::size_t Size>
+class SharedText {
+  static_assert(Size % sizeof(std::uint64_t) == 0);
+
+ public:
+  static constexpr std::size_t max_length = Size - 1;
+
+  void set(const std::string& text) {
+    char bytes[Size] = {};
+    std::memcpy(bytes, text.data(), std::min(text.size(), max_length));
+    for (std::size_t i = 0; i < words_.size(); ++i) {
+      std::uint64_t word;
+      std::memcpy(&word, bytes + i * sizeof word, sizeof word);
+      words_[i].set(word);
+    }
+  }
+
+  std::string get() const {
+    char bytes[Size];
+    for (std::size_t i = 0; i < words_.size(); ++i) {
+      const std::uint64_t word = words_[i].get();
+      std::memcpy(bytes + i * sizeof word, &word, sizeof word);
+    }
+    return std::string(bytes, strnlen(bytes, max_length));
+  }
+
+ private:
+  std::array<Shared<std::uint64_t>, Size / sizeof(std::uint64_t)> words_;
 };
 
 }  // namespace poise

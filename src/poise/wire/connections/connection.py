@@ -31,6 +31,7 @@ from poise.wire import _channel
 from poise.wire.address import LOST_AFTER
 from poise.wire.codec import Unreadable, WireError
 from poise.wire.connections.channel import Pieces
+from poise.wire.connections.fork import keep_private
 from poise.wire.connections.loans import LOANS, LoanBlock
 from poise.wire.connections.shared_memory import (
     DATA,
@@ -73,6 +74,7 @@ class Connection:
 
     def __init__(self, connection: socket.socket) -> None:
         self._connection = connection
+        keep_private(connection)
         self.is_local = connection.family == socket.AF_UNIX
         self._channel = _channel.Channel(connection.fileno(), LOST_AFTER)
         self.is_lost = False

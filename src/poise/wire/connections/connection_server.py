@@ -23,6 +23,7 @@ from poise.wire.codec import Unreadable, WireError
 from poise.wire.connections import caller
 from poise.wire.connections.channel import Handler, Pieces, Refused, ignore
 from poise.wire.connections.connection import LAST_ANSWER, Connection
+from poise.wire.connections.fork import keep_private
 from poise.wire.connections.opening import ANSWER_LIMIT, MESSAGES, NAME
 from poise.wire.connections.socket_path import gateway_path, socket_path
 from poise.wire.frame import Kind
@@ -234,6 +235,7 @@ def _bound(path: Path, kind: socket.SocketKind) -> socket.socket:
     """Return a socket at a path, where a killed container may have left one."""
     path.unlink(missing_ok=True)
     bound = socket.socket(socket.AF_UNIX, kind)
+    keep_private(bound)
     bound.bind(os.fspath(path))
     bound.setblocking(False)
     return bound

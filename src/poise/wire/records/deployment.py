@@ -25,7 +25,12 @@ Goal = Literal["inactive", "active", "stay"]
 container that ends in the middle of a move begins again with nothing of it active."""
 Aim = Literal["inactive", "ready", "active", "finalized"]
 """Where a component goes. `ready`: activated, and at rest until it is `active`."""
-State = Literal["unconfigured", "inactive", "active", "finalized", "failed"]
+State = Literal[
+    "unconfigured", "inactive", "active", "finalized", "failed", "unresponsive"
+]
+"""Where a component is. `unresponsive`: its agent says so, because its container does
+not respond."""
+ContainerState = Literal["starting", "running", "unresponsive", "restarting", "stopped"]
 ConnectorKind = Literal["direct", "local", "remote"]
 End = Literal["source", "target", "both"]
 
@@ -336,6 +341,12 @@ class ContainerStatus(Struct, frozen=True, kw_only=True, tag=True):
     connectors: tuple[ConnectorStatus, ...] = ()
 
 
+class ContainerFailure(Struct, frozen=True, tag=True):
+    """The last words of a container that cannot go on."""
+
+    reason: str
+
+
 class ToContainer(Struct, frozen=True):
     """What an agent tells a container."""
 
@@ -345,23 +356,82 @@ class ToContainer(Struct, frozen=True):
 class FromContainer(Struct, frozen=True):
     """What a container tells its agent."""
 
-    what: ContainerStatus | Done | Failed
+    what: ContainerStatus | ContainerFailure | Done | Failed
 
 
 class Fault(Struct, frozen=True, kw_only=True):
-    """Something on a computer that broke: a container that ended, say."""
+    """Something that went wrong on a computer: a container that ended, say.
+
+    Parameters
+    ----------
+    message
+        What happened, what was lost, and what to do.
+    number
+        Counts the faults of one agent, from 1.
+    at
+        When [s since the epoch], by that computer's clock.
+    restarts
+        How often the container was started again before.
+    """
 
     container: str
     message: str
+    number: int = 0
+    at: float = 0.0
+    restarts: int = 0
+
+
+class ContainerHealth(Struct, frozen=True, kw_only=True):
+    """A container as its agent sees it; kept for as long as the agent lives.
+
+    Parameters
+    ----------
+    state
+        ``starting`` until it first reports; ``restarting`` while it waits to be
+        started again.
+    since
+        When that state began [s since the epoch].
+    reason
+        Why it does not respond; else empty.
+    restarts
+        How often it was started again since the agent started.
+    last_fault
+        What went wrong last.
+    cpu, memory
+        CPU use [cores] and memory use [bytes] of its processes.
+    """
+
+    name: str
+    state: ContainerState
+    since: float
+    reason: str = ""
+    restarts: int = 0
+    last_fault: Fault | None = None
+    cpu: float = 0.0
+    memory: int = 0
 
 
 class AgentStatus(Struct, frozen=True, kw_only=True):
     """A computer as its agent sees it.
 
-    `cpu` is the CPU time of the agent and all its containers, ended ones too [s];
-    `uptime` the time since the agent started [s]; `clocks` what is known of other
-    computers' clocks, by name; `gateway` the IP address and TCP port of its gateway;
-    `manager` the one that it obeys, or obeyed last, with that one's fencing `token`.
+    Parameters
+    ----------
+    manager, token
+        The manager that it obeys, or obeyed last, with that one's fencing token.
+    cpu
+        CPU time of the agent and all its containers, ended ones too [s].
+    uptime
+        Time since the agent started [s].
+    load, memory
+        CPU use [cores] and memory use [bytes] of the agent and its containers.
+    faults
+        The latest faults, oldest first.
+    health
+        The containers of this deployment, and those that had faults before.
+    clocks
+        What is known of other computers' clocks, by name.
+    gateway
+        IP address and TCP port of its gateway.
     """
 
     protocol: int = PROTOCOL
@@ -371,7 +441,10 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
     manager: ManagerId | None = None
     uptime: float
     cpu: float
+    load: float = 0.0
+    memory: int = 0
     gateway: str = ""
     containers: tuple[ContainerStatus, ...] = ()
     faults: tuple[Fault, ...] = ()
+    health: tuple[ContainerHealth, ...] = ()
     clocks: Mapping[str, ClockStatus] = {}

@@ -1,4 +1,4 @@
-// The agent's end of a ledger: what a container used and did, at any moment.
+// The agent's end of a stats page: what a container used and did, at any moment.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -8,24 +8,27 @@
 #include <vector>
 
 #include "kernel_counters.h"
-#include "ledger.h"
+#include "stats_page.h"
 
 namespace poise {
 
-class Reader {
+class PageSampler {
  public:
-  Reader(int descriptor, int process, std::string proc)
-      : pages_(descriptor, false), process_(process), proc_(std::move(proc)) {}
+  PageSampler(int descriptor, int process, std::string proc)
+      : memory_(descriptor, false), process_(process), proc_(std::move(proc)) {}
 
   // (at, cpu, components, connectors), as `ContainerSample` has them; None when nothing
   // is entered, or the process has ended.
   nanobind::object read();
 
+  // How often the container's control thread has run.
+  std::uint64_t heartbeat() const { return memory_.heartbeat(); }
+
   // The processes whose memory is the container's besides its own.
   std::vector<int> commands() const;
 
  private:
-  struct Known {  // of a line, as long as its number stays
+  struct Known {  // of a record, as long as its id stays
     std::uint64_t id = 0;
     nanobind::object name;
     std::unique_ptr<ThreadCounters> thread;
@@ -40,7 +43,7 @@ class Reader {
   nanobind::tuple component_sample(std::size_t index, double& of_commands);
   nanobind::tuple connector_sample(std::size_t index) const;
 
-  Pages pages_;
+  StatsMemory memory_;
   int process_;
   std::string proc_;
   std::vector<Known> known_;

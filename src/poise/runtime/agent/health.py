@@ -1,0 +1,104 @@
+"""What an agent knows of each container's health: state, restarts, faults."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+
+from msgspec import structs
+
+from poise.wire.records.deployment import ContainerHealth, ContainerState, Fault
+
+_MOST_FAULTS = 100
+
+Usage = Mapping[str, tuple[float, int]]
+"""Container -> CPU use [cores] and memory use [bytes]."""
+
+
+class HealthRecords:
+    """The health of all containers that an agent has run, for as long as it lives.
+
+    Parameters
+    ----------
+    wall
+        Returns the time [s since the epoch].
+    """
+
+    def __init__(self, wall: Callable[[], float] = time.time) -> None:
+        self._wall = wall
+        self._faults: deque[Fault] = deque(maxlen=_MOST_FAULTS)
+        self._number = 0
+        self._of: dict[str, ContainerHealth] = {}
+
+    def note_start(self, container: str) -> None:
+        """Record that a container is started; after a fault that is a restart."""
+        known = self._of.get(container)
+        restarts = known.restarts if known else 0
+        if known and known.state == "restarting":
+            restarts += 1
+        self._enter(container, "starting", restarts=restarts)
+
+    def enter(self, container: str, state: ContainerState, reason: str = "") -> None:
+        """Record a container's state; harmless when repeated."""
+        known = self._of.get(container)
+        if known is None or (known.state, known.reason) != (state, reason):
+            self._enter(container, state, reason=reason)
+
+    def note_fault(self, container: str, message: str) -> None:
+        """Record that something went wrong."""
+        self._number += 1
+        known = self._of.get(container)
+        fault = Fault(
+            container=container,
+            message=message,
+            number=self._number,
+            at=self._wall(),
+            restarts=known.restarts if known else 0,
+        )
+        self._faults.append(fault)
+        if known is None:
+            self._enter(container, "restarting")
+        self._of[container] = structs.replace(self._of[container], last_fault=fault)
+
+    def forget(self, container: str) -> None:
+        """Record that a container is not wanted any more; its faults are kept."""
+        known = self._of.get(container)
+        if known is not None and known.last_fault is None:
+            del self._of[container]
+        elif known is not None:
+            self.enter(container, "stopped")
+
+    def of(self, container: str) -> ContainerHealth | None:
+        """Return what is known of a container."""
+        return self._of.get(container)
+
+    def faults(self) -> tuple[Fault, ...]:
+        """Return the latest faults, oldest first."""
+        return tuple(self._faults)
+
+    def records(self, usage: Usage) -> tuple[ContainerHealth, ...]:
+        """Return the health of all containers, with what they use now."""
+        found = []
+        for name, health in self._of.items():
+            cpu, memory = usage.get(name, (0.0, 0))
+            found.append(structs.replace(health, cpu=cpu, memory=memory))
+        return tuple(found)
+
+    def _enter(
+        self,
+        container: str,
+        state: ContainerState,
+        reason: str = "",
+        restarts: int | None = None,
+    ) -> None:
+        known = self._of.get(container) or ContainerHealth(
+            name=container, state=state, since=0.0
+        )
+        self._of[container] = structs.replace(
+            known,
+            state=state,
+            since=self._wall(),
+            reason=reason,
+            restarts=known.restarts if restarts is None else restarts,
+        )

@@ -1,0 +1,105 @@
+"""Tells whether the kernel killed a process of this computer for lack of memory.
+
+The kernel counts such kills per cgroup (``memory.oom_control`` of version 1,
+``memory.events`` of version 2), and in ``/proc/vmstat`` for the whole machine.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from pathlib import Path
+
+from poise.units import format_bytes
+
+_LATE = 10.0
+"""The end of a killed process is known within this time after the kill [s]."""
+_NO_LIMIT = 1 << 60
+
+
+class OomKills:
+    """The kills of this process's cgroup, each of which explains one end.
+
+    Parameters
+    ----------
+    proc
+        Where the kernel's process files are.
+    """
+
+    def __init__(self, proc: Path = Path("/proc")) -> None:
+        group = _memory_group(proc)
+        counters = [
+            group / "memory.events",
+            group / "memory.oom_control",
+            proc / "vmstat",
+        ]
+        self._file = next((f for f in counters if _count(f) is not None), None)
+        self._limits = group / "memory.max", group / "memory.limit_in_bytes"
+        self._seen = self._now()
+        self._unclaimed: deque[float] = deque()
+
+    def look(self, now: float) -> None:
+        """Take note of kills until `now` [s]; call it a few times a second."""
+        count = self._now()
+        self._unclaimed.extend([now] * (count - self._seen))
+        self._seen = count
+        while self._unclaimed and self._unclaimed[0] < now - _LATE:
+            self._unclaimed.popleft()
+
+    def claim(self, now: float) -> bool:
+        """Return whether a kill explains an end at `now` [s]; it explains no other."""
+        self.look(now)
+        if not self._unclaimed:
+            return False
+        self._unclaimed.popleft()
+        return True
+
+    def limit(self) -> str:
+        """Return the memory limit of this computer in words; empty: none is known."""
+        for file in self._limits:
+            try:
+                limit = int(file.read_text())
+            except (OSError, ValueError):
+                continue
+            return f" (limit {format_bytes(limit)})" if limit < _NO_LIMIT else ""
+        return ""
+
+    def _now(self) -> int:
+        return (_count(self._file) or 0) if self._file else 0
+
+
+def _count(file: Path) -> int | None:
+    try:
+        lines = file.read_text().splitlines()
+    except OSError:
+        return None
+    counts = (line.split()[1] for line in lines if line.startswith("oom_kill "))
+    return next(map(int, counts), None)
+
+
+def _memory_group(proc: Path) -> Path:
+    """Return the folder of this process's cgroup that counts memory."""
+    paths = {}
+    for line in _lines(proc / "self/cgroup"):
+        _, controllers, path = line.split(":", 2)
+        for controller in controllers.split(","):
+            paths[controller] = path
+    for line in _lines(proc / "self/mountinfo"):
+        head, _, tail = line.partition(" - ")
+        root, mount = head.split()[3:5]
+        kind, _, options = tail.split(" ", 2)
+        controller = "memory" if kind == "cgroup" else ""
+        is_ours = kind == "cgroup2" or "memory" in options.split(",")
+        if kind.startswith("cgroup") and is_ours and controller in paths:
+            group = Path(mount, paths[controller].removeprefix(root).lstrip("/"))
+            if any(
+                (group / f).exists() for f in ("memory.events", "memory.oom_control")
+            ):
+                return group
+    return Path("/nonexistent")
+
+
+def _lines(file: Path) -> list[str]:
+    try:
+        return file.read_text().splitlines()
+    except OSError:
+        return []

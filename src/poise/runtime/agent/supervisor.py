@@ -1,0 +1,215 @@
+"""Starts, watches and ends the container processes of one computer.
+
+It compares the containers that should run with those that run and takes the smallest
+step. A container that ended is started again after a delay that grows.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import random
+import socket
+from collections.abc import Callable, Iterator
+
+from msgspec import structs
+
+from poise.clock import Clock
+from poise.errors import Unavailable
+from poise.runtime.agent.container_processes import BackOff, ContainerProcess, End
+from poise.runtime.agent.health import HealthRecords, Usage
+from poise.runtime.agent.oom_kills import OomKills
+from poise.runtime.agent.watchdog import Silence
+from poise.runtime.container import zygote
+from poise.runtime.hosting.stats_page import new_memory
+from poise.runtime.hosting.wiring import Place
+from poise.wire.records.deployment import (
+    ContainerHealth,
+    ContainerSpec,
+    ContainerStatus,
+    Deployment,
+)
+from poise.wire.records.migration import Outcome
+
+log = logging.getLogger(__name__)
+
+
+class Supervisor:
+    """The container processes of an agent; for the agent's own thread.
+
+    Parameters
+    ----------
+    zygote_socket
+        The socket of the zygote, from `poise.runtime.container.zygote.start`.
+    place
+        Returns where a container of this name is.
+    """
+
+    def __init__(
+        self, zygote_socket: socket.socket, place: Callable[[str], Place], clock: Clock
+    ) -> None:
+        self.processes: dict[str, ContainerProcess] = {}
+        self.health = HealthRecords()
+        self.wanted: Deployment | None = None
+        self.cpu_of_ended = 0.0
+        self.trouble = ""
+        self._zygote = zygote_socket
+        self._place = place
+        self._clock = clock
+        self._backoffs: dict[str, BackOff] = {}
+        self._oom_kills = OomKills()
+        self._is_ending = False
+
+    def take(self, wanted: Deployment) -> None:
+        """Work towards a deployment from now on."""
+        self.wanted = wanted
+        names = self._specs().keys()
+        self._backoffs = {n: b for n, b in self._backoffs.items() if n in names}
+        for health in self.health.records({}):
+            if health.name not in {*names, *self.processes}:
+                self.health.forget(health.name)
+
+    def end(self) -> None:
+        """Want no container from now on; repeat `reconcile` until all have ended."""
+        self._is_ending = True
+        self.take(Deployment(generation=1 << 62, containers=()))
+
+    def reconcile(self) -> None:
+        """Take the steps from what runs to what should run."""
+        now, wanted = self._clock.now(), self._specs()
+        self._oom_kills.look(now)
+        for name, process in self.processes.items():
+            if name not in wanted:
+                process.stop(self._clock)
+            if process.kill_at <= now:
+                process.kill()
+        for name, spec in wanted.items():
+            if name in self.processes:
+                if not self.processes[name].is_stopping:
+                    self.processes[name].tell(spec)
+            elif name not in self._backoffs or self._backoffs[name].is_over(now):
+                self._start(spec)
+
+    def moments(self) -> Iterator[float]:
+        """Yield when something must be done though no news comes [s]."""
+        for name in self._specs().keys() & self._backoffs.keys():
+            if name not in self.processes:
+                yield self._backoffs[name].again_at
+        for process in self.processes.values():
+            yield process.kill_at
+
+    def hear(self, process: ContainerProcess) -> Outcome | None:
+        """Take in what a container says; return the outcome of a step, if it is one."""
+        outcome = process.hear()
+        if process.is_deaf and self.trouble:
+            # the zygote would report its end, but there is none
+            self._forget(process)
+        return outcome
+
+    def hear_zygote(self) -> None:
+        """Take in what the zygote says; when it is gone, `trouble` says so."""
+        try:
+            event = zygote.hear(self._zygote)
+        except Unavailable as error:
+            # one with threads, as the agent is by now, must not fork another
+            self.trouble = f"{error}: no container can be started"
+            return
+        if isinstance(event, zygote.Ended):
+            by_pid = {process.pid: process for process in self.processes.values()}
+            if event.pid in by_pid:
+                self._forget(by_pid[event.pid], End(event.status))
+        elif process := self.processes.get(event.name):
+            if isinstance(event, zygote.NotForked):
+                self._forget(process, event.reason)
+                return
+            try:
+                process.note_born(event.pid)
+            except (OSError, RuntimeError) as error:  # no memory is free
+                process.give_up(f"its counters cannot be read: {error}")
+
+    def note_silence(self, silence: Silence) -> None:
+        """Record that a container does not respond, or that it responds again."""
+        process = self.processes.get(silence.container)
+        if process is None or process.pid != silence.pid or process.is_stopping:
+            return
+        process.silence = silence if silence.reason else None
+        if silence.reason:
+            since = f"does not respond since {silence.seconds:.1f} s"
+            said = f"{since}: {silence.reason}. {silence.remedy}"
+            self.health.enter(silence.container, "unresponsive", silence.reason)
+        else:
+            said = f"responds again, after {silence.seconds:.1f} s"
+            self.health.enter(silence.container, "running")
+        log.warning("container '%s' %s", silence.container, said)
+        self.health.note_fault(silence.container, said)
+
+    def statuses(self) -> tuple[ContainerStatus, ...]:
+        """Return what the containers said last."""
+        return tuple(
+            _unresponsive(process.status) if process.silence else process.status
+            for process in self.processes.values()
+            if process.status is not None
+        )
+
+    def records(self, usage: Usage) -> tuple[ContainerHealth, ...]:
+        """Return the health of all containers, with what they use now."""
+        for name, process in self.processes.items():
+            if process.status is not None and process.silence is None:
+                self.health.enter(name, "running")
+        return self.health.records(usage)
+
+    def _specs(self) -> dict[str, ContainerSpec]:
+        return {c.name: c for c in self.wanted.containers} if self.wanted else {}
+
+    def _start(self, spec: ContainerSpec) -> None:
+        with contextlib.ExitStack() as undo:
+            try:
+                memory = new_memory()
+                undo.callback(os.close, memory)
+                place = self._place(spec.name)
+                connection = zygote.ask(self._zygote, spec.name, memory, place)
+            except Unavailable:
+                return  # the zygote's end is heard next, and is the end of the agent
+            except OSError as error:  # no descriptor or memory is free at the moment
+                self._note_end(spec.name, f"cannot be started: {error}")
+                return
+            undo.pop_all()
+        self.health.note_start(spec.name)
+        self.processes[spec.name] = ContainerProcess(spec, connection, memory)
+
+    def _forget(self, process: ContainerProcess, how: End | str = "ended") -> None:
+        """Record a container's end, so that it can be started again later."""
+        del self.processes[process.name]
+        process.close()
+        self.cpu_of_ended += process.status.cpu if process.status else 0.0
+        if process.is_stopping or self._is_ending:
+            if process.name not in self._specs():
+                self.health.forget(process.name)
+            return
+        if process.may_be_oom(how) and self._oom_kills.claim(self._clock.now()):
+            how = (
+                "was killed because its computer ran out of memory (OOM)"
+                f"{self._oom_kills.limit()}: give the computer more, or move "
+                "components to another"
+            )
+        said = "; ".join(filter(None, [str(how), process.last_error(), process.loss()]))
+        self._note_end(process.name, said)
+
+    def _note_end(self, container: str, said: str) -> None:
+        log.warning("container '%s' %s", container, said)
+        self.health.note_fault(container, said)
+        self.health.enter(container, "restarting")
+        backoff = self._backoffs.setdefault(container, BackOff())
+        backoff.note_end(self._clock.now(), random.uniform(0.5, 1))  # noqa: S311, jitter
+
+
+def _unresponsive(status: ContainerStatus) -> ContainerStatus:
+    """Return a status that does not say of its components that they are at work."""
+    components = tuple(
+        structs.replace(component, state="unresponsive")
+        if component.state == "active"
+        else component
+        for component in status.components
+    )
+    return structs.replace(status, components=components)

@@ -1,0 +1,195 @@
+"""Notices containers that do not respond, and finds out why.
+
+A container's control thread increments a heartbeat in the stats page several times a
+second; it needs the interpreter (GIL) for that. When the heartbeat stands still, the
+kernel's counters tell the reasons apart: the process is stopped; a thread holds the
+interpreter; or the process gets no CPU, which is reported only after a longer time,
+because on a busy machine it passes by itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Protocol
+
+from msgspec import Struct
+
+LOOK_EVERY = 0.2
+"""The heartbeats are compared this often [s]."""
+_SUSPICIOUS = 0.35
+"""A heartbeat that stands still for longer than this is looked into [s]."""
+_STARVED = 5.0
+"""A container that gets no CPU for longer than this does not respond [s]."""
+_LONG = 1.0
+"""A container that used this much CPU time since its heartbeat is not starved [s]."""
+_SHARE = 0.25
+"""A thread that waits for a CPU for this share of a time is starved."""
+
+
+class Silence(Struct, frozen=True, kw_only=True):
+    """A container does not respond; or it responds again: then `reason` is empty.
+
+    `seconds` is how long it did not respond [s].
+    """
+
+    container: str
+    pid: int
+    seconds: float
+    reason: str = ""
+    remedy: str = ""
+    is_stopped: bool = False
+
+
+class Heartbeat(Protocol):
+    """What the watchdog reads of a container's stats page."""
+
+    def heartbeat(self) -> int:
+        """Return how often the control thread has run; 0 before the first time."""
+
+
+class Processes:
+    """What the kernel knows of processes.
+
+    Parameters
+    ----------
+    proc
+        Where its files are.
+    """
+
+    def __init__(self, proc: Path = Path("/proc")) -> None:
+        self._proc = proc
+
+    def is_stopped(self, pid: int) -> bool:
+        """Return whether a process was stopped by a signal or a debugger."""
+        try:
+            text = (self._proc / str(pid) / "stat").read_text()
+        except OSError:
+            return False
+        return text.rpartition(")")[2].split()[0] in {"T", "t"}
+
+    def cpu(self, pid: int) -> float:
+        """Return the CPU time of a process so far [s]; 0 when it has ended."""
+        try:
+            return time.clock_gettime(~pid * 8 | 2)  # CPUCLOCK_SCHED of a process
+        except OSError:
+            return 0.0
+
+    def delays(self, pid: int) -> dict[int, float]:
+        """Return how long each thread was runnable without a CPU [s], by thread.
+
+        Empty where the kernel does not count that.
+        """
+        found = {}
+        for thread in (self._proc / str(pid) / "task").glob("*/schedstat"):
+            with contextlib.suppress(OSError):  # it has ended
+                waited = int(thread.read_text().split()[1])
+                found[int(thread.parent.name)] = waited * 1e-9
+        return found
+
+
+class _Watched:
+    """What is known of one container's heartbeat."""
+
+    def __init__(self, beat: int, now: float, cpu: float) -> None:
+        self.beat, self.since, self.cpu = beat, now, cpu
+        self.looked_at = 0.0
+        self.delays: dict[int, float] = {}
+        self.cpu_then = 0.0
+        self.silence: Silence | None = None
+
+
+class Watchdog:
+    """Compares heartbeats; `look` is called every `LOOK_EVERY`.
+
+    Parameters
+    ----------
+    processes
+        What the kernel knows.
+    clock
+        Returns the time [s].
+    """
+
+    def __init__(
+        self,
+        processes: Processes | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._processes = processes or Processes()
+        self._clock = clock
+        self._watched: dict[int, _Watched] = {}
+        self._looked_at = 0.0
+
+    def look(
+        self, containers: Iterable[tuple[str, int, Heartbeat]]
+    ) -> Iterator[Silence]:
+        """Yield the containers that do not respond any more, or do so again.
+
+        Parameters
+        ----------
+        containers
+            Name, process id and heartbeat.
+        """
+        now = self._clock()
+        # the watchdog itself got no CPU: nothing is known of that time
+        was_away = now - self._looked_at > 2 * LOOK_EVERY
+        self._looked_at = now
+        before, self._watched = self._watched, {}
+        for name, pid, page in containers:
+            beat, known = page.heartbeat(), before.get(pid)
+            if known is None or known.beat != beat or not beat:
+                if known is not None and known.silence is not None:
+                    lasted = now - known.since
+                    yield Silence(container=name, pid=pid, seconds=lasted)
+                known = _Watched(beat, now, self._processes.cpu(pid))
+            elif known.silence is None:
+                if was_away:
+                    known.looked_at = 0.0
+                found = self._diagnosis(name, pid, known, now)
+                if found is not None:
+                    known.silence = found
+                    yield found
+            self._watched[pid] = known
+
+    def _diagnosis(
+        self, name: str, pid: int, known: _Watched, now: float
+    ) -> Silence | None:
+        """Return why a container does not respond; None: it may yet."""
+        seconds = now - known.since
+        if seconds < _SUSPICIOUS:
+            return None
+        kernel = self._processes
+        if kernel.is_stopped(pid):
+            return Silence(
+                container=name,
+                pid=pid,
+                seconds=seconds,
+                reason="its process is stopped (SIGSTOP)",
+                remedy=f"`kill -CONT {pid}` lets it go on",
+                is_stopped=True,
+            )
+        delays, cpu = kernel.delays(pid), kernel.cpu(pid)
+        if not known.looked_at:
+            known.looked_at, known.delays, known.cpu_then = now, delays, cpu
+            return None
+        window = now - known.looked_at
+        waited = {
+            thread: delay - known.delays.get(thread, delay)
+            for thread, delay in delays.items()
+        }
+        # where the kernel does not tell, it may be
+        is_starved = not waited or max(waited.values()) > _SHARE * window
+        if is_starved and cpu - known.cpu < _LONG and seconds < _STARVED:
+            return None
+        remedy = f"`kill -KILL {pid}` ends it, and it is started again"
+        reason = "a thread holds its interpreter (GIL)"
+        if cpu - known.cpu < _SHARE * window:
+            reason = "a thread waits while it holds its interpreter (GIL)"
+            if is_starved:
+                reason = "it gets no CPU"
+                remedy = "Give its computer more CPU, or move components to another"
+        return Silence(
+            container=name, pid=pid, seconds=seconds, reason=reason, remedy=remedy
+        )
