@@ -17,7 +17,7 @@ from poise.runtime.connectors.interface import Method
 from poise.runtime.connectors.sender import Facade, Sender
 from poise.runtime.execution.exclusion import Exclusion, new_chain
 from poise.wire.codec import WireError
-from tests.runtime.conftest import wait_until
+from tests.waiting import wait_until
 
 LONG = 20.0
 
