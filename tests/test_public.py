@@ -16,6 +16,7 @@ STUBS = sorted(SOURCE.rglob("*.pyi"))
 
 PUBLIC = {
     "poise": [
+        "Calibration",
         "CallError",
         "CalleeError",
         "Component",
@@ -23,6 +24,7 @@ PUBLIC = {
         "Placement",
         "PoiseError",
         "Problem",
+        "Profiling",
         "Provided",
         "Published",
         "Required",
@@ -35,6 +37,7 @@ PUBLIC = {
         "Timeout",
         "Unavailable",
         "UsageError",
+        "calibrate",
         "check",
         "connect",
         "every",
@@ -42,6 +45,7 @@ PUBLIC = {
         "loan",
         "oneway",
         "place",
+        "profile",
         "run",
         "subscribed",
         "time_left",

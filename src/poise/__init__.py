@@ -29,8 +29,12 @@ if TYPE_CHECKING:
     from poise.runtime.component.ports import every as every
     from poise.runtime.component.ports import oneway as oneway
     from poise.runtime.component.ports import subscribed as subscribed
+    from poise.session.calibration import Calibration as Calibration
+    from poise.session.calibration import calibrate as calibrate
     from poise.session.placement import Placement as Placement
     from poise.session.placement import place as place
+    from poise.session.profiling import Profiling as Profiling
+    from poise.session.profiling import profile as profile
     from poise.session.report import RunReport as RunReport
     from poise.session.robot_file import check as check
     from poise.session.robot_file import load as load
@@ -41,6 +45,7 @@ if TYPE_CHECKING:
     from poise.wire.connections.loans import loan as loan
 else:
     _HOMES = {
+        "Calibration": "session.calibration",
         "CallError": "errors",
         "CalleeError": "errors",
         "Component": "runtime.component.component",
@@ -48,6 +53,7 @@ else:
         "Placement": "session.placement",
         "PoiseError": "errors",
         "Problem": "errors",
+        "Profiling": "session.profiling",
         "Provided": "runtime.component.ports",
         "Published": "runtime.component.ports",
         "Required": "runtime.component.ports",
@@ -60,6 +66,7 @@ else:
         "Timeout": "errors",
         "Unavailable": "errors",
         "UsageError": "errors",
+        "calibrate": "session.calibration",
         "check": "session.robot_file",
         "connect": "session.running",
         "every": "runtime.component.ports",
@@ -67,6 +74,7 @@ else:
         "loan": "wire.connections.loans",
         "oneway": "runtime.component.ports",
         "place": "session.placement",
+        "profile": "session.profiling",
         "run": "session.run",
         "subscribed": "runtime.component.ports",
         "time_left": "runtime.component.deadline",

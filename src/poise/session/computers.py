@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from poise.clock import SystemClock
-from poise.emulate import Emulation, StarvationWatch
+from poise.emulate import EmulatedComputer, Emulation, StarvationWatch
 from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import RunError
 from poise.model.robot import Robot
@@ -33,7 +33,8 @@ class Computers:
     without
         What the emulation does without.
     watch
-        Sees whether the host starves the emulation; None when the computers are real.
+        Returns a watch (strict or not) for starvation by the host; None: the computers
+        are real.
     agents
         Computer -> the process of its agent, where it was started here.
     faster
@@ -49,7 +50,7 @@ class Computers:
         self,
         endpoints: Mapping[str, str],
         without: tuple[str, ...] = (),
-        watch: Callable[[], StarvationWatch] | None = None,
+        watch: Callable[[bool], StarvationWatch] | None = None,
         agents: Mapping[str, subprocess.Popen[bytes]] | None = None,
         faster: Mapping[str, float] | None = None,
     ) -> None:
@@ -70,10 +71,16 @@ class Computers:
             if (code := process.poll()) is not None:
                 raise RunError(f"the agent of '{name}' ended with exit code {code}")
 
-    def begin(self) -> None:
-        """Judge from now on whether the host gives what the emulation promised."""
+    def begin(self, *, strictly: bool = False) -> None:
+        """Judge from now on whether the host gives what the emulation promised.
+
+        Parameters
+        ----------
+        strictly
+            Whether computers may never wait for the CPU (`StarvationWatch`).
+        """
         self._began = self._clock.now()
-        self._watch = self._make_watch() if self._make_watch else None
+        self._watch = self._make_watch(strictly) if self._make_watch else None
 
     def look(self) -> None:
         """Judge the moment; call it a few times a second."""
@@ -152,13 +159,23 @@ def _emulated(
             yield Computers(
                 {name: locator(agent) for name, agent in agents_at.items()},
                 emulation.without,
-                lambda: StarvationWatch(computers, SystemClock()),
+                lambda strictly: StarvationWatch(
+                    computers,
+                    SystemClock(),
+                    strictly=strictly and _are_apart(computers),
+                ),
                 agents,
                 {name: computer.slowdown for name, computer in computers.items()},
             )
     finally:
         os.close(lifeline)
         os.close(held)
+
+
+def _are_apart(computers: Mapping[str, EmulatedComputer]) -> bool:
+    """Return whether each computer has host CPUs of its own."""
+    cpus = [cpu for each in computers.values() for cpu in each.limits.cpus]
+    return len(cpus) == len(set(cpus))
 
 
 def _agent(

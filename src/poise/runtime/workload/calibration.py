@@ -39,7 +39,11 @@ class Yardstick(Component):
 
     @every(4 * _PIECE)
     def work(self) -> None:
-        """Measure ``score`` [loops per second of CPU time]."""
+        """Measure ``score`` [loops per second of CPU time], and ``waited``.
+
+        ``waited`` is the share of the time in which it was kept from running.
+        """
+        start = time.monotonic()
         began = now = time.thread_time()
         loops = 0
         while now - began < _PIECE:
@@ -47,6 +51,7 @@ class Yardstick(Component):
             loops += 1
             now = time.thread_time()
         self.measure("score", loops / (now - began))
+        self.measure("waited", 1 - (now - began) / (time.monotonic() - start))
 
 
 class Echoer(Component):
