@@ -35,7 +35,7 @@ class Drives(Struct, frozen=True, kw_only=True):
 
 def main() -> None:
     """Drive, and print what came of it."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.drive")
+    parser = argparse.ArgumentParser("python -m benchmarks.drive", description=__doc__)
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--times", type=int, default=10)
     options = parser.parse_args()

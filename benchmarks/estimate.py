@@ -318,7 +318,9 @@ def _silent(_: str) -> None:
 
 def main() -> None:
     """Measure all, and print it."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(
+        "python -m benchmarks.estimate", description=__doc__
+    )
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--quick", action="store_true", help="under a minute")
     parser.add_argument("--steady", type=float, help="steady load for so long [s]")

@@ -84,7 +84,7 @@ def measure(robot: Robot, seconds: float) -> Mapping[str, float]:
 
 def main() -> None:
     """Measure all, and print it."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser("python -m benchmarks.idle", description=__doc__)
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--quick", action="store_true", help="under a minute")
     options = parser.parse_args()

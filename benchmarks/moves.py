@@ -1,12 +1,11 @@
 """Moves components a thousand times while they talk, and counts what got lost.
 
 Then it moves a state of 50 MB, that changes slowly, over a link of 100 Mbit/s.
-
-Usage: python -m benchmarks.moves [--json] [--quick]
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import json
 import os
@@ -164,8 +163,11 @@ def big_state(moves: int) -> dict[str, float]:
 
 def main() -> None:
     """Run the storm, and move a large state."""
-    quick = "--quick" in sys.argv
-    moves, limit = (150, 15.0) if quick else (1000, 600.0)
+    parser = argparse.ArgumentParser("python -m benchmarks.moves", description=__doc__)
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--quick", action="store_true", help="fewer moves")
+    options = parser.parse_args()
+    moves, limit = (150, 15.0) if options.quick else (1000, 600.0)
     chance = random.Random(1)
     everywhere = dict.fromkeys((*COMPONENTS, "conductor"), "a")
     with running("storm.yaml", everywhere) as (run, folder):
@@ -174,7 +176,7 @@ def main() -> None:
     with running("storm.yaml", everywhere) as (run, _):
         struck = storm(run, moves // 2, limit, chance, killing=10)
         works = is_at_work(run)
-    big = big_state(2 if quick else 10)
+    big = big_state(2 if options.quick else 10)
     failed = [report for report in reports if not report.committed]
     shut = sorted(report.gate_shut for report in reports)
     result = {
@@ -193,7 +195,7 @@ def main() -> None:
     }
     for report in failed[:5]:
         sys.stderr.write(f"{report.component}: {report.reason}\n")
-    if "--json" in sys.argv:
+    if options.json:
         sys.stdout.write(json.dumps(result, indent=2) + "\n")
     else:
         for name, value in result.items():

@@ -1,12 +1,13 @@
 """How exactly an emulation tells that the host kept CPU from it.
 
 Every process here wants CPU all the time, so the truth is known: what is neither used
-nor throttled was starved. Run as ``python benchmarks/starvation.py`` where processes
+nor throttled was starved. Run it where processes
 can be limited (root, or a delegated cgroup).
 """
 
 from __future__ import annotations
 
+import argparse
 import subprocess
 import sys
 import tempfile
@@ -89,6 +90,9 @@ def measure(what: str, quotas: tuple[float, ...], others: int) -> None:
 
 def main() -> None:
     """Measure all situations."""
+    argparse.ArgumentParser(
+        "python -m benchmarks.starvation", description=__doc__
+    ).parse_args()
     print(f"shares of {WINDOW:g} s; speed: of a host CPU, while not throttled")
     heads = ("used", "thrott", "starved", "truth", "error", "speed", "a run")
     print(ROW.format("", *heads))

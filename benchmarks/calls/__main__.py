@@ -64,7 +64,7 @@ def as_json(rows: list[Row]) -> str:
 
 def main() -> None:
     """Measure all cases, one after the other, in so many rounds as are wanted."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.calls")
+    parser = argparse.ArgumentParser("python -m benchmarks.calls", description=__doc__)
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--quick", action="store_true", help="fewer round trips")
     parser.add_argument("--only", nargs="*", default=[""], help="parts of titles")

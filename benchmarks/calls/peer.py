@@ -1,10 +1,11 @@
-"""One of the two processes of a case: ``python -m benchmarks.calls.peer ROLE ...``.
+"""One of the two processes of a case: ``python -m benchmarks.calls.peer WORK``.
 
 It ends when its standard input does, so that nothing outlives the benchmark.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 import threading
@@ -28,7 +29,9 @@ class Work(msgspec.Struct, frozen=True):
 
 def main() -> None:
     """Serve, or connect and measure; tell by a line that it is done."""
-    work = msgspec.json.decode(sys.argv[1], type=Work)
+    parser = argparse.ArgumentParser("python -m benchmarks.calls.peer")
+    parser.add_argument("work", help="what `benchmarks.calls` wants of it, in JSON")
+    work = msgspec.json.decode(parser.parse_args().work, type=Work)
     os.sched_setaffinity(0, {work.cpu})
     threading.Thread(target=_end_with_input, daemon=True).start()
     system = import_module(f"benchmarks.calls.systems.{work.module}")
