@@ -126,6 +126,11 @@ class Agents:
         with self._changed:
             return dict(self._lost)
 
+    def reached(self) -> set[str]:
+        """Return the computers whose agents are there and have reported."""
+        with self._changed:
+            return self._alive & self._statuses.keys()
+
     def obey(self, computer: str) -> bool:
         """Return whether an agent is reached and obeys this manager."""
         with self._changed:
@@ -156,11 +161,11 @@ class Agents:
             One was not there within `limit` [s].
         """
         wanted, deadline = set(computers), self._clock.now() + limit
-        while not self.wait_news(lambda: wanted <= self._there(), _LOOK_EVERY):
+        while not self.wait_news(lambda: wanted <= self.reached(), _LOOK_EVERY):
             check()
             if self._clock.now() < deadline:
                 continue
-            missing = ", ".join(sorted(wanted - self._there()))
+            missing = ", ".join(sorted(wanted - self.reached()))
             raise RunError(
                 f"no agent answered within {limit:g} s on: {missing}. Is `poise agent` "
                 "running there, and can this computer reach it?"
@@ -331,10 +336,6 @@ class Agents:
         if self.wait_news(lambda: computer in self.out_of_reach(), patience):
             return "is out of reach"
         return f"did not answer within {limit:g} s"
-
-    def _there(self) -> set[str]:
-        with self._changed:
-            return self._alive & self._statuses.keys()
 
     def _on_status(self, status: AgentStatus) -> None:
         with self._changed:

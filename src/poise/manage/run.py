@@ -137,13 +137,13 @@ class Run:
         with contextlib.suppress(RunError):  # it is only for quiet
             self._come_to_rest()
         reached = self.computers()
-        self._end_all(reached)
+        self.end_all(reached)
         away = {computer.name for computer in self.robot.computers} - reached
         if away:
             self.agents.wait_news(lambda: away <= self.computers(), RETURN_LIMIT)
             returned = away & self.computers()
             self._reclaim(returned)
-            self._end_all(returned)
+            self.end_all(returned)
         remaining = self.remaining()
         if remaining:
             text = "; ".join(remaining)
@@ -212,9 +212,16 @@ class Run:
         if left:
             text = f"an earlier manager left containers: {', '.join(left)}"
             self.journal.note("seen", f"{text}; they are ended first")
-            self._end_all(self.computers())
+            self.end_all(self.computers())
 
-    def _end_all(self, computers: set[str]) -> None:
+    def end_all(self, computers: set[str]) -> None:
+        """End all containers of computers, whoever started them.
+
+        Raises
+        ------
+        RunError
+            An agent refused, or something still ran after `STOP_LIMIT`.
+        """
         self.tell((), computers)
         if not self.agents.wait_news(lambda: not self._running(computers), STOP_LIMIT):
             running = ", ".join(self._running(computers))

@@ -1,0 +1,232 @@
+"""Real computers whose network is cut, and two managers that want the same agents."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from poise.emulate import Emulation, look
+from poise.manage.control_socket.client import send_command
+from poise.manage.control_socket.records import RobotStatus, StatusCommand
+from poise.model.robot import Computer, Robot
+from tests.command import POISE, run_poise
+from tests.waiting import LONG, wait_long
+
+pytestmark = pytest.mark.slow
+
+NAMES = ("left", "right", "third")
+CODE = """
+from poise import Component, Message, Published, every, subscribed
+
+class Number(Message):
+    value: int
+
+class Source(Component):
+    numbers: Published[Number]
+    count = 0
+
+    @every(0.05)
+    def tick(self):
+        self.count += 1
+        self.numbers.publish(Number(self.count))
+
+class Sink(Component):
+    @subscribed(keep=10)
+    def numbers(self, message: Number):
+        pass
+
+class Alone(Component):
+    pass
+"""
+FILE = """
+robot: {name}
+computers:
+{computers}
+architectures:
+  work:
+    function: work
+    components:
+      source: {{implementation: "reach:Source", only: [left], cpu: 1%, memory: 20 MiB}}
+      sink: {{implementation: "reach:Sink", only: [right], cpu: 1%, memory: 20 MiB}}
+      alone: {{implementation: "reach:Alone", only: [left, third], cpu: 1%,
+              memory: 20 MiB, isolated: true}}
+    connectors:
+      - {{between: [source.numbers, sink.numbers]}}
+tasks:
+  work: {{actions: [{{name: work, functions: [work]}}]}}
+"""
+
+
+class Field:
+    """Three computers with an agent each, as a robot's real ones."""
+
+    def __init__(self, emulation: Emulation, folder: Path) -> None:
+        self.name = f"reach{os.getpid()}"
+        self.folder = folder
+        self.computers = emulation.computers
+        (folder / "reach.py").write_text(CODE)
+        addresses = {n: c.address for n, c in self.computers.items()}
+        for name in NAMES:
+            argv = [*POISE, "agent", name, "--robot", self.name]
+            argv += ["--address", addresses[name]]
+            argv += ["--folder", str(self.computers[name].folder)]
+            for other in addresses.keys() - {name}:
+                argv += ["--peer", addresses[other]]
+            self.computers[name].popen(argv)
+        self.file = folder / "robot.yaml"
+        computers = "\n".join(
+            f'  {n}: {{cpu: 1, memory: 1 GiB, address: "{a}"}}'
+            for n, a in addresses.items()
+        )
+        self.file.write_text(FILE.format(name=self.name, computers=computers))
+
+    def set_cable(self, name: str, state: str) -> None:
+        argv = ["ip", "link", "set", "eth0", state]
+        assert self.computers[name].popen(argv).wait(LONG) == 0
+
+    def status(self) -> RobotStatus:
+        answer = send_command(self.name, StatusCommand())
+        assert isinstance(answer, RobotStatus)
+        return answer
+
+    def pids(self) -> set[int]:
+        status = self.status()
+        return {c.pid for each in status.computers.values() for c in each.containers}
+
+
+class Up:
+    """`poise up`, and what it has printed."""
+
+    def __init__(self, field: Field, runtime: Path) -> None:
+        self.lines: list[str] = []
+        self.process = subprocess.Popen(
+            [*POISE, "up", str(field.file)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            env={**os.environ, "XDG_RUNTIME_DIR": str(runtime)},
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        with self.process.stdout as lines:
+            self.lines.extend(lines)
+
+    def says(self, pattern: str) -> bool:
+        return any(re.search(pattern, line) for line in list(self.lines))
+
+    def wait_for(self, pattern: str) -> None:
+        wait_long(lambda: self.says(pattern) or self.process.poll() is not None)
+        assert self.says(pattern), "".join(self.lines)
+
+    def end(self) -> int:
+        self.process.terminate()
+        code = self.process.wait(LONG)
+        self._reader.join(LONG)
+        return code
+
+
+@pytest.fixture
+def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "one"
+    folder.mkdir()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
+    return folder
+
+
+@pytest.fixture
+def field(tmp_path: Path) -> Iterator[Field]:
+    if reasons := look().without_network():
+        pytest.skip("; ".join(reasons))
+    computers = tuple(
+        Computer(name=name, capacity={"cpu": 0.5, "memory": 512e6}) for name in NAMES
+    )
+    with Emulation(Robot(name="reach", computers=computers), tmp_path) as emulation:
+        yield Field(emulation, tmp_path)
+
+
+@pytest.fixture
+def up(field: Field, runtime: Path) -> Iterator[Up]:
+    up = Up(field, runtime)
+    try:
+        up.wait_for("is up with task")
+        yield up
+    finally:
+        up.end()
+
+
+def test_goes_on_without_a_computer_and_brings_it_back(field: Field, up: Up) -> None:
+    assert run_poise("status").returncode == 0
+    before = field.pids()
+
+    field.set_cable("right", "down")
+    up.wait_for(r"computer 'right' is out of reach since .* components sink may run on")
+    status = run_poise("status")
+    assert status.returncode == 1
+    assert "computer 'right' is out of reach since" in status.stdout
+    told = json.loads(run_poise("status", "--json").stdout)
+    assert list(told["out_of_reach"]) == ["right"]
+    assert told["deviations"][0]["computer"] == "right"
+
+    # what has nothing to do with it is managed on
+    moved = run_poise("move", "alone", "third" if at(field) == "left" else "left")
+    assert moved.returncode == 0, moved.stdout + moved.stderr
+
+    field.set_cable("right", "up")
+    up.wait_for("computer 'right' is reached again")
+    wait_long(lambda: run_poise("status").returncode == 0)
+    assert up.process.poll() is None
+    moved_container = 1
+    assert len(before & field.pids()) == len(before) - moved_container
+
+
+def at(field: Field) -> str:
+    return field.status().placement["alone"]
+
+
+def test_a_stop_names_what_it_does_not_reach(field: Field, up: Up) -> None:
+    field.set_cable("right", "down")
+    up.wait_for("computer 'right' is out of reach since")
+    stopped = run_poise("stop")
+    assert stopped.returncode == 1
+    assert re.search(r"'right' is out of reach since .* sink may run", stopped.stderr)
+    assert up.process.wait(LONG) == 1
+
+    stopped = run_poise("stop", "--file", field.file)
+    assert stopped.returncode == 1
+    assert "out of reach: right" in stopped.stderr
+    field.set_cable("right", "up")
+    wait_long(lambda: run_poise("stop", "--file", field.file).returncode == 0)
+
+
+def test_a_second_manager_is_refused_until_the_first_is_gone(
+    field: Field, up: Up, tmp_path: Path
+) -> None:
+    before = field.pids()
+    other = tmp_path / "two"
+    other.mkdir()
+    second = Up(field, other)
+    assert second.process.wait(LONG) == 1
+    pid = up.process.pid
+    assert second.says(rf"'{field.name}' is managed by user .*\(process {pid}\) since")
+    stop = run_poise("stop", "--file", field.file)
+    assert stop.returncode == 1
+    assert f"(process {pid})" in stop.stderr
+    assert field.pids() == before
+    assert run_poise("status").returncode == 0
+
+    up.process.kill()
+    up.process.wait(LONG)
+    third = Up(field, other)
+    third.wait_for("an earlier manager left containers")
+    third.wait_for("is up with task")
+    assert third.end() == 128 + 15
