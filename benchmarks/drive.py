@@ -3,6 +3,8 @@
 It is the scene of `poise demo` alone; a drive takes about 15 s.
 
 Usage: python -m benchmarks.drive [--json] [--times N]
+
+It imports internal modules: it repeats a scene of the demo.
 """
 
 from __future__ import annotations

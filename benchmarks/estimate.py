@@ -13,6 +13,8 @@ Four questions, each with the goal that `GOALS` gives:
 - What does it cost? CPU of the agent and of the manager with 100 components that are
   sampled at 5 Hz, against the same without, and of the counting in the components'
   threads; as a share of a core.
+
+It imports internal modules: it compares single samples and estimates with the truth.
 """
 
 from __future__ import annotations

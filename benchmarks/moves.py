@@ -1,6 +1,9 @@
 """Moves components a thousand times while they talk, and counts what got lost.
 
 Then it moves a state of 50 MB, that changes slowly, over a link of 100 Mbit/s.
+
+It imports internal modules: it reads components' measures between moves, and kills
+containers during moves.
 """
 
 from __future__ import annotations

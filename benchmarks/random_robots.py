@@ -5,7 +5,7 @@ from __future__ import annotations
 from random import Random
 from typing import Literal
 
-from poise.model.robot import Computer, Objective
+from poise.model import Computer, Objective
 from poise.plan import Edge, Item, Problem
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 import msgspec
 
 from poise.emulate import EmulatedComputer, Emulation, look
-from poise.model.robot import Computer, Robot
+from poise.model import Computer, Robot
 
 WINDOW = 2.0
 BURN = "while True: pass"

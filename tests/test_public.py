@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import pkgutil
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 
@@ -11,7 +12,8 @@ import pytest
 
 import poise
 
-SOURCE = Path(__file__).parents[1] / "src"
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "src"
 STUBS = sorted(SOURCE.rglob("*.pyi"))
 
 PUBLIC = {
@@ -62,7 +64,25 @@ PUBLIC = {
         "look",
         "sweep",
     ],
-    "poise.model": ["load"],
+    "poise.model": [
+        "Action",
+        "Architecture",
+        "Chain",
+        "Component",
+        "Computer",
+        "Connector",
+        "Device",
+        "End",
+        "Generated",
+        "Link",
+        "Objective",
+        "Port",
+        "Robot",
+        "Simulator",
+        "Task",
+        "Workload",
+        "load",
+    ],
     "poise.plan": [
         "Bundle",
         "Conflict",
@@ -116,6 +136,34 @@ def test_every_other_part_is_for_poise_itself() -> None:
         if module.ispkg and hasattr(import_module(module.name), "__all__")
     }
     assert found == PUBLIC.keys() - {"poise"}
+
+
+MODULES = {*PUBLIC, "poise.errors", "poise.units"}
+"""What users may import from."""
+INTERNALS = "It imports internal modules: "
+"""A benchmark of an internal layer says so, and why."""
+
+
+@pytest.mark.parametrize("folder", ["examples", "benchmarks"])
+def test_examples_and_benchmarks_use_what_users_may(folder: str) -> None:
+    private = [
+        f"{file.relative_to(ROOT)}: {module}"
+        for file in sorted((ROOT / folder).rglob("*.py"))
+        for tree in [ast.parse(file.read_text())]
+        if folder == "examples" or INTERNALS not in (ast.get_docstring(tree) or "")
+        for module in imported(tree)
+        if module.partition(".")[0] == "poise" and module not in MODULES
+    ]
+    assert private == []
+
+
+def imported(tree: ast.Module) -> Iterator[str]:
+    """Yield the modules that a file imports, wherever it does."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
 
 
 @pytest.mark.parametrize("stub", STUBS, ids=lambda path: path.stem)

@@ -1,6 +1,8 @@
 """Poise's side: components in two containers, joined by its own wiring.
 
 Both processes do what a container does with what its agent tells it.
+
+It imports internal modules: it measures connectors without a manager or an agent.
 """
 
 from __future__ import annotations

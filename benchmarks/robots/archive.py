@@ -5,8 +5,7 @@ import time
 from collections.abc import Mapping
 from typing import Protocol
 
-from poise import Component, Message, Provided, Required, every
-from poise.errors import CallError
+from poise import CallError, Component, Message, Provided, Required, every
 
 PAGE = 1_000
 """Size of a page [bytes]."""

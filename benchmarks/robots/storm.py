@@ -3,8 +3,16 @@
 from pathlib import Path
 from typing import Protocol
 
-from poise import Component, Message, Provided, Published, Required, every, subscribed
-from poise.errors import CallError
+from poise import (
+    CallError,
+    Component,
+    Message,
+    Provided,
+    Published,
+    Required,
+    every,
+    subscribed,
+)
 
 
 class Number(Message):

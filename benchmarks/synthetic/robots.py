@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from poise.model.robot import Architecture, Component, Computer, Connector, End, Robot
+from poise.model import Architecture, Component, Computer, Connector, End, Robot
 
 FOLDER = str(Path(__file__).parents[1])
 TOGETHER = 24

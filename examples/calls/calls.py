@@ -3,8 +3,7 @@
 import time
 from typing import Protocol
 
-from poise import Component, Message, Provided, Required, every
-from poise.errors import CallError
+from poise import CallError, Component, Message, Provided, Required, every
 
 
 class Parcel(Message):

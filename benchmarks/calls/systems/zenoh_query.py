@@ -1,4 +1,7 @@
-"""zenoh alone: a declared querier and a queryable, over TCP on loopback."""
+"""zenoh alone: a declared querier and a queryable, over TCP on loopback.
+
+It imports internal modules: it opens the session that agents use.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""zenoh alone: a put and a subscriber in each direction, over TCP on loopback."""
+"""zenoh alone: a put and a subscriber in each direction, over TCP on loopback.
+
+It imports internal modules: it opens the session that agents use.
+"""
 
 from __future__ import annotations
 

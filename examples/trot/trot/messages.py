@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from poise.clock import Stamp
-from poise.runtime.component.ports import Message
+from poise import Message, Stamp
 
 
 class Pose(Message, frozen=True):

@@ -15,7 +15,9 @@ from poise.session.robot_file import check
 
 
 def check_command(
-    file: Annotated[Path | None, typer.Argument(help="The robot file.")] = None,
+    file: Annotated[
+        Path | None, typer.Argument(help="The robot file.", envvar="POISE_ROBOT")
+    ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the problems as JSON.")
     ] = False,

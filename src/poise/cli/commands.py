@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import json
+import os
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Annotated, NoReturn, cast
 
+import msgspec
 import typer
 
-from poise.errors import PoiseError, UsageError
+from poise.errors import PoiseError, RobotError, RunError, UsageError
+
+_MISUSE = cast(tuple[type[typer.BadParameter], ...], typer.BadParameter.__bases__)
+"""What typer raises for arguments that it refuses: all kinds have this base."""
 
 COMMANDS = {
     "check": ("check:check_command", "Check a robot file and the code that it names."),
@@ -38,9 +44,10 @@ def build(arguments: Sequence[str]) -> typer.Typer:
     app = typer.Typer(
         help="Keeps a robot's software in balance over its on-board computers.",
         no_args_is_help=True,
-        add_completion=False,
         pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
     )
+    app.callback()(_main_options)
     words = [word for word in arguments if not word.startswith("-")]
     both = " ".join(words[:2])
     asked = both if both in COMMANDS else "".join(words[:1])
@@ -67,9 +74,15 @@ def _group_of(app: typer.Typer, name: str) -> tuple[typer.Typer, str]:
 
 
 def run() -> None:
-    """Do what the command line asks for; `poise.cli.main` says the exit codes."""
+    """Do what the command line asks for; docs/command-line.md says the exit codes."""
+    words = sys.argv[1:]
+    completed = os.environ.get("_TYPER_COMPLETE_ARGS", "").split()[1:]
+    is_json = "--json" in words
     try:
-        build(sys.argv[1:])()
+        app = build(completed or words)
+        sys.exit(app(prog_name="poise", standalone_mode=not is_json))
+    except _MISUSE as error:
+        _fail(UsageError(error.format_message()), 2)
     except UsageError as error:
         _fail(error, 2)
     except PoiseError as error:
@@ -81,7 +94,7 @@ def run() -> None:
     except OSError as error:
         if error.filename is None:
             raise
-        _fail(f"{error.filename}: {error.strerror}", 1)
+        _fail(RunError(f"{error.filename}: {error.strerror}"), 1)
 
 
 def _flowing(text: str) -> str:
@@ -91,10 +104,36 @@ def _flowing(text: str) -> str:
     return "\n\n".join(paragraphs) + examples + commands
 
 
+def _show_version(*, asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+
+        sys.stdout.write(f"poise {version('poise')}\n")
+        raise typer.Exit
+
+
 def _not_loaded() -> None:
     """Stand for a command in the list of commands."""
 
 
-def _fail(error: PoiseError | str, code: int) -> NoReturn:
+def _main_options(
+    *,
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, help="Show the version."),
+    ] = False,
+) -> None:
+    """Take the options of `poise` itself."""
+
+
+def _fail(error: PoiseError, code: int) -> NoReturn:
     sys.stderr.write(f"{error}\n")
+    if "--json" in sys.argv:
+        problems = error.problems if isinstance(error, RobotError) else ()
+        answer = {
+            "error": str(error),
+            "kind": type(error).__name__,
+            "problems": msgspec.to_builtins(problems),
+        }
+        sys.stdout.write(json.dumps(answer, indent=2) + "\n")
     sys.exit(code)

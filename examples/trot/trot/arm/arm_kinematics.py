@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from poise.runtime.component.component import Component
-from poise.runtime.component.ports import Provided
+from poise import Component, Provided
 from trot.arm import geometry
 from trot.effort import Block, Effort
 from trot.interfaces import Kinematics

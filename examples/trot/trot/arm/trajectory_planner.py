@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from poise.errors import CallError
-from poise.runtime.component.component import Component
-from poise.runtime.component.ports import Published, Required, every, subscribed
+from poise import CallError, Component, Published, Required, every, subscribed
 from trot.arm import geometry
 from trot.effort import Block, Effort
 from trot.interfaces import Collisions, Kinematics

@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from poise.runtime.component.component import Component
-from poise.runtime.component.ports import Published, every, subscribed
+from poise import Component, Published, every, subscribed
 from trot.effort import Block, Effort
 from trot.messages import Activity, Attention, Bearing
 

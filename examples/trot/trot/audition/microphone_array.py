@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from poise.runtime.component.component import Component
-from poise.runtime.component.ports import Published, every
+from poise import Component, Published, every
 from trot.device import Device
 from trot.effort import Block, Effort
 from trot.messages import AudioBlock

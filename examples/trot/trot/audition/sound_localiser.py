@@ -7,8 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from poise.runtime.component.component import Component
-from poise.runtime.component.ports import Published, subscribed
+from poise import Component, Published, subscribed
 from trot.effort import Block, Effort
 from trot.messages import AudioBlock, Bearing
 from trot.packets import SAMPLE_RATE

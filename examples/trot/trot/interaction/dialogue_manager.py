@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from poise.runtime.component.component import Component
-from poise.runtime.component.ports import Message, Published, every, subscribed
+from poise import Component, Message, Published, every, subscribed
 from trot.effort import Block, Effort
 from trot.messages import Sentence, Utterance, Wish
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from poise.runtime.component.component import Component
-from poise.runtime.component.ports import Message, Published, every, subscribed
+from poise import Component, Message, Published, every, subscribed
 from trot.effort import Block, Effort
 from trot.messages import Emotion, Sentence
 

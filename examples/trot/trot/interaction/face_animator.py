@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from poise.runtime.component.component import Component
-from poise.runtime.component.ports import Published, every, subscribed
+from poise import Component, Published, every, subscribed
 from trot.effort import Block, Effort
 from trot.messages import Emotion, Image
 

@@ -8,8 +8,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from poise.runtime.component.component import Component
-from poise.runtime.component.ports import every, subscribed
+from poise import Component, every, subscribed
 from trot.device import Device
 from trot.effort import Block, Effort
 from trot.messages import Sentence

@@ -6,8 +6,7 @@ from collections import deque
 
 import numpy as np
 
-from poise.runtime.component.component import Component
-from poise.runtime.component.ports import Published, every
+from poise import Component, Published, every
 from trot.device import Device
 from trot.effort import Block, Effort
 from trot.laser_model import MAX_RANGE, PERIOD

@@ -7,9 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from poise.clock import Stamp
-from poise.runtime.component.component import Component
-from poise.runtime.component.ports import Message, Provided, Published, subscribed
+from poise import Component, Message, Provided, Published, Stamp, subscribed
 from trot import home
 from trot.effort import Block, Effort
 from trot.interfaces import Poses

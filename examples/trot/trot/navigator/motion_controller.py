@@ -7,10 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from poise.clock import Stamp
-from poise.errors import CallError
-from poise.runtime.component.component import Component
-from poise.runtime.component.ports import Required, every, subscribed
+from poise import CallError, Component, Required, Stamp, every, subscribed
 from trot.device import Device
 from trot.effort import Block, Effort
 from trot.interfaces import Maps, Poses

@@ -8,9 +8,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from poise.errors import CallError
-from poise.runtime.component.component import Component
-from poise.runtime.component.ports import Published, Required, every
+from poise import CallError, Component, Published, Required, every
 from trot import home
 from trot.effort import Block, Effort
 from trot.interfaces import Maps, Poses

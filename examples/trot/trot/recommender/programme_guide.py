@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from poise.runtime.component.component import Component
-from poise.runtime.component.ports import Provided, every
+from poise import Component, Provided, every
 from trot.effort import Block, Effort
 from trot.interfaces import Guide
 from trot.messages import Programme

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from poise.runtime.component.component import Component
-from poise.runtime.component.ports import Message, Provided, every
+from poise import Component, Message, Provided, every
 from trot.effort import Block, Effort
 from trot.interfaces import Tastes
 from trot.recommender.programme_guide import GENRES

@@ -27,31 +27,32 @@ def progress(
         nothing, or their lines and the bar end up in each other.
     """
     if not live or not console.is_terminal:
-        yield _Lines(console).tell
+        yield _Lines(console, seconds).tell
         return
     columns = BarColumn(), TextColumn("{task.description}")
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("", total=seconds)
         yield lambda run, now: bar.update(
-            task, completed=now, description=_sentence(run, now)
+            task, completed=now, description=_sentence(run, now, seconds)
         )
 
 
 class _Lines:
     """Prints a line now and then."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, seconds: float) -> None:
         self._console = console
+        self._seconds = seconds
         self._next = _LINE_EVERY
 
     def tell(self, run: Run, now: float) -> None:
         """Print how the run is, when it is time."""
         if now >= self._next:
             self._next = now + _LINE_EVERY
-            self._console.print(f"  {_sentence(run, now)}")
+            self._console.print(f"  {_sentence(run, now, self._seconds)}")
 
 
-def _sentence(run: Run, now: float) -> str:
+def _sentence(run: Run, now: float, seconds: float) -> str:
     timers = [
         timer
         for component in components_of(run.agents.statuses())
@@ -59,4 +60,5 @@ def _sentence(run: Run, now: float) -> str:
         if timer.deadline is not None
     ]
     missed, releases = sum(t.missed for t in timers), sum(t.releases for t in timers)
-    return f"{now:.0f} s: {missed} of {releases} deadlines missed"
+    left = max(0.0, seconds - now)
+    return f"{now:.0f} s, {left:.0f} s left: {missed} of {releases} deadlines missed"

@@ -6,7 +6,6 @@ from collections import defaultdict
 
 from rich.console import Console, RenderableType
 from rich.markup import escape
-from rich.table import Table
 
 from poise import plan, units
 from poise.model.robot import Computer
@@ -26,9 +25,7 @@ def plan_parts(result: plan.Result) -> tuple[RenderableType, ...]:
         return (_line("no placement", result.reason),)
     problem = result.problem
     resources = problem.resources
-    rows = Table("computer", "components")
-    for resource in resources:
-        rows.add_column(resource, no_wrap=True)
+    rows = table("computer", "components", *resources, folds=1)
     held: dict[str, list[str]] = {computer.name: [] for computer in problem.computers}
     for component, there in result.placement.items():
         held[there].append(component)
@@ -154,11 +151,13 @@ def show_explanation(explanation: plan.Explanation, console: Console) -> None:
     if explanation.together:
         names = ", ".join(explanation.together)
         console.print(f"It moves together with {names}.", highlight=False)
-    table = Table("computer", "F", "change", "communication", "balance", "move", "")
+    rows = table(
+        "computer", "F", "change", "communication", "balance", "move", "", folds=6
+    )
     for option in explanation.options:
         change = option.change
         here = option.computer == explanation.computer
-        table.add_row(
+        rows.add_row(
             option.computer,
             f"{option.objective.total:.6g}",
             *(
@@ -172,7 +171,7 @@ def show_explanation(explanation: plan.Explanation, console: Console) -> None:
             ),
             option.obstacle or ("here" if here else ""),
         )
-    console.print(table)
+    console.print(rows)
 
 
 def show_rejection(rejection: plan.Rejection, console: Console) -> None:

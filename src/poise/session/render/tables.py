@@ -11,11 +11,11 @@ from rich.table import Table
 def table(*columns: str, folds: int = 0) -> Table:
     """Return an empty table; long words are broken over lines rather than cut.
 
-    The column with the number `folds` gives way to the others.
+    The first column, of names, and the one with the number `folds` give way to others.
     """
     made = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
     for place, title in enumerate(columns):
-        made.add_column(title, overflow="fold", no_wrap=place != folds)
+        made.add_column(title, overflow="fold", no_wrap=place not in {0, folds})
     return made
 
 

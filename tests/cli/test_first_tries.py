@@ -1,0 +1,104 @@
+"""What people try first: version, help, completion, a default robot, JSON errors."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from poise import RobotError, plan
+from poise.session.render.plan import plan_parts
+from tests.command import POISE, Poise
+from tests.waiting import LONG
+
+pytestmark = pytest.mark.slow
+
+HELLO = Path(__file__).parents[2] / "examples" / "hello" / "robot.yaml"
+LONG_NAME = "a_component_with_a_name_that_is_longer_than_the_terminal_is_wide" * 2
+
+
+def with_environment(
+    *words: str, **environment: str
+) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*POISE, *words],
+        capture_output=True,
+        text=True,
+        timeout=LONG,
+        env={**os.environ, **environment},
+        check=False,
+    )
+
+
+def test_it_tells_its_version(poise: Poise) -> None:
+    assert poise("--version").stdout == f"poise {version('poise')}\n"
+
+
+@pytest.mark.parametrize("words", [("-h",), ("run", "-h"), ("status", "-h")])
+def test_h_is_help(poise: Poise, words: tuple[str, ...]) -> None:
+    done = poise(*words)
+    assert done.returncode == 0
+    assert "Usage: poise" in done.stdout
+
+
+def test_options_of_a_command_are_completed() -> None:
+    done = with_environment(
+        _TYPER_COMPLETE_ARGS="poise run --plac",
+        _POISE_COMPLETE="complete_bash",
+        COMP_WORDS="poise run --plac",
+        COMP_CWORD="2",
+    )
+    assert "--placement" in done.stdout
+
+
+def test_the_robot_file_may_stand_in_the_environment() -> None:
+    done = with_environment("check", POISE_ROBOT=str(HELLO))
+    assert done.stdout == f"{HELLO}: no problems\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "kind"),
+    [
+        (("run", "nowhere.yaml"), 1, "RobotError"),
+        (("run", HELLO, "--for", "soon"), 2, "UsageError"),
+        (("run", HELLO, "--wrong"), 2, "UsageError"),
+        (("status", "--robot", "nobody"), 2, "UsageError"),
+    ],
+)
+def test_errors_are_json_where_that_is_asked_for(
+    poise: Poise, words: tuple[str, ...], code: int, kind: str
+) -> None:
+    done = poise(*words, "--json")
+    assert done.returncode == code
+    told = json.loads(done.stdout)
+    assert told.keys() == {"error", "kind", "problems"}
+    assert told["kind"] == kind
+    assert told["error"] in done.stderr
+
+
+def test_problems_of_a_file_are_in_the_json(poise: Poise, tmp_path: Path) -> None:
+    (tmp_path / "robot.yaml").write_text("robot: r\ncomputers: {a: {cup: 1}}\n")
+    done = poise("run", "robot.yaml", "--json")
+    told = json.loads(done.stdout)
+    assert told["kind"] == RobotError.__name__
+    assert all(problem["line"] > 0 for problem in told["problems"])
+
+
+def test_names_are_never_cut() -> None:
+    console = Console(width=80)
+    problem = plan.Problem(
+        computers=(plan.Computer(name="left", capacity={"cpu": 1.0}),),
+        components=(plan.Component(name=LONG_NAME, demand={"cpu": 0.1}),),
+    )
+    with console.capture() as text:
+        for part in plan_parts(problem, plan.solve(problem)):
+            console.print(part)
+    joined = "".join(text.get().split())
+    assert "…" not in joined
+    assert all(len(line) <= 80 for line in text.get().splitlines())
+    assert LONG_NAME[-20:] in joined
