@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 from importlib.metadata import version
 from pathlib import Path
@@ -11,8 +12,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from poise import RobotError, plan
-from poise.session.render.plan import plan_parts
+from poise import RobotError, place
+from poise.model import Architecture, Component, Computer, Robot
 from tests.command import POISE, Poise
 from tests.waiting import LONG
 
@@ -91,14 +92,14 @@ def test_problems_of_a_file_are_in_the_json(poise: Poise, tmp_path: Path) -> Non
 
 def test_names_are_never_cut() -> None:
     console = Console(width=80)
-    problem = plan.Problem(
-        computers=(plan.Computer(name="left", capacity={"cpu": 1.0}),),
-        components=(plan.Component(name=LONG_NAME, demand={"cpu": 0.1}),),
-    )
+    component = Component(name=LONG_NAME, demand={"cpu": 0.1})
+    architecture = Architecture(name="a", function="a", components=(component,))
+    left = Computer(name="left", capacity={"cpu": 1.0, "memory": 1.0})
+    robot = Robot(name="r", computers=(left,), architectures=(architecture,))
     with console.capture() as text:
-        for part in plan_parts(problem, plan.solve(problem)):
-            console.print(part)
-    joined = "".join(text.get().split())
-    assert "…" not in joined
-    assert all(len(line) <= 80 for line in text.get().splitlines())
-    assert LONG_NAME[-20:] in joined
+        console.print(place(robot))
+    lines = text.get().splitlines()
+    assert "…" not in text.get()
+    assert all(len(line) <= 80 for line in lines)
+    folded = "".join(re.findall("[a-z_]{3,}", "".join(lines)))
+    assert LONG_NAME[-20:] in folded

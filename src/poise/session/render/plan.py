@@ -183,7 +183,7 @@ def show_rejection(rejection: plan.Rejection, console: Console) -> None:
     if rejection.objective is None or rejection.change is None:
         return
     names = ("total", "communication", "balance", "move", "quality")
-    rows = Table("", *("F" if name == "total" else name for name in names))
+    rows = table("", *("F" if name == "total" else name for name in names))
     best = (f"{getattr(rejection.objective, name):.6g}" for name in names)
     change = (f"{getattr(rejection.change, name):+.4g}" for name in names)
     rows.add_row("with it, at best", *best)
