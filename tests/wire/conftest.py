@@ -1,4 +1,4 @@
-"""Frames to send over pipes, a handler that answers them, and pipes of both kinds."""
+"""Frames to send, a handler that answers them, and channels of every kind."""
 
 from __future__ import annotations
 

@@ -105,11 +105,11 @@ from poise.wire.frame import Kind
 from tests.waiting import wait_until
 from poise.wire.connections.connection import Connection
 
-link = Connection(socket.socket(fileno=int(sys.argv[1])))
+connection = Connection(socket.socket(fileno=int(sys.argv[1])))
 array = np.empty(1 << 18, np.uint32)
 for number in range(10_000_000):
     array[:] = number
-    link.send(frame.segments(codec(Any), array, Kind.MESSAGE, number=number))
+    connection.send(frame.segments(codec(Any), array, Kind.MESSAGE, number=number))
 """
 
 

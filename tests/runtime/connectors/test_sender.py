@@ -234,7 +234,7 @@ def test_a_publisher_waits_while_too_much_is_held(
     monkeypatch.setattr("poise.runtime.connectors.sender.MOST_BUFFERED", 2)
     sender.buffer_for_move()
     for number in range(3):
-        sender.send(number)  # the third waits for the outlet's limit, and is lost
+        sender.send(number)  # the third waits for the sender's limit, and is lost
     assert sender.counts.drops == 1
     sender.switch("new")
     drain(sender)

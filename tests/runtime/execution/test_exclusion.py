@@ -183,7 +183,7 @@ def test_lets_one_chain_in_at_a_time_under_many_threads(exclusion: Any) -> None:
 def test_survives_limits_that_end_in_a_hand_over(
     exclusion: Any,
 ) -> None:
-    """Threads give up at about the moment their turn comes; it is never lost."""
+    """Threads give up at about the moment they may enter; it is never lost."""
     entered = 0
 
     def work() -> None:

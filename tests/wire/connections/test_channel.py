@@ -1,4 +1,4 @@
-"""Pipes between containers of one computer and of two, with real sockets."""
+"""Channels between containers of one computer and of two, with real sockets."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_links_are_let_in_again_when_there_are_threads_again(
     start, refused = threading.Thread.start, threading.Event()
 
     def none_left(thread: threading.Thread) -> None:
-        if thread.name == "link":
+        if thread.name == "connection":
             refused.set()
             raise RuntimeError("can't start new thread")
         start(thread)
@@ -74,7 +74,7 @@ def test_links_are_let_in_again_when_there_are_threads_again(
     assert refused.is_set()
     monkeypatch.undo()
     assert wire.channel().request(call("ab"), LIMIT).value(TEXT) == "ba"
-    assert "there: no link is served: can't start new thread" in caplog.text
+    assert "there: no connection is served: can't start new thread" in caplog.text
 
 
 @both
@@ -331,7 +331,7 @@ def test_nonsense_ends_its_connection_and_no_other(wire: Wire) -> None:
 
 
 @both
-def test_a_frame_that_cannot_be_read_is_refused_and_the_link_goes_on(
+def test_a_frame_that_cannot_be_read_is_refused_and_the_connection_goes_on(
     wire: Wire,
 ) -> None:
     refused: list[WireError] = []
@@ -351,7 +351,7 @@ def test_a_frame_that_cannot_be_read_is_refused_and_the_link_goes_on(
 
 
 @both
-def test_a_link_on_which_nothing_more_can_be_read_is_left(wire: Wire) -> None:
+def test_an_unreadable_connection_is_closed(wire: Wire) -> None:
     refused: list[WireError] = []
     wire.server().open("echo", Receiver(), refused.append)
     channel = wire.channel()
@@ -462,7 +462,7 @@ def test_a_pipe_is_ready_no_more_when_its_peer_ended(wire: Wire) -> None:
 
 
 @both
-def test_a_pipe_whose_only_link_is_used_is_ready(wire: Wire) -> None:
+def test_a_channel_whose_only_connection_is_used_is_ready(wire: Wire) -> None:
     channel = wire.channel()
     found = []
 
@@ -508,7 +508,7 @@ def test_a_closed_pipe_keeps_no_connection(wire: Wire) -> None:
 def test_more_links_than_a_container_serves_are_closed(
     wire: Wire, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connection_server, "_MOST_LINKS", 1)
+    monkeypatch.setattr(connection_server, "_MOST_CONNECTIONS", 1)
     server = wire.server()
     server.open("echo", Receiver())
     one, other = wire.channel(), wire.channel()

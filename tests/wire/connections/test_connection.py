@@ -52,7 +52,7 @@ def ends() -> Iterator[tuple[Connection, Connection]]:
 
 @pytest.fixture
 def far() -> Iterator[tuple[Connection, socket.socket]]:
-    """Give a link over TCP, and the socket at its other end."""
+    """Give a connection over TCP, and the socket at its other end."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         theirs = socket.create_connection(listener.getsockname())
         ours, _ = listener.accept()
@@ -117,7 +117,7 @@ def test_arrays_that_are_kept_stay_as_they_are(
     assert (part == 3).all()
 
 
-def test_arrays_outlive_their_link() -> None:
+def test_arrays_outlive_their_connection() -> None:
     ours, theirs = map(Connection, socket.socketpair())
     echoing = threading.Thread(target=echo, args=(theirs,))
     echoing.start()
@@ -178,7 +178,7 @@ def head(length: int, block: int, used: int = 0) -> bytes:
 
 @pytest.fixture
 def raw() -> Iterator[tuple[socket.socket, Connection]]:
-    """Give a socket to write anything to, and the link that gets it."""
+    """Give a socket to write anything to, and the connection that gets it."""
     ours, theirs = socket.socketpair()
     ours.settimeout(LONG)
     connection = Connection(theirs)

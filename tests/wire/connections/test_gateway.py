@@ -78,10 +78,10 @@ def test_nonsense_is_told_and_logged_and_harms_nobody(
 def test_a_name_may_come_in_pieces(wire: Wire) -> None:
     wire.server().open("echo", Receiver())
     name = b"".join(frame.segments(TEXT, "there", Kind.HELLO))
-    with come(wire) as guest:
+    with come(wire) as arrival:
         for byte in HEAD.pack(len(name), 0) + name:
-            guest.sendall(bytes([byte]))
-        connection = Connection(guest)
+            arrival.sendall(bytes([byte]))
+        connection = Connection(arrival)
         connection.send(frame.segments(TEXT, "echo", Kind.HELLO))
         assert connection.receive().kind is Kind.HELLO
 

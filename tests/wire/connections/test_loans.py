@@ -29,7 +29,7 @@ SIZE = 1 << 20
 
 
 class Receiver:
-    """The other end of a link, where a thread keeps all that comes."""
+    """The other end of a connection, where a thread keeps all that comes."""
 
     def __init__(self) -> None:
         ours, theirs = socket.socketpair()
@@ -240,10 +240,10 @@ def test_refuses_what_no_array_has() -> None:
         loan((-1, -THRESHOLD), np.uint8)
 
 
-def test_what_is_lent_over_a_link_that_ended_is_not_used_again(
+def test_what_is_lent_over_a_connection_that_ended_is_not_used_again(
     receiver: Receiver, another: Receiver
 ) -> None:
-    """The receiver may have lost its link alone, and have the array still."""
+    """The receiver may have lost its connection alone, and have the array still."""
     array = filled(1)
     got = receiver.send(array)
     receiver.end()

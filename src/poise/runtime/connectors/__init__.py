@@ -1,1 +1,1 @@
-"""How two ports are joined: by a direct call, or over a pipe between containers."""
+"""How two ports are joined: by a direct call, or over a channel between containers."""

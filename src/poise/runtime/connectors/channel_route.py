@@ -1,4 +1,4 @@
-"""The path between containers: the same calls and messages, over a pipe."""
+"""The route between containers: the same calls and messages, over a channel."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _NOTHING: Codec[None] = Codec(type(None))
 _CALL, _RESULT, _MARK, _MOVED = Kind.CALL, Kind.RESULT, Kind.MARKER, Kind.MOVED
 _ERROR = Kind.ERROR
 _LONGEST = 1e9
-"""A caller that waits for longer says so much: a frame holds no more [s]."""
+"""The longest limit that a frame holds [s]."""
 
 
 class ChannelRoute:
@@ -61,7 +61,7 @@ class ChannelRoute:
         return self._channel.is_ready()
 
     def close(self) -> None:
-        """Close the pipe."""
+        """Close the channel."""
         self._channel.close()
 
     def push(self, method: Method | None, value: object) -> int:
@@ -82,15 +82,15 @@ class ChannelRoute:
         return size_of(pieces)
 
     def has_room(self) -> bool:
-        """Return whether the target granted one more message."""
+        """Return whether there is credit for one more message."""
         return self._credit.has_room()
 
     def ask(self) -> None:
-        """Ask for a grant, behind all that went out."""
+        """Request credit, behind all that went out."""
         self._channel.push(self._credit.request(), self._limit)
 
     def send_marker(self, number: int) -> None:
-        """Send a mark."""
+        """Send a marker."""
         pieces = segments(_NOTHING, None, _MARK, number=number)
         self._channel.push(pieces, self._limit)
 
@@ -149,7 +149,7 @@ def receiving(
     issuer: CreditIssuer,
     remote: RemoteClock,
 ) -> Handler:
-    """Return what a target does with the frames that come over pipes."""
+    """Return the handler of the frames that come to a target."""
     connector, counts = spec.name, feed.counts
     known = methods(port.type) if port.kind == "provides" else {}
     answers = {
@@ -158,7 +158,7 @@ def receiving(
     }
     tag, coder = message_tag(port.type), codec(port.type) if not known else _NOTHING
 
-    tell = _telling(connector)
+    tell = _reporter(connector)
 
     def handle(received: Frame) -> Pieces | None:
         if received.kind is _MARK:
@@ -200,8 +200,8 @@ def receiving(
     return handle
 
 
-def _telling(connector: str) -> Callable[[WireError], None]:
-    """Return what logs that something was refused: now and then, when much is."""
+def _reporter(connector: str) -> Callable[[WireError], None]:
+    """Return a function that logs refusals, not more often than is useful."""
     sparing = Sparing()
 
     def tell(error: WireError) -> None:

@@ -1,7 +1,7 @@
-"""The path between two components of one container: direct invocation.
+"""The route between two components of one container: direct invocation.
 
-A call runs on the caller's thread, under the callee's exclusion. It means the same as a
-call over a wire: the same limit and the same errors.
+A call runs on the caller's thread, under the callee's exclusion. It has the same limit
+and raises the same errors as a call over a channel.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from poise.runtime.execution.mailbox import Feed
 
 
 class Target(Protocol):
-    """The incarnation of a component that a path leads to: its `Ends`."""
+    """The incarnation of a component that a route leads to: its `Endpoints`."""
 
     exclusion: Exclusion
 
@@ -36,7 +36,7 @@ class Target(Protocol):
         ...
 
     def note_marker(self, connector: str, number: int, /) -> None:
-        """Take note that all that was sent before this mark has come."""
+        """Note that all that was sent before this marker has come."""
         ...
 
 
@@ -79,14 +79,14 @@ class DirectRoute:
         return self._feed.has_room()
 
     def ask(self) -> None:
-        """Ask nobody: it is seen when there is room."""
+        """No-op: the queue is in this process."""
 
     def send_marker(self, number: int) -> None:
-        """Tell the target that all has come."""
+        """Note at the target that all has come."""
         self._target.note_marker(self._connector, number)
 
     def close(self) -> None:
-        """Hold nothing."""
+        """No-op: it holds nothing."""
 
 
 def direct_call(
@@ -98,9 +98,8 @@ def direct_call(
 ) -> Callable[..., Any]:
     """Return a function that calls a component's method in this process.
 
-    A result that comes later than `limit` [s] is given up as over a wire: the caller
-    gets `Timeout`. The callee itself is not interrupted. `resend` takes the calls that
-    find the component moved away.
+    When the result comes later than `limit` [s], the caller gets `Timeout`; the callee
+    is not interrupted. `resend` takes calls to a component that has moved.
     """
     return DirectCall(method, exclusion, limit, counts, raise_callee_error, resend)
 

@@ -1,6 +1,6 @@
-"""A component's ends of its connectors: outlets for what goes, inboxes for what comes.
+"""A component's endpoints: senders for what it sends, inboxes for what it receives.
 
-They stay while paths change: connectors are joined to them, and a move looks at them.
+They stay while routes change: connectors are joined to them, and a move reads them.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ _ONEWAY = Queue("block", 64)
 
 
 class Endpoints:
-    """The ends at the ports of one incarnation of a component.
+    """The endpoints at the ports of one incarnation of a component.
 
     Parameters
     ----------
     name
         The component's.
     exclusion
-        What callers enter.
+        Callers enter it.
     counters
         Where what comes is counted.
     """
@@ -54,15 +54,15 @@ class Endpoints:
         }
         self.senders: dict[str, Sender] = {}
         self._name = name
-        self._marks: dict[str, int] = {}
-        self._marked = threading.Condition()
-        self._letting = threading.Lock()
+        self._markers: dict[str, int] = {}
+        self._marker_came = threading.Condition()
+        self._bounding = threading.Lock()
         self._is_unbounded = False
         for port in ports.values():
             self._disconnect(port)
 
     def sender(self, name: str, port: Port, limit: float) -> Sender:
-        """Return the end of a connector at a published or required port."""
+        """Return the sender of a connector at a published or required port."""
         if name not in self.senders:
             facade = None
             if port.kind == "requires":
@@ -73,7 +73,7 @@ class Endpoints:
         return self.senders[name]
 
     def drop_sender(self, name: str) -> None:
-        """Close the end of a connector."""
+        """Close the sender of a connector."""
         sender = self.senders.pop(name)
         sender.close()
         self._rewire(sender.port)
@@ -83,7 +83,7 @@ class Endpoints:
         return Feed(self.mailbox, self.inboxes[port], counts)
 
     def preload(self, port: str, entry: Entry) -> None:
-        """Queue what waited for the incarnation before; call it before `activate`."""
+        """Queue what waited for the incarnation before; called before `activate`."""
         inbox = self.inboxes[port]
         inbox.set_unbounded(unbounded=True)
         self.feed(port, Counts()).put(entry)
@@ -93,16 +93,16 @@ class Endpoints:
         return not any(inbox.waiting() for inbox in self.inboxes.values())
 
     def note_marker(self, connector: str, number: int, /) -> None:
-        """Take note that all that was sent before this mark has come."""
-        with self._marked:
-            self._marks[connector] = number
-            self._marked.notify_all()
+        """Note that all that was sent before this marker has come."""
+        with self._marker_came:
+            self._markers[connector] = number
+            self._marker_came.notify_all()
 
-    def wait_markers(self, marks: Mapping[str, int], limit: float) -> None:
-        """Wait until these marks came, by connector.
+    def wait_markers(self, markers: Mapping[str, int], limit: float) -> None:
+        """Wait until these markers came, by connector.
 
-        Nothing that is under way meanwhile waits for room: the component may be unable
-        to take it because it waits itself for the one that moves.
+        Meanwhile no message waits for room: the component may be unable to take it
+        because it waits itself for the one that moves.
 
         Raises
         ------
@@ -111,18 +111,20 @@ class Endpoints:
         """
 
         def missing() -> list[str]:
-            return [c for c, mark in marks.items() if self._marks.get(c) != mark]
+            return [
+                c for c, marker in markers.items() if self._markers.get(c) != marker
+            ]
 
-        with self._with_room(), self._marked:
-            if not self._marked.wait_for(lambda: not missing(), limit):
+        with self._with_room(), self._marker_came:
+            if not self._marker_came.wait_for(lambda: not missing(), limit):
                 raise Timeout(
                     f"component '{self._name}': messages are still under way over "
                     f"{', '.join(missing())}"
                 )
 
     def set_unbounded(self, *, unbounded: bool) -> None:
-        """Let what comes in without bounds, as nothing is taken out meanwhile."""
-        with self._letting:
+        """Lift the bounds of all queues while nothing is taken out, or restore them."""
+        with self._bounding:
             self._is_unbounded = unbounded
             self._set_unbounded(unbounded=unbounded)
 
@@ -132,18 +134,18 @@ class Endpoints:
             sender.buffer_until_active()
 
     def send_buffered(self) -> None:
-        """Send what was kept back; harmless when repeated."""
+        """Send what was buffered; harmless when repeated."""
         for sender in list(self.senders.values()):
             sender.send_buffered()
 
     @contextmanager
     def _with_room(self) -> Iterator[None]:
-        with self._letting:
+        with self._bounding:
             self._set_unbounded(unbounded=True)
         try:
             yield
         finally:
-            with self._letting:
+            with self._bounding:
                 self._set_unbounded(unbounded=self._is_unbounded)
 
     def _set_unbounded(self, *, unbounded: bool) -> None:

@@ -1,4 +1,4 @@
-"""What crosses a wire for an interface or a topic: tags and codecs."""
+"""The tags and codecs of an interface or a topic."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def methods(interface: type) -> Mapping[int, Method]:
 
 
 def tag_of(description: str) -> int:
-    """Return the 16-bit checksum by which both ends tell what a frame is."""
+    """Return the 16-bit checksum that identifies a method or message type."""
     return zlib.crc32(description.encode()) & 0xFFFF
 
 

@@ -1,4 +1,4 @@
-"""The file in which what comes over connectors is written down, by whoever takes it.
+"""The file in which a receiving end records what comes over connectors.
 
 Each entry is one write at the end of the file, behind its length: so several processes
 of a computer may use one file.
@@ -22,7 +22,7 @@ from poise.wire.records.recorded import Input
 log = logging.getLogger(__name__)
 
 MOST = 1 << 28
-"""A file takes at most so much [bytes]; later entries are left out."""
+"""The largest file [bytes]; later entries are left out."""
 _LENGTH = 4
 _RESULT_BODY = 1
 
@@ -36,7 +36,7 @@ class InputFile:
         self._is_closed = False
 
     def add(self, entry: Input) -> bool:
-        """Write an entry down; False: the file is full or closed, or its disk is."""
+        """Append an entry; False: the file is full or closed, or the disk is full."""
         data = msgspec.msgpack.encode(entry)
         data = len(data).to_bytes(_LENGTH, "little") + data
         with self._lock:
@@ -45,11 +45,11 @@ class InputFile:
             try:
                 return os.write(self._fd, data) == len(data)
             except OSError as error:
-                log.warning("what came is not written down: %s", error)
+                log.warning("an input is not recorded: %s", error)
                 return False
 
     def close(self) -> None:
-        """End; what was written stays. Harmless when repeated."""
+        """Close the file; harmless when repeated."""
         with self._lock:
             if not self._is_closed:
                 self._is_closed = True
@@ -59,7 +59,7 @@ class InputFile:
 def noting_calls(
     handler: Handler, source: str, path: Path
 ) -> tuple[Handler, InputFile]:
-    """Return a handler that also writes calls down, and where; close that behind it.
+    """Return a handler that also records calls, and its file, which is to be closed.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def noting_calls(
 
 
 def _result(answer: Pieces | None) -> bytes:
-    """Return what was answered, encoded; empty when it was no result."""
+    """Return the encoded result of an answer; empty when it failed."""
     if answer is None or bytes(answer[0])[1] != Kind.RESULT:
         return b""
     return bytes(answer[_RESULT_BODY])
@@ -96,7 +96,7 @@ def end_to_end(buffers: list[memoryview]) -> bytes:
 
 
 def read_inputs(path: Path) -> list[Input]:
-    """Return what was written down, oldest first; a cut off end is left out.
+    """Return the recorded inputs, oldest first, without a truncated one at the end.
 
     The first came at 0 s.
     """

@@ -1,4 +1,4 @@
-"""The calls that a re-entrant component makes: meanwhile others may call it."""
+"""Calls that a re-entrant component makes: meanwhile others may call it."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from poise.runtime.execution.exclusion import Exclusion, current_chain
 log = logging.getLogger(__name__)
 
 _PATIENCE = 1.0
-"""While others are inside, this is told so often [s]."""
+"""While others are inside, a warning is logged this often [s]."""
 
 
 def stepping_out(exclusion: Exclusion, call: Callable[..., Any]) -> Callable[..., Any]:
-    """Return `call` with its caller's turn given to others for the while."""
+    """Return `call` with its caller's exclusion released meanwhile."""
 
     def around(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401, the call's own
         chain = current_chain()
@@ -32,7 +32,7 @@ def stepping_out(exclusion: Exclusion, call: Callable[..., Any]) -> Callable[...
 
 
 def _step_in(exclusion: Exclusion, chain: int, depth: int) -> None:
-    """Wait as long as others are inside: without the turn no code may go on."""
+    """Wait as long as others are inside: outside the exclusion no code may run."""
     while True:
         try:
             exclusion.step_in(chain, depth, _PATIENCE)

@@ -1,8 +1,8 @@
-"""One call chain at a time in a component.
+"""Mutual exclusion of call chains in a component.
 
-A *chain* begins with a timer or a message, and goes on through every call made in it,
-in whatever container. A chain that comes back to a component in which it waits may
-enter again; any other waits its exclusion.
+It is ROS 2's mutually exclusive callback group, with re-entrance. A *chain* begins with
+a timer or a message, and goes on through every call made in it, in any container. A
+chain that comes back to a component in which it waits may enter again; others wait.
 
 The code is native, because every call runs it: `poise.runtime._calls` describes it, and
 ``tests/runtime/reference.py`` is the same in Python, held against it by tests.
@@ -24,7 +24,7 @@ __all__ = ["Exclusion", "Redirected", "current_chain", "join_chain", "new_chain"
 
 
 class Redirected(Exception):
-    """The component has moved away; whoever called it sends the call to its new place.
+    """The component has moved; its caller sends the call to the new place.
 
     Never reaches a component's code.
     """

@@ -1,7 +1,7 @@
-"""What waits for a component's thread: messages, by port, each queue bounded.
+"""The messages that wait for a component's thread, by port, in bounded queues.
 
-Nobody waits here for room: whoever sends asks its `Feed` first. So a thread that brings
-messages from elsewhere never stands still.
+Nobody waits here for room: a sender asks its `Feed` first. So a thread that brings
+messages from another container is never blocked.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ log = logging.getLogger(__name__)
 Entry = tuple[int, Any]
 """A waiting message or one-way call: its tag, and the message or the arguments."""
 MOST_AHEAD = 5_000
-"""Messages that one connector may bring before there is room: so many a source may hold
-while the component moves, and then send at once."""
+"""Messages that one connector may bring without room: a source may buffer as many while
+the component moves, and then send them at once."""
 
 
 class Feed:
@@ -35,7 +35,7 @@ class Feed:
     Parameters
     ----------
     counts
-        The connector's: they learn what was dropped, and how long the rest waited.
+        The connector's: they count what was dropped, and how long the rest waited.
     """
 
     def __init__(self, mailbox: Mailbox, inbox: Inbox, counts: Counts) -> None:
@@ -47,7 +47,7 @@ class Feed:
         self.half = max(1, inbox.queue.size // 2)
 
     def put(self, entry: Entry) -> None:
-        """Queue a message for the component; what finds no room is counted."""
+        """Queue a message for the component; one without room is counted."""
         self._mailbox.add(self._inbox, entry, self)
 
     def has_room(self) -> bool:
@@ -55,7 +55,7 @@ class Feed:
         return self.room() != 0
 
     def room(self) -> int | None:
-        """Return how many messages would find room; None when all do."""
+        """Return for how many messages there is room; None: for all."""
         return self._inbox.room(self)
 
 
@@ -102,12 +102,12 @@ class Inbox:
         """Return for how many more messages of `feed` there is room; None: for all."""
         if self.queue.policy == "keep":
             return None
-        # at rest nothing is taken: whoever waits here might be waited for elsewhere
+        # a paused component takes nothing, and may itself wait for this source
         waiting = 0 if self._is_unbounded else feed.waiting
         return max(0, self.queue.size - waiting)
 
     def set_unbounded(self, *, unbounded: bool) -> None:
-        """Drop nothing and let nobody wait while the component is at rest."""
+        """Drop nothing and let nobody wait while the component is paused."""
         with self._changing:
             self._is_unbounded = unbounded
             self._spare = len(self._waiting)
@@ -122,7 +122,7 @@ class Inbox:
             return [entry for entry, _, _ in self._waiting]
 
     def _is_full(self) -> bool:
-        # what came while at rest has room of its own until it is taken
+        # what came while it was paused has room of its own until it is taken
         return (
             not self._is_unbounded
             and len(self._waiting) >= self.queue.size + self._spare
@@ -150,7 +150,7 @@ class Mailbox:
         self._filled: SimpleQueue[Inbox | None] = SimpleQueue()
 
     def add(self, inbox: Inbox, entry: Entry, feed: Feed) -> None:
-        """Queue a message for the component; what finds no room is counted."""
+        """Queue a message for the component; one without room is counted."""
         self._counters.note_asked()
         if inbox.add(entry, feed):
             self._filled.put(inbox)

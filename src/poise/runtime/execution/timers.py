@@ -1,4 +1,4 @@
-"""When a timer is due, and how well it kept to that. Pure: time is an argument."""
+"""When a timer is due, and whether it kept its deadline. Pure: time is an argument."""
 
 from __future__ import annotations
 

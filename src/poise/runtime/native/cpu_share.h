@@ -22,7 +22,7 @@ class CpuShare {
 
   bool should_measure(std::int64_t now) const { return now - last_ >= spacing; }
 
-  // Of a call that came over a pipe, where few come sooner than 50 us after each other: one
+  // Of a call from another container, where few come sooner than 50 us after each other: one
   // in a while is measured, and each that follows one which took long.
   bool should_measure_served(std::int64_t now) const {
     return now - last_ >= served_spacing || last_wall_ >= long_call;

@@ -1,4 +1,4 @@
-"""Who waits for what a thread does: the other end of the link that brought a call."""
+"""The connection over which the call of a thread came."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _served = _Served()
 
 
 def serve(connection: Connection) -> None:
-    """Know over which link the calls come that this thread runs from now on."""
+    """Note the connection whose calls this thread runs from now on."""
     _served.connection = connection
 
 
 def is_gone() -> bool:
-    """Return at once whether the caller gave up, or ended; False when there is none."""
+    """Return at once whether the caller gave up or ended; False without a caller."""
     connection = _served.connection
     return connection is not None and not connection.is_idle()

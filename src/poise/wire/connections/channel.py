@@ -1,4 +1,4 @@
-"""What carries a connector between containers: a pipe, and who takes what it brings."""
+"""Channels carry connectors between containers; handlers take what they bring."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ Pieces = list[Bytes]
 
 
 class Closed(Unavailable):
-    """The pipe was closed here before anything was sent."""
+    """The channel was closed here before anything was sent."""
 
 
 Handler = Callable[[Frame], Pieces | None]
-"""What a receiving end does with a frame; the pieces of an answer, or None.
+"""Takes a frame and returns the pieces of an answer, or None.
 
-Called on a thread that may block; frames of one pipe's topic come one
-after the other, in order. It must not raise.
+It may block, and must not raise. Messages of one channel come one after the other, in
+order.
 """
 
 
 Refused = Callable[[WireError], None]
-"""Hears of what came and is no frame; must not block or raise."""
+"""Takes the error of a malformed frame; must not block or raise."""
 
 
 def ignore(_: WireError) -> None:
-    """Do nothing with it."""
+    """Ignore it."""
 
 
 class Channel(Protocol):
@@ -64,5 +64,5 @@ class Channel(Protocol):
         ...
 
     def close(self) -> None:
-        """Send no more, and give back what it holds when no call is under way."""
+        """Send no more, and return at once; calls under way go on."""
         ...

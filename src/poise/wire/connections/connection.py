@@ -6,12 +6,12 @@
 
 Little endian. The inline bytes are a frame. When `block` is not 0, its buffers are the
 first `used` bytes of that block of shared memory. With the bit `_NEW`, no frame but a
-block of `used` bytes is announced, and its slot (`loans`) are the inline
-bytes: the receiver answers with one byte, and the file descriptor follows. Over TCP
-there are no blocks: all buffers come inline.
+block of `used` bytes is announced, and the inline bytes are its slot (`loans`): the
+receiver answers with one byte, and the file descriptor follows. Over TCP there are no
+blocks: all buffers come inline. Records have this framing, too
+(`poise.wire.record_channel`).
 
-The bytes are sent and received by native code (`poise.wire._channel`), which waits and
-copies without Python's lock: in Python the same steps cost 9 us more a round trip.
+Native code (`poise.wire._channel`) sends and receives, without Python's lock.
 """
 
 from __future__ import annotations
@@ -47,16 +47,16 @@ from poise.wire.frame import LARGEST, Frame
 _NEW = 1 << 31
 _READY = b"+"
 HEAD = struct.Struct("<II")
-"""What comes before each frame: its length and block."""
+"""The head before each frame: its length and block."""
 LAST_ANSWER = 1
-"""The number in an answer behind which the link is closed; others have none."""
+"""The number in an answer behind which the connection is closed; others have none."""
 _LOST = {errno.ETIMEDOUT, errno.EHOSTUNREACH, errno.ENETUNREACH}
 _INLINE = 2
 """The first pieces of a frame are its head and body; padding and buffers follow."""
 _ALONE = _INLINE + 3
 """The pieces of a frame with one array: it has padding before and behind."""
 _MOST_NUMBER = 2 * MOST_BLOCKS
-"""A link's own blocks come first, then loans."""
+"""A connection's own blocks come first, then loans."""
 
 _Where = tuple[int, int, memoryview | None]
 """A block's number, how much of it is used [bytes], and where to copy arrays to."""
@@ -128,7 +128,7 @@ class Connection:
             The frame is larger than `LARGEST`; nothing was sent.
         Timeout
             The other end did not take it in time. Part of it may have been sent: the
-            link must be closed.
+            connection must be closed.
         Unavailable
             The other end is gone, and has not got the frame.
         """
@@ -149,7 +149,7 @@ class Connection:
         """Send a call and return its answer.
 
         None when the other end was gone before, and has not got the call. Raises what
-        `send` and `receive` do; after any of it the link must be closed.
+        `send` and `receive` do; after any of it the connection must be closed.
         """
         try:
             placed = self._place(pieces, deadline) if len(pieces) > _INLINE else None
@@ -179,7 +179,7 @@ class Connection:
         Unavailable
             The other end is gone.
         WireError
-            What came is no frame; when it is `Unreadable`, the link must be closed.
+            It is not a frame; after `Unreadable`, the connection must be closed.
         """
         got = self._channel.receive(deadline, LARGEST, self._lenders)
         return got if type(got) is Frame else self._with_block(got, deadline)

@@ -1,11 +1,11 @@
-"""The sending end of a connector: links to the container where it ends.
+"""The sending end of a connector: connections to the container where it ends.
 
-Every link carries one connector: its first frame names it, and says whether calls or
-messages follow. A call uses a link alone until its answer is there, so that answers
-need no sorting and the thread that calls is the thread that reads; callers at the same
-time use several. The thread that reads a call at the other end runs it and answers: no
-thread wakes another. Messages use one link, which keeps their order. When it breaks and
-another takes its place, the receiver first takes all that came over the first.
+Each connection carries one connector: its first frame names it, and says whether calls
+or messages follow. A call uses a connection alone until its answer is there, so answers
+need no sorting, and the thread that calls reads the answer; concurrent callers use
+several. The thread that reads a call at the other end runs it and answers: no thread
+wakes another. Messages use one connection, which keeps their order. When it breaks and
+another replaces it, the receiver first takes all that came over the first.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from poise.wire.connections.opening import CALLS, MESSAGES, Opening
 from poise.wire.frame import Frame
 
 _PAUSE, _LONGEST_PAUSE = 0.02, 0.1
-"""Who was refused is not asked again for this time, and then ever longer [s]."""
+"""After a refusal it is not tried for this time, and then ever longer [s]."""
 _SPARE = 8
-"""Links kept open per connector when no call uses them."""
+"""Connections kept open per connector when no call uses them."""
 _IDLE = 30.0
-"""Links that nobody used for so long are closed, with their shared memory [s]."""
+"""Connections unused for this time are closed, with their shared memory [s]."""
 
 
-class _Links:
-    """Open links for one use; what is long unused is closed."""
+class _Connections:
+    """Open connections for one use; idle ones are closed."""
 
     def __init__(self) -> None:
         self._open: set[Connection] = set()
@@ -41,11 +41,11 @@ class _Links:
         self._is_closed = False
 
     def __iter__(self) -> Iterator[Connection]:
-        """Yield those that nobody uses."""
+        """Yield the idle ones."""
         return iter([*self._recent, *self._older])
 
     def is_alive(self) -> bool:
-        """Return at once whether one leads to the other end, so far as is known."""
+        """Return at once whether one reaches the other end, as far as is known."""
         spare = {*self}
         return any(
             connection not in spare or connection.is_idle()
@@ -53,18 +53,18 @@ class _Links:
         )
 
     def take(self) -> Connection | None:
-        """Return the one that was used last."""
+        """Return the idle one that was used last."""
         try:
             return self._recent.pop() if self._recent else self._older.pop()
         except IndexError:  # also when another thread was quicker
             return None
 
     def add(self, connection: Connection) -> None:
-        """Know one more, which is used."""
+        """Add one that is in use."""
         self._open.add(connection)
 
     def give_back(self, connection: Connection) -> None:
-        """Keep one that was used, or close it."""
+        """Keep one that is idle now, or close it."""
         if len(self._recent) >= _SPARE:
             self.drop(connection)
             return
@@ -73,14 +73,14 @@ class _Links:
             self.close()
 
     def drop(self, connection: Connection) -> None:
-        """Close one that was used."""
+        """Close one that was in use."""
         self._open.discard(connection)
         connection.close()
 
     def close_older(self) -> None:
-        """Close those that nobody used since the last time.
+        """Close those that were idle since the last time.
 
-        But not the last one when it costs nothing: to open another takes time.
+        The last one stays when it holds no memory: opening another takes time.
         """
         if not self._recent and self._older and not self._older[-1].has_blocks:
             self._recent.append(self._older.pop())
@@ -88,7 +88,7 @@ class _Links:
         self._older, self._recent = self._recent, []
 
     def close(self) -> None:
-        """Close all, and what is given back from now on."""
+        """Close all, also those that are given back later."""
         self._is_closed = True
         self._drop_all(self._recent)
         self._drop_all(self._older)
@@ -109,8 +109,7 @@ class ConnectionChannel:
     folder
         Where the sockets of this computer's containers are.
     use
-        What it is for, `CALLS` or `MESSAGES`: such a link is opened by who asks whether
-        it is ready.
+        `CALLS` or `MESSAGES`: the use of the connection that `is_ready` opens.
     """
 
     def __init__(
@@ -120,7 +119,7 @@ class ConnectionChannel:
         self._address = address
         self._folder = folder
         self._use = use
-        self._calls, self._messages = self._connections = _Links(), _Links()
+        self._calls, self._messages = self._connections = _Connections(), _Connections()
         self._openings: dict[int, Opening] = {}
         self._is_closed = False
         self._is_lost = False
@@ -131,7 +130,7 @@ class ConnectionChannel:
     def is_ready(self) -> bool:
         """Return at once whether the receiving end is there, by connecting to it.
 
-        Who asks now and then lets go of what has become idle.
+        It also closes idle connections now and then.
         """
         now = time.monotonic()
         if now - self._looked_at > _IDLE:
@@ -156,7 +155,7 @@ class ConnectionChannel:
                 answer = connection.ask(pieces, deadline)
             except BaseException:
                 # also when a signal's handler raises: the answer may still come, and
-                # the next call must not take it for its own
+                # the next call must not read it
                 connections.drop(connection)
                 raise
             if answer is not None and answer.number != LAST_ANSWER:
@@ -169,7 +168,7 @@ class ConnectionChannel:
                 raise Unavailable(f"{self._connector}: {self._address} went away")
 
     def push(self, pieces: Pieces, limit: float) -> None:
-        """Send a message; all use one link, which keeps their order."""
+        """Send a message; all use one connection, which keeps their order."""
         deadline = time.monotonic() + limit
         if not self._ordering.acquire(timeout=limit):
             raise Timeout(f"{self._connector}: others send since {limit:g} s")
@@ -179,7 +178,7 @@ class ConnectionChannel:
             self._ordering.release()
 
     def close(self) -> None:
-        """Send no more; links in use are closed when their call is over."""
+        """Send no more; connections in use are closed when their call is over."""
         self._is_closed = True
         self._messages.close()
         self._calls.close()
@@ -187,7 +186,7 @@ class ConnectionChannel:
             self._openings.popitem()[1].close()
 
     def _send(self, pieces: Pieces, deadline: float) -> Connection:
-        """Send a message over the link for them or else a new one, and return it."""
+        """Send a message over the open connection or a new one; return that."""
         connections = self._messages
         while True:
             found = self._fresh(connections)
@@ -206,10 +205,10 @@ class ConnectionChannel:
             else:
                 return connection
 
-    def _fresh(self, connections: _Links) -> Connection | None:
-        """Return an open link that the other end has not closed, so far as is known.
+    def _fresh(self, connections: _Connections) -> Connection | None:
+        """Return an open connection that, as far as is known, reaches the other end.
 
-        Over AF_UNIX sending tells that; TCP takes what nobody will get.
+        Over AF_UNIX, sending fails when it does not; TCP takes bytes for nobody.
         """
         while (connection := connections.take()) and not (
             connection.is_local or connection.is_idle()
@@ -233,8 +232,8 @@ class ConnectionChannel:
         return connection
 
     def _is_reached(self) -> bool:
-        """Return whether a new link can be had, as far as to open it takes no time."""
-        # two links for messages would not keep their order
+        """Open a connection as far as that needs no wait; whether it is open."""
+        # two connections for messages would not keep their order
         if time.monotonic() < self._ask_at or not self._ordering.acquire(
             blocking=False
         ):
@@ -253,8 +252,8 @@ class ConnectionChannel:
         return connection is not None
 
     def _opened(self, use: int, deadline: float) -> Connection | None:
-        """Return a new link that is open before `deadline`; else it goes on later."""
-        # who takes it out of the table is alone with it
+        """Return a new connection that is open before `deadline`, or None."""
+        # taken out of the table, it belongs to this thread alone
         opening = self._openings.pop(use, None) or Opening(
             self._connector, self._address, self._folder
         )

@@ -1,7 +1,8 @@
-"""The receiving ends of a container: a thread for each link that others opened to it.
+"""The receiving end of a container: a thread for each connection from others.
 
-Links from this computer come to its AF_UNIX socket. Those from others come to the door
-of this computer (`poise.wire.connections.gateway`), which hands them on as open files.
+Connections from this computer come to its AF_UNIX socket. Those from others come to the
+gateway of this computer (`poise.wire.connections.gateway`), which hands them on as open
+files.
 """
 
 from __future__ import annotations
@@ -31,18 +32,18 @@ from poise.wire.frame import Kind
 log = logging.getLogger(__name__)
 
 LAST_LIMIT = 0.5
-"""When it closes, calls under way are answered within this time, or given up [s]."""
+"""When it closes, calls under way have this time to be answered [s]."""
 _TAKE_LIMIT = 10.0
-"""A caller that does not take its answer for so long is given up [s]."""
+"""A caller that does not read its answer within this time is given up [s]."""
 _PAUSE = 0.01
 _PATIENCE = 1.0
-"""What was sent over a link before its sender left it comes within this time [s]."""
-_MOST_LINKS = 256
-"""Links that a container serves at a time; more are closed at once."""
+"""Time for what was sent over a connection before its sender left it [s]."""
+_MOST_CONNECTIONS = 256
+"""Connections that a container serves at a time; others are closed at once."""
 
 
 class _Served(Struct, eq=False):
-    """A link, the thread that takes what comes over it, and what it is for."""
+    """A connection, its thread, its connector and its use."""
 
     connection: Connection
     thread: threading.Thread
@@ -51,7 +52,7 @@ class _Served(Struct, eq=False):
 
 
 class ConnectionServer:
-    """Where links end.
+    """Serves the connections that end in a container.
 
     Parameters
     ----------
@@ -72,7 +73,7 @@ class ConnectionServer:
         self._closed = threading.Event()
         self._paths = socket_path(folder, container), gateway_path(folder, container)
         kinds = socket.SOCK_STREAM, socket.SOCK_DGRAM
-        self._neighbours, self._guests = map(_bound, self._paths, kinds)
+        self._neighbours, self._from_gateway = map(_bound, self._paths, kinds)
         self._neighbours.listen(64)
         threading.Thread(target=self._accept, name="accept", daemon=True).start()
 
@@ -86,9 +87,9 @@ class ConnectionServer:
     ) -> None:
         """Receive the frames of `connector` from now on.
 
-        What is no frame is logged, answered with an error where an answer is waited
-        for, and told to `refused`. A connector is `shared` when many send messages over
-        it: then a new link takes no other's place, and there is no order among them.
+        Malformed frames are logged, answered with an error where a caller waits, and
+        reported to `refused`. A `shared` connector has many senders: a new connection
+        replaces no other, and there is no order among them.
         """
         if shared:
             self._shared.add(connector)
@@ -96,26 +97,26 @@ class ConnectionServer:
         self._handlers[connector] = handler
 
     def shut(self, connector: str) -> None:
-        """Receive no more of them; harmless when repeated.
+        """Receive no more of its frames; harmless when repeated.
 
-        What is under way is answered still; links end at their next frame.
+        Calls under way are still answered; connections end at their next frame.
         """
         self._handlers.pop(connector, None)
         self._refused.pop(connector, None)
 
     def close(self) -> None:
-        """Close the sockets and every link; harmless when repeated."""
+        """Close the sockets and every connection; harmless when repeated."""
         if self._closed.is_set():
             return
         self._handlers.clear()
         self._closed.set()
-        for listening in (self._neighbours, self._guests):
+        for listening in (self._neighbours, self._from_gateway):
             with contextlib.suppress(OSError):
                 listening.shutdown(socket.SHUT_RDWR)
         with self._lock:
             connections = list(self._connections)
         for served in connections:
-            served.connection.end(socket.SHUT_RD)  # calls that came are answered still
+            served.connection.end(socket.SHUT_RD)  # calls that came are still answered
         deadline = time.monotonic() + LAST_LIMIT
         for served in connections:
             if served.thread is not threading.current_thread():
@@ -127,38 +128,40 @@ class ConnectionServer:
     def _accept(self) -> None:
         poll = select.poll()
         poll.register(self._neighbours, select.POLLIN)
-        poll.register(self._guests, select.POLLIN)
-        with self._neighbours, self._guests:
+        poll.register(self._from_gateway, select.POLLIN)
+        with self._neighbours, self._from_gateway:
             while not self._closed.is_set():
                 ready = {file for file, _ in poll.poll()}
                 try:
                     if self._neighbours.fileno() in ready:
                         self._start(self._neighbours.accept()[0])
-                    if self._guests.fileno() in ready:
-                        self._start(_guest(self._guests))
+                    if self._from_gateway.fileno() in ready:
+                        self._start(_handed_over(self._from_gateway))
                 except OSError:
-                    # one that gave up, or no file is free at the moment
+                    # it has gone, or no file is free
                     self._closed.wait(_PAUSE)
 
     def _start(self, sock: socket.socket) -> None:
         connection = Connection(sock)
         served = _Served(connection, threading.current_thread())
         served.thread = threading.Thread(
-            target=self._serve, args=(served,), name="link", daemon=True
+            target=self._serve, args=(served,), name="connection", daemon=True
         )
         with self._lock:
-            is_full = len(self._connections) >= _MOST_LINKS
+            is_full = len(self._connections) >= _MOST_CONNECTIONS
             if not is_full and not self._closed.is_set():
                 self._connections.add(served)
                 try:
                     served.thread.start()
-                except RuntimeError as error:  # others may end, and make room
+                except RuntimeError as error:  # other threads may end
                     self._connections.discard(served)
-                    log.warning("%s: no link is served: %s", self._container, error)
+                    text = "%s: no connection is served: %s"
+                    log.warning(text, self._container, error)
                 else:
                     return
         if is_full:
-            log.warning("%s: more than %d links", self._container, _MOST_LINKS)
+            text = "%s: more than %d connections"
+            log.warning(text, self._container, _MOST_CONNECTIONS)
         connection.close()
 
     def _serve(self, served: _Served) -> None:
@@ -198,7 +201,7 @@ class ConnectionServer:
 
     def _raise_if_unknown(self, connector: str) -> None:
         if connector not in self._handlers:
-            # usual while a robot starts: the sender asks again
+            # usual while a robot starts: the sender tries again
             raise Unavailable(f"no connector '{connector}' ends here")
 
     def _serve_one(self, served: _Served) -> bool:
@@ -222,7 +225,7 @@ class ConnectionServer:
         return True
 
     def _refuse(self, served: _Served, error: WireError) -> bool:
-        """Tell who waits for an answer why there is none; whether the link goes on."""
+        """Answer a malformed frame; return whether the connection goes on."""
         is_last = isinstance(error, Unreadable)
         if served.use != MESSAGES:
             pieces = _refusal(error, LAST_ANSWER if is_last else 0)
@@ -241,9 +244,9 @@ def _bound(path: Path, kind: socket.SocketKind) -> socket.socket:
     return bound
 
 
-def _guest(guests: socket.socket) -> socket.socket:
-    """Return a connection that the door has handed on; OSError when there is none."""
-    _, files, _, _ = socket.recv_fds(guests, 1, 1)
+def _handed_over(gateway: socket.socket) -> socket.socket:
+    """Return a connection from the gateway; OSError when there is none."""
+    _, files, _, _ = socket.recv_fds(gateway, 1, 1)
     if not files:
         raise BlockingIOError
     return socket.socket(fileno=files[0])
@@ -255,10 +258,9 @@ def _refusal(error: WireError, number: int = 0) -> Pieces:
 
 
 def _wait_until_taken(before: _Served) -> None:
-    """Wait until all came that was sent over the link before, which its sender left.
+    """Wait for all that was sent over the connection that this one replaces.
 
-    Else a message could overtake those that were sent earlier. It ends, because none of
-    them waits for room for ever, and what has not come in time is given up.
+    Else a message could overtake earlier ones. What has not come in time is given up.
     """
     before.thread.join(_PATIENCE)
     before.connection.end(socket.SHUT_RD)

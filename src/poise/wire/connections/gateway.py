@@ -1,11 +1,11 @@
-"""The door of a computer: where links from other computers come in.
+"""The gateway of a computer: where connections from other computers arrive.
 
-It listens on one TCP port. The first frame of a link names a container; the door then
-hands the connection on to that container, which takes it as if it had come there. So
-containers need no ports, and one that is started anew is reached where it was.
+It listens on one TCP port. The first frame of a connection names a container, and the
+gateway hands the connection on to it. So containers need no ports, and a restarted
+container keeps its address.
 
-Who says nothing, or nonsense, is let go: a first frame has a largest size and a time
-limit, and no more than some are waited for at a time; others wait in the kernel.
+A connection that sends nothing or nonsense is closed: its first frame has a largest
+size and a time limit. At most `_MOST` are read at a time; others wait in the kernel.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from poise.wire.frame import Kind
 log = logging.getLogger(__name__)
 
 SAY_LIMIT = 1.0
-"""Whoever comes says within this time where to [s]."""
+"""A new connection names its container within this time [s]."""
 _LARGEST = 1024
-"""No first frame is larger [bytes]."""
+"""A larger first frame is refused [bytes]."""
 _MOST = 64
-"""So many may be about to say where to."""
+"""Connections that are read at a time."""
 _BACKLOG = 128
 _PAUSE = 0.01
 
 
-class _Visitor:
-    """A connection that has not said where to, or waits until it is taken there."""
+class _Arrival:
+    """A connection that has not named its container, or is not handed on yet."""
 
     def __init__(self, connection: socket.socket) -> None:
         self.connection = connection
@@ -53,22 +53,20 @@ class _Visitor:
         self.is_refused = False
         self._data = bytearray()
 
-    def hear(self) -> None:
-        """Take what has come, until that is the container's name.
-
-        Nothing behind the name is taken: that is for the container.
+    def read(self) -> None:
+        """Read the container's name, and nothing behind it.
 
         Raises
         ------
         WireError
-            It is no frame with a name.
+            It is not a frame with a name.
         OSError
-            The connection has ended, or there is nothing to take.
+            The connection has ended, or nothing more has come.
         """
         data = self.connection.recv(_LARGEST if self.is_refused else self._missing())
         if not data:
             raise ConnectionResetError
-        if self.is_refused:  # it need only take in why, before it sees the end
+        if self.is_refused:  # unread bytes would reset the answer
             return
         self._data += data
         if self._missing():
@@ -79,7 +77,7 @@ class _Visitor:
         self.container = hello.value(NAME)
 
     def refuse(self, why: str) -> None:
-        """Tell it why, and take nothing more of it."""
+        """Send why, and read no more."""
         self.is_refused = True
         with contextlib.suppress(CallError, OSError):
             pieces = frame.segments(NAME, why, Kind.ERROR)
@@ -96,7 +94,7 @@ class _Visitor:
 
 
 class Gateway:
-    """Listens for links from other computers, on a thread of its own.
+    """Listens for connections from other computers, on a thread of its own.
 
     Parameters
     ----------
@@ -115,7 +113,7 @@ class Gateway:
 
     def __init__(self, folder: Path, host: str, port: int = 0) -> None:
         self._folder = folder
-        self._guests: dict[int, _Visitor] = {}
+        self._arrivals: dict[int, _Arrival] = {}
         self._closed = threading.Event()
         self._handing_on = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
@@ -130,7 +128,7 @@ class Gateway:
         self._address = str(Endpoint(*self._listener.getsockname()[:2]))
         tune(self._listener)
         self._listener.setblocking(False)
-        self._thread = threading.Thread(target=self._main, name="door", daemon=True)
+        self._thread = threading.Thread(target=self._main, name="gateway", daemon=True)
         self._thread.start()
 
     def __str__(self) -> str:
@@ -144,7 +142,7 @@ class Gateway:
         self.close()
 
     def close(self) -> None:
-        """Let nobody in any more; what was handed on stays."""
+        """Accept no more; connections that were handed on stay."""
         self._closed.set()
         with contextlib.suppress(OSError):
             self._listener.shutdown(socket.SHUT_RDWR)
@@ -155,81 +153,82 @@ class Gateway:
             while not self._closed.is_set():
                 ready = self._wait()
                 if self._listener.fileno() in ready:
-                    self._let_in()
-                for file in ready & self._guests.keys():
-                    self._attend(self._guests[file])
-                for guest in self._waiting():
-                    self._hand_on(guest)
-                self._let_go()
-            for guest in self._guests.values():
-                guest.connection.close()
+                    self._accept()
+                for file in ready & self._arrivals.keys():
+                    self._read(self._arrivals[file])
+                for arrival in self._waiting():
+                    self._hand_on(arrival)
+                self._close_late()
+            for arrival in self._arrivals.values():
+                arrival.connection.close()
 
     def _wait(self) -> set[int]:
-        """Wait for somebody who comes, speaks or should be let go."""
+        """Wait for a connection, a name, or a time limit."""
         poll = select.poll()
-        if len(self._guests) < _MOST:
+        if len(self._arrivals) < _MOST:
             poll.register(self._listener, select.POLLIN)
-        for file, guest in self._guests.items():
-            if not guest.container or guest.is_refused:
+        for file, arrival in self._arrivals.items():
+            if not arrival.container or arrival.is_refused:
                 poll.register(file, select.POLLIN)
-        until = min((guest.until for guest in self._guests.values()), default=None)
+        limits = (arrival.until for arrival in self._arrivals.values())
+        until = min(limits, default=None)
         wait = None if until is None else 1000 * max(0.0, until - time.monotonic())
         if self._waiting():
             wait = 1000 * _PAUSE
         return {file for file, _ in poll.poll(wait)}
 
-    def _waiting(self) -> list[_Visitor]:
-        """Return those who said where to, and are not there."""
-        guests = self._guests.values()
-        return [g for g in guests if g.container and g.until and not g.is_refused]
+    def _waiting(self) -> list[_Arrival]:
+        """Return those that named a container and are not handed on."""
+        arrivals = self._arrivals.values()
+        return [a for a in arrivals if a.container and a.until and not a.is_refused]
 
-    def _let_in(self) -> None:
+    def _accept(self) -> None:
         try:
             connection, _ = self._listener.accept()
         except BlockingIOError:
             return
-        except OSError:  # it gave up, or no file is free at the moment
+        except OSError:  # it has gone, or no file is free
             self._closed.wait(_PAUSE)
             return
         connection.setblocking(False)
-        self._guests[connection.fileno()] = _Visitor(connection)
+        self._arrivals[connection.fileno()] = _Arrival(connection)
 
-    def _attend(self, guest: _Visitor) -> None:
+    def _read(self, arrival: _Arrival) -> None:
         try:
-            guest.hear()
+            arrival.read()
         except WireError as error:
-            log.warning("a connection from %s is refused: %s", _peer(guest), error)
-            guest.refuse(str(error))
+            log.warning("a connection from %s is refused: %s", _peer(arrival), error)
+            arrival.refuse(str(error))
         except BlockingIOError:
             pass
         except OSError:
-            guest.until = 0.0
+            arrival.until = 0.0
 
-    def _hand_on(self, guest: _Visitor) -> None:
-        container = guest.container
-        files = array.array("i", [guest.connection.fileno()])
+    def _hand_on(self, arrival: _Arrival) -> None:
+        container = arrival.container
+        files = array.array("i", [arrival.connection.fileno()])
         rights = (socket.SOL_SOCKET, socket.SCM_RIGHTS, files)
         path = os.fspath(gateway_path(self._folder, container))
         try:
             self._handing_on.sendmsg([b"+"], [rights], socket.MSG_DONTWAIT, path)
         except (FileNotFoundError, ConnectionRefusedError):
-            # usual while a robot starts: the sender asks again
-            guest.refuse(f"no container '{container}' is here")
+            # usual while a robot starts: the sender tries again
+            arrival.refuse(f"no container '{container}' is here")
         except BlockingIOError:
-            pass  # many come at once: it is asked again until the guest is let go
+            pass  # its queue is full: try again until the time limit
         except OSError as error:
-            guest.refuse(f"container '{container}' takes nobody in: {error}")
+            arrival.refuse(f"container '{container}' accepts no connection: {error}")
         else:
-            guest.until = 0.0
+            arrival.until = 0.0
 
-    def _let_go(self) -> None:
+    def _close_late(self) -> None:
         now = time.monotonic()
-        for file, guest in list(self._guests.items()):
-            if guest.until <= now:
-                self._guests.pop(file).connection.close()
+        for file, arrival in list(self._arrivals.items()):
+            if arrival.until <= now:
+                self._arrivals.pop(file).connection.close()
 
 
-def _peer(guest: _Visitor) -> str:
+def _peer(arrival: _Arrival) -> str:
     with contextlib.suppress(OSError):
-        return str(guest.connection.getpeername()[0])
-    return "somebody"
+        return str(arrival.connection.getpeername()[0])
+    return "an unknown address"

@@ -1,12 +1,12 @@
 """Arrays that lie in shared memory from the start, so that sending them copies nothing.
 
-A loan is an array on a block of its own. Any link may lend the block to its receiver,
-several at a time: each link has a slot, and so a byte in the block's first page, where
-its receiver says that its arrays are gone. The block is used again when all of these
-are, and the sender's own array, too.
+A loan is an array on a block of its own. Any connection may lend the block to its
+receiver, several at a time: each connection has a slot, which is a byte in the block's
+first page. The receiver clears it when its arrays are gone. The block is used again
+when all these bytes are clear and the sender's own array is gone, too.
 
-When a link ends, nobody says that any more: a block that is still lent over it is given
-up, and goes when the last process lets go of it.
+When a connection ends, nobody clears its byte: a block that is still lent over it is
+given up, and the kernel frees it when the last process unmaps it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import DTypeLike
 
 _SLOTS = range(1, DATA)
-"""The bytes of a block's first page that are for links; the first is the pool's own."""
+"""The bytes of a block's first page for connections; the first is the pool's own."""
 _ALL_FREE = bytes(DATA)
 
 
@@ -36,7 +36,7 @@ class LoanBlock(Block):
 
     def __init__(self, number: int, capacity: int) -> None:
         super().__init__(number, capacity)
-        # a link may still be about to hand it over when it is given up
+        # a connection may still be about to send its file when it is given up
         weakref.finalize(self, os.close, self.file)
         self.address = _channel.address(self.memory) + DATA
         self._array: weakref.ref[np.ndarray] | None = None
@@ -59,22 +59,22 @@ class LoanBlock(Block):
         return array
 
     def is_lent(self, slot: int) -> bool:
-        """Return whether the receiver of a link has an array on it."""
+        """Return whether the receiver of a connection has an array on it."""
         return self._map[slot] != FREE
 
     def lend(self, slot: int = 0) -> None:
-        """Lend it to the receiver of a link; from now on nobody may write."""
+        """Lend it to the receiver of a connection; from now on nobody may write."""
         array = self.array
         if array is not None:
             array.flags.writeable = False
         super().lend(slot)
 
     def close(self) -> None:
-        """Do nothing: it goes when nobody uses it, and with it map and file."""
+        """No-op: the block is freed when its last user drops it."""
 
 
 class Loans:
-    """The loans of a process, and the slots of its links. Any thread may use it."""
+    """The loans of a process and the slots of its connections, for any thread."""
 
     def __init__(self) -> None:
         self._pool = Pool(LoanBlock)
@@ -82,7 +82,7 @@ class Loans:
         self._free_slots = list(reversed(_SLOTS))
 
     def new(self, shape: Any, dtype: DTypeLike) -> np.ndarray:  # noqa: ANN401, as numpy's
-        """Return an array of any content: a loan, or another when there is no block."""
+        """Return an array of any content; an ordinary one when there is no block."""
         import numpy as np  # noqa: PLC0415, only where users' arrays are
 
         kind = np.dtype(dtype)
@@ -108,12 +108,12 @@ class Loans:
         return None
 
     def take_slot(self) -> int | None:
-        """Return a slot for a link; None when there are too many links."""
+        """Return a slot for a connection; None when all are used."""
         with self._changing:
             return self._free_slots.pop() if self._free_slots else None
 
     def give_slot_back(self, slot: int) -> None:
-        """End a link: what is lent over it is not used again."""
+        """End a connection: blocks that are lent over it are not used again."""
         with self._changing:
             for block in self._pool.blocks():
                 if block.is_lent(slot):

@@ -1,17 +1,16 @@
-"""Blocks of shared memory for the arrays that cross a link between two containers.
+"""Blocks of shared memory for the arrays that cross a connection.
 
 A block is an anonymous file (``memfd_create``) that both ends map. The sender copies
-arrays into it, the receiver's arrays are read-only views on it. Whose it is stands in
-the block's first word: the sender sets it, and the receiver clears it when the last
-array on it is gone; only then is the block used again. A receiver that keeps its arrays
-therefore only makes the sender take another block, or send through the socket when
-there is none.
+arrays into it, and the receiver's arrays are read-only views on it. The block's first
+word tells its owner: the sender sets it, and the receiver clears it when the last array
+on it is gone; only then is the block used again. When a receiver keeps its arrays, the
+sender takes another block, or sends through the socket when there is none.
 
-To wake a receiver takes about as long as to copy an array of 1 MB. So the sender says
-that the block is being filled, tells the receiver, copies the rest meanwhile, and then
-says that the block is the receiver's, who waits for that (``native/filling.cpp``).
+Waking a receiver takes about as long as copying 1 MB. So the sender marks the block as
+being filled, notifies the receiver, copies the rest meanwhile, and then marks the block
+as the receiver's, who waits for that (``native/filling.cpp``).
 
-Nothing has a name in the file system, so the kernel frees what a crash leaves behind.
+A block has no name in the file system, so the kernel frees what a crash leaves behind.
 """
 
 from __future__ import annotations
@@ -26,14 +25,14 @@ from poise.wire import _channel
 from poise.wire.codec import WireError
 
 THRESHOLD = 1 << 16
-"""Arrays of fewer bytes in all go through the socket: it is as quick."""
+"""Fewer bytes of arrays go through the socket, which is as quick [bytes]."""
 MOST_BLOCKS = 8
-"""Blocks that one end of a link may have."""
+"""Blocks that one end of a connection may have."""
 MOST_BYTES = 1 << 27
 """Memory of these blocks in all [bytes]."""
 
 DATA = mmap.PAGESIZE
-"""Where the data begin: the page before holds the bytes that both ends write."""
+"""Where the data begin [bytes]: the page before holds bytes that both ends write."""
 LENT = 1
 FREE = 0
 _SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL

@@ -1,4 +1,4 @@
-// Filling a block of shared memory while its receiver wakes up: src/poise/wire/shared.py.
+// Filling a block of shared memory while its receiver wakes up: src/poise/wire/connections/shared_memory.py.
 //
 // To wake a thread on another CPU takes about as long as to copy an array of 1 MB. So the
 // receiver is told of a block before all is there, and waits for the rest.

@@ -1,4 +1,4 @@
-// The receiver's side of a block of shared memory: see src/poise/wire/shared.py.
+// The receiver's side of a block of shared memory: see src/poise/wire/connections/shared_memory.py.
 #pragma once
 
 #include <nanobind/nanobind.h>
