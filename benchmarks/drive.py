@@ -29,8 +29,8 @@ class Drives(Struct, frozen=True, kw_only=True):
     moved: int
     void: int
     missed: int
-    gate_shut_median_s: float
-    gate_shut_max_s: float
+    downtime_median_s: float
+    downtime_max_s: float
     prepared_median_s: float
     scenes: tuple[Scene, ...]
 
@@ -45,18 +45,18 @@ def main() -> None:
     for _ in range(options.times):
         silent = Console(file=io.StringIO())
         scenes.append(move_while_driving(EXAMPLES, silent))
-        steps = scenes[-1].move.seconds.items()
-        parts = ", ".join(f"{name} {1e3 * s:.1f}" for name, s in steps)
+        phases = scenes[-1].move.phases.items()
+        parts = ", ".join(f"{name} {1e3 * s:.1f}" for name, s in phases)
         void = f"; invalid: {scenes[-1].invalid}" if scenes[-1].invalid else ""
         sys.stderr.write(f"{told(scenes[-1])}{void}\n  [ms] {parts}\n")
-    gates = [scene.move.gate_shut for scene in scenes]
+    downtimes = [scene.move.downtime for scene in scenes]
     drives = Drives(
         drives=len(scenes),
         moved=sum(scene.move.committed for scene in scenes),
         void=sum(bool(scene.invalid) for scene in scenes),
         missed=sum(scene.during[0] for scene in scenes),
-        gate_shut_median_s=median(gates),
-        gate_shut_max_s=max(gates),
+        downtime_median_s=median(downtimes),
+        downtime_max_s=max(downtimes),
         prepared_median_s=median(scene.move.prepared for scene in scenes),
         scenes=tuple(scenes),
     )

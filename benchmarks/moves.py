@@ -156,7 +156,7 @@ def big_state(moves: int) -> dict[str, float]:
     return {
         "big_state_moves": len(reports),
         "big_state_committed": sum(report.committed for report in reports),
-        "big_state_gate_shut_s": max(report.gate_shut for report in reports),
+        "big_state_downtime_s": max(report.downtime for report in reports),
         "big_state_prepared_s": max(report.prepared for report in reports),
         "big_state_longest_call_s": reader["waited"],
         "big_state_calls_refused": reader["refused"],
@@ -181,19 +181,23 @@ def main() -> None:
         works = is_at_work(run)
     big = big_state(2 if options.quick else 10)
     failed = [report for report in reports if not report.committed]
-    shut = sorted(report.gate_shut for report in reports)
-    result = {
+    downtimes = sorted(report.downtime for report in reports)
+    result: dict[str, object] = {
         "moves": len(reports),
         "committed": len(reports) - len(failed),
         **counts,
         "hung": counts["asked"] - counts["answered"] - counts["refused"],
         "moves_with_kills": len(struck),
         "committed_with_kills": sum(report.committed for report in struck),
-        "longest_gate_with_kills_s": max(report.gate_shut for report in struck),
+        "longest_downtime_with_kills_s": max(report.downtime for report in struck),
         "works_after_kills": works,
-        "gate_shut_median_s": median(shut),
-        "gate_shut_p99_s": shut[int(0.99 * len(shut))],
-        "gate_shut_max_s": shut[-1],
+        "downtime_median_s": median(downtimes),
+        "downtime_p99_s": downtimes[int(0.99 * len(downtimes))],
+        "downtime_max_s": downtimes[-1],
+        "phases_median_s": {
+            phase: median(report.phases.get(phase, 0.0) for report in reports)
+            for phase in ("prepare", "quiesce", "transfer", "commit", "resume")
+        },
         **big,
     }
     for report in failed[:5]:

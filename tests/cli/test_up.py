@@ -219,7 +219,7 @@ def test_what_needs_more_than_it_did_gets_room(up: Path) -> None:
     assert status().placement == TOGETHER
 
     said = at_last("balance")
-    assert "done; the longest gate was shut for" in said
+    assert "done; the longest downtime was" in said
     placed = status().placement
     assert placed["first"] != placed["reader"]
 

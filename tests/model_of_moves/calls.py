@@ -73,11 +73,11 @@ class Calls:
     def _enter(
         self, s: State, who: int, side: Side, which: int
     ) -> Iterator[tuple[str, State]]:
-        """`Turn.enter`: retired, or free, or shut."""
+        """`Exclusion.enter`: redirected, or free, or paused."""
         one = s.one(side, which)
         if one.phase == "dead":
             yield "gets Unavailable", at(s, who, "error")
-        elif one.is_retired or one.phase == "gone":
+        elif one.is_redirected or one.phase == "gone":
             yield "is told that it moved", at(s, who, "moved")
         elif _is_free(s, side, which):
             yield "is inside", self._inside(s, who, side, which, "inside")
@@ -90,7 +90,7 @@ class Calls:
         Its own outlet leads to one incarnation alone: `Sender.again` waits in vain.
         """
         one = s.one(side, which)
-        if one.phase in {"dead", "gone"} or one.is_retired or s.kills:
+        if one.phase in {"dead", "gone"} or one.is_redirected or s.kills:
             # with kills also for what was started anew, and rests: the call's limit
             yield "gets no further", at(s, who, "returns")
         if _is_free(s, side, which):
@@ -123,7 +123,7 @@ class Calls:
         if not self._is_reentrant(which):
             return s
         one = s.one(side, which)
-        outside = () if self._bug == "rest without them" else (*one.outside, who)
+        outside = () if self._bug == "pause without them" else (*one.outside, who)
         return s.with_one(side, which, one._replace(inside=-1, outside=outside))
 
     def _step_in(

@@ -23,7 +23,7 @@ import re
 from tests.model_of_moves.world import Bounds, State
 
 _ALWAYS = re.compile(
-    r"caller \d (goes out|goes on|is told that it moved)|hand over \d is done|removed"
+    r"caller \d (goes out|goes on|is told that it moved)|transfer \d is done|removed"
 )
 _LATE = re.compile(r"(.*) at (.*) \(late\)")
 _AT = re.compile(r"arrives at (.*)|(.*) is told|(.*) is removed|mark at (sink)")
@@ -78,10 +78,12 @@ def _is_in_vain(s: State, step: str, container: str) -> bool:
     if one.phase in {"gone", "dead"}:
         return one.phase == "gone"
     gives = s.olds[int(which)].gives or any(
-        (o.container, o.steps[-1]) == (f"old {which}", "Flush, Give") for o in s.late
+        (o.container, o.steps[-1]) == (f"old {which}", "send state") for o in s.late
     )
+    works = one.phase == "work" and not one.stays and one.party == step
     in_vain = {
-        "Open": one.phase == "work" and not one.stays,
-        "Take": not (gives or s.round.startswith("hand over")),
+        "resume": works,
+        "roll back": works,
+        "restore state": not (gives or s.round.startswith("transfer")),
     }
     return in_vain.get(step, False)

@@ -54,7 +54,7 @@ class Faults:
         }
         dead = s._replace(excused=s.excused | inside)
         dead = break_off(dead, self._bounds, self._bug, side, which)
-        dead = dead.with_one(side, which, Incarnation("dead"))
+        dead = dead.with_one(side, which, Incarnation("dead", party="start"))
         return _failed(dead.with_stream(side, which + 1, ()), f"{side} {which}")
 
     def _starts(self, s: State) -> Iterator[tuple[str, State]]:
@@ -78,7 +78,7 @@ class Faults:
             phase = "work"
         stays = side == "old" and s.spec == "both"
         told = s.told if s.spec == "both" else s.told | {f"{side} {which}"}
-        born = Incarnation(phase, stays=stays)
+        born = Incarnation(phase, stays=stays, party="start")
         return s._replace(told=told).with_one(side, which, born)
 
 

@@ -3,19 +3,22 @@
 One component is moved, or two neighbours at once, each from a container ``old`` to a
 container ``new``. A source publishes to the first and has callers there; what a
 component gets, it publishes to the next, and the last to a sink. Calls go from one to
-the other, too. The names of the steps
-are those of `MigrationCoordinator` and `MigrationExecutor`, and what
-they use.
+the other, too. The steps have the names and phases of `poise.wire.records.migration`,
+and the phases follow each other as `poise.wire.migration_phases` allows.
+``test_replay.py`` replays what real agents did.
 
-The manager may give a round of orders up at any time, and does so when one fails: what
-was not answered is lost, or is still taken at any moment after that. Any container may
-be killed at any moment, and is started anew with what its agent was told last.
+The manager may give up a round at any time, and does so when a step fails: a step that
+was not answered is lost, or is still taken at any later moment. Any container may be
+killed at any moment, and is started again with what its agent was told last.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import get_args
 
+from poise.wire.migration_phases import TRANSITIONS, Before
+from poise.wire.records.migration import ComponentStep
 from tests.model_of_moves.calls import SIDES, Calls
 from tests.model_of_moves.faults import Faults
 from tests.model_of_moves.world import MARK, Bounds, Incarnation, Order, Side, State
@@ -23,43 +26,65 @@ from tests.model_of_moves.world import MARK, Bounds, Incarnation, Order, Side, S
 Taken = tuple[State, bool]
 """The state after a step, and whether the step succeeded."""
 
+PHASES = {kind.__struct_config__.tag: kind.phase for kind in get_args(ComponentStep)}
+"""The steps of components, and the phases that they lead to."""
+
 
 def initial(bounds: Bounds, bug: str = "") -> State:
-    """Return the state after `Exchange._prepare`."""
+    """Return the state before the first round of the preparation, or after it."""
     count = bounds.movers
     nothing = ((),) * (count + 1)
+    party: Before = "start" if bounds.prepares else "prepare"
+    rounds = prepare(bounds) if bounds.prepares else transfer(bounds, bug)
     return State(
-        olds=(Incarnation("work", stays=True),) * count,
-        news=(Incarnation("inactive"),) * count,
+        round="prepare 0" if bounds.prepares else "transfer 0",
+        olds=(Incarnation("work", stays=True, party=party),) * count,
+        news=(Incarnation("inactive", party=party),) * count,
         to_olds=nothing,
         to_news=nothing,
-        orders=hand_over(bounds, bug)[0],
+        orders=rounds[0],
         calls=(("begins", ""),) * len(bounds.callers),
     )
 
 
-def hand_over(bounds: Bounds, bug: str) -> list[tuple[Order, ...]]:
-    """Return the rounds of `Rounds.hand_over`: callers come to rest before callees."""
+def prepare(bounds: Bounds) -> list[tuple[Order, ...]]:
+    """Return `MigrationRounds.prepare`."""
+    steps = ("offer state", "old"), ("pre-copy", "new"), ("request state", "new")
+    return [
+        _orders({f"{side} {k}": (step,) for k in range(bounds.movers)})
+        for step, side in (*steps, ("await idle", "old"))
+    ]
+
+
+def transfer(bounds: Bounds, bug: str) -> list[tuple[Order, ...]]:
+    """Return `MigrationRounds.transfer`: callers pause before their callees."""
     movers = range(bounds.movers)
-    levels = [list(movers)] if bug == "rest at once" else bounds.levels()
+    levels = [list(movers)] if bug == "pause at once" else bounds.levels()
     rounds: list[tuple[Order, ...]] = []
     for level in levels:
-        resting = {k: ("Rest",) if k in level else () for k in movers}
+        pausing = {k: ("pause",) if k in level else () for k in movers}
         last = len(rounds) == len(levels) - 1
-        steps = {"source": () if rounds else ("Hold",), "sink": ("Flush",) * last}
-        steps |= {f"old {k}": resting[k] + ("Flush, Give",) * last for k in movers}
-        steps |= {f"new {k}": ("Take", "Activate") * last for k in movers}
+        steps = {
+            "source": () if rounds else ("buffer",),
+            "sink": ("drain channels",) * last,
+        }
+        steps |= {
+            f"old {k}": pausing[k] + ("drain channels", "send state") * last
+            for k in movers
+        }
+        steps |= {f"new {k}": ("restore state", "activate") * last for k in movers}
         rounds.append(_orders(steps))
     return rounds
 
 
-def opening(side: Side, bounds: Bounds) -> tuple[Order, ...]:
-    """Return the round of `Rounds.keep`, or of `Rounds.back`."""
+def resuming(side: Side, bounds: Bounds) -> tuple[Order, ...]:
+    """Return `MigrationRounds.resume`, or `MigrationRounds.roll_back`."""
     movers = range(bounds.movers)
-    steps: dict[str, tuple[str, ...]] = {f"{side} {k}": ("Open",) for k in movers}
-    steps["source"] = (f"Release to {side}",)
+    step = "resume" if side == "new" else "roll back"
+    steps: dict[str, tuple[str, ...]] = {f"{side} {k}": (step,) for k in movers}
+    steps["source"] = (f"release to {side}",)
     if side == "new":
-        steps |= {f"old {k}": ("Retire",) for k in movers}
+        steps |= {f"old {k}": ("redirect",) for k in movers}
     return _orders(steps)
 
 
@@ -79,7 +104,7 @@ class Protocol:
     def __init__(self, bounds: Bounds, bug: str = "") -> None:
         self._bounds = bounds
         self._bug = bug
-        self._rounds = hand_over(bounds, bug)
+        self._rounds = transfer(bounds, bug)
         self._calls = Calls(bounds, bug)
         self._faults = Faults(bounds, bug)
 
@@ -104,7 +129,7 @@ class Protocol:
         yield from self._deployments(s)
         yield from self._faults.successors(s)
 
-    # poise.manage.migration.coordinator.Exchange
+    # poise.manage.migration.coordinator.MigrationCoordinator
 
     def _manager(self, s: State) -> Iterator[tuple[str, State]]:
         if s.round in {"remove", "end"}:
@@ -114,10 +139,10 @@ class Protocol:
             return
         outcomes = {order.outcome for order in s.orders}
         pending = "sent" in outcomes
-        is_handing_over = s.round.startswith("hand over")
+        is_transfer = s.round.startswith(("prepare", "transfer"))
         if outcomes == {"done"}:
             yield f"{s.round} is done", self._next(s, failed=False)
-        elif "failed" in outcomes and (is_handing_over or not pending):
+        elif "failed" in outcomes and (is_transfer or not pending):
             yield f"{s.round} failed", self._next(_late(s), failed=True)
         elif pending and s.given_up < self._bounds.gives_up:
             s = s._replace(given_up=s.given_up + 1)
@@ -126,18 +151,29 @@ class Protocol:
                 yield f"{s.round} is late", self._next(_late(s), failed=True)
 
     def _next(self, s: State, *, failed: bool) -> State:
-        if s.round in {"keep", "back"}:
-            spec = "new" if s.round == "keep" else "old"
+        if s.round in {"resume", "roll back"}:
+            spec = "new" if s.round == "resume" else "old"
             return s._replace(round="remove", orders=(), spec=spec)
+        phase, _, number = s.round.partition(" ")
+        if phase == "prepare":
+            return self._prepared(s, int(number) + 1, failed=failed)
         if failed and self._bug != "ignore failures":
-            return s._replace(round="back", orders=opening("old", self._bounds))
-        following = int(s.round.rpartition(" ")[2]) + 1
+            return s._replace(round="roll back", orders=resuming("old", self._bounds))
+        following = int(number) + 1
         if following < len(self._rounds) and not failed:
             orders = self._rounds[following]
-            return s._replace(round=f"hand over {following}", orders=orders)
-        return s._replace(round="keep", orders=opening("new", self._bounds))
+            return s._replace(round=f"transfer {following}", orders=orders)
+        return s._replace(round="resume", orders=resuming("new", self._bounds))
 
-    # poise.runtime.migration.executor.Steps
+    def _prepared(self, s: State, following: int, *, failed: bool) -> State:
+        rounds = prepare(self._bounds)
+        if failed:
+            return s._replace(round="remove", orders=(), spec="old")
+        if following < len(rounds):
+            return s._replace(round=f"prepare {following}", orders=rounds[following])
+        return s._replace(round="transfer 0", orders=self._rounds[0])
+
+    # poise.runtime.migration.executor.MigrationExecutor
 
     def _take(self, s: State, order: Order, *, is_late: bool) -> Iterator[Taken]:
         """Yield the states after the next step of an order; nothing: it waits."""
@@ -149,27 +185,29 @@ class Protocol:
         elif kind == "sink":
             yield from self._flush(s, is_marked=s.is_sink_marked, is_late=is_late)
         elif kind == "old":
-            yield from self._at_old(s, int(which), step, is_late=is_late)
+            for after, is_done in self._at_old(s, int(which), step, is_late=is_late):
+                yield _entered(s, "old", int(which), step, after, is_done=is_done)
         else:
-            yield from self._at_new(s, int(which), step, is_late=is_late)
+            for after, is_done in self._at_new(s, int(which), step, is_late=is_late):
+                yield _entered(s, "new", int(which), step, after, is_done=is_done)
 
     def _flush(self, s: State, *, is_marked: bool, is_late: bool) -> Iterator[Taken]:
-        """`Ends.wait_marks`; its limit matters when a killed one had the mark."""
+        """`Endpoints.wait_markers`; limited: a killed one may have had the marker."""
         if is_marked or self._bug == "no flush":
             yield s, True
         elif s.kills or is_late:
             yield s, False
 
     def _at_source(self, s: State, step: str) -> State:
-        """`Sender.hold`, `Sender.mark`, `Sender.release`."""
-        if step == "Hold":
-            if s.applied != "both" and self._bug != "hold too late":
+        """`Sender.buffer_for_move`, `Sender.send_marker`, `Sender.switch`."""
+        if step == "buffer":
+            if s.applied != "both" and self._bug != "buffer too late":
                 return s
             s = s._replace(held=s.held or ())
-            if self._bug == "mark overtakes":
+            if self._bug == "marker overtakes":
                 return s.with_stream(s.path, 0, (MARK, *s.streams(s.path)[0]))
             return s.flowing(s.path, 0, MARK)
-        path: Side = "new" if step == "Release to new" else "old"
+        path: Side = "new" if step == "release to new" else "old"
         if s.applied not in {"both", path}:
             return s
         held = s.held or ()
@@ -179,11 +217,11 @@ class Protocol:
         self, s: State, which: int, step: str, *, is_late: bool
     ) -> Iterator[Taken]:
         old = s.olds[which]
-        if old.phase in {"dead", "gone"}:
-            yield s, False
-        elif step == "Rest":
-            # `Runner.rest`: waits until no chain is inside, marks all streams behind it
-            if not old.stays and self._bug != "rest too late":
+        if step == "drain channels":
+            yield from self._flush(s, is_marked=old.is_marked, is_late=is_late)
+        elif step == "pause":
+            # `Runner.rest`: waits until no chain is inside, then sends markers
+            if not old.stays and self._bug != "pause too late":
                 yield s, False
             elif (
                 (old.inside < 0 and not old.outside)
@@ -193,14 +231,12 @@ class Protocol:
                 phase = "inactive" if old.phase == "inactive" else "rest"
                 resting = s.with_one("old", which, old._replace(phase=phase))
                 yield resting.flowing("old", which + 1, MARK), True
-        elif step == "Flush, Give":
-            for after, is_done in self._flush(
-                s, is_marked=old.is_marked, is_late=is_late
-            ):
-                given = old._replace(gives=old.gives or is_done)
-                yield after.with_one("old", which, given), is_done
-        elif step == "Retire":
-            yield s.with_one("old", which, old._replace(is_retired=True)), True
+        elif PHASES[step] == "prepare":
+            yield s, True
+        elif step == "send state":
+            yield s.with_one("old", which, old._replace(gives=True)), True
+        elif step == "redirect":
+            yield s.with_one("old", which, old._replace(is_redirected=True)), True
         else:
             yield working(s, "old", which), True
 
@@ -208,10 +244,12 @@ class Protocol:
         self, s: State, which: int, step: str, *, is_late: bool
     ) -> Iterator[Taken]:
         old, new = s.olds[which], s.news[which]
-        if new.phase in {"dead", "gone"}:
-            yield s, False
-        elif step == "Take":
-            # `StateSender._all` waits for `Give`, and refuses unless at rest
+        if PHASES[step] == "prepare":
+            yield s, True
+            if s.kills or is_late:
+                yield s, False  # the source is gone
+        elif step == "restore state":
+            # `StateSender._all` waits for `send`, and refuses unless paused
             is_at_rest = old.phase == "rest" or (old.phase == "inactive" and old.stays)
             if old.gives and is_at_rest:
                 taken = new._replace(inbox=old.inbox, log=old.log)
@@ -219,18 +257,18 @@ class Protocol:
                 yield s, False  # its `restore` raised
             elif is_late or s.kills or old.gives:
                 yield s, False
-        elif step == "Activate":
+        elif step == "activate":
             yield s.with_one("new", which, self._activated(new, which)), True
             yield s, False  # its `activate` raised
         else:
             yield working(s, "new", which), True
 
     def _activated(self, new: Incarnation, which: int) -> Incarnation:
-        """`Ends.keep_back`: what `activate` publishes goes out with `Open`."""
+        """`Endpoints.buffer_until_active`: `resume` sends what `activate` published."""
         said: tuple[float, ...] = ()
         if self._bounds.speaks and which == self._bounds.movers - 1:
             said = (max(new.log, default=0) + 0.5,)
-        phase = "work" if self._bug == "work before it is kept" else "ready"
+        phase = "work" if self._bug == "work before the commit" else "ready"
         return new._replace(phase=phase, kept_back=said)
 
     # poise.runtime.connectors, and what carries them
@@ -266,7 +304,7 @@ class Protocol:
                     done = s.with_one(side, which, after)
                     yield f"{side} {which} works", done.flowing(side, which + 1, item)
 
-    # poise.runtime.container.container.Container._apply, told by `Exchange._remove`
+    # `Container._apply` of what `MigrationCoordinator._remove` deploys
 
     def _deployments(self, s: State) -> Iterator[tuple[str, State]]:
         if s.spec == "both":
@@ -277,7 +315,7 @@ class Protocol:
             # `Sender.remove`: one path is left, and what was held goes there
             path = kept if self._bug != "keep the path" else s.path
             told = s._replace(applied=s.spec, path=path)
-            if self._bug != "hold for ever" and s.held is not None:
+            if self._bug != "buffer for ever" and s.held is not None:
                 told = told._replace(held=None).flowing(path, 0, *s.held)
             yield "source is told", told
         for which, one in enumerate(s.all_of(kept)):
@@ -292,8 +330,23 @@ class Protocol:
                 yield f"{gone} {which} is removed", removed
 
 
+def _entered(
+    s: State, side: Side, which: int, step: str, after: State, *, is_done: bool
+) -> Taken:
+    """`MigrationPhases.check` before a step, and `enter` after it."""
+    before, phase = s.one(side, which), PHASES[step]
+    allowed = TRANSITIONS["source" if side == "old" else "target"].get(before.party, ())
+    may_enter = step == "drain channels" or phase in {before.party, *allowed}
+    if before.phase in {"dead", "gone"} or not may_enter:
+        return s, False
+    if not is_done or step == "drain channels":
+        return after, is_done
+    party = after.one(side, which)._replace(party=phase)
+    return after.with_one(side, which, party), True
+
+
 def _late(s: State) -> State:
-    """Let what was not answered be taken later; a `Flush` at the sink only waits."""
+    """Let what was not answered be taken later; a step at the sink only waits."""
     pending = {o for o in s.orders if o.outcome == "sent" and o.container != "sink"}
     return s._replace(late=s.late | pending)
 

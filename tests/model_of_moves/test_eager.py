@@ -42,7 +42,7 @@ def test_a_step_that_is_not_eager_is_seen() -> None:
     steps = Protocol(bounds).successors
 
     def is_eager(_: object, name: str) -> bool:
-        return name == "Hold at source"
+        return name == "buffer at source"
 
     found = [*crossings(initial(bounds), steps, is_eager, visible)]
-    assert any(each.startswith("Hold at source and publish") for each in found)
+    assert any(each.startswith("buffer at source and publish") for each in found)

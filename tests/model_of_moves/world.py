@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Literal, NamedTuple
 
+from poise.wire.migration_phases import Before
+
 MARK = 0
 """A mark in a stream of messages, which are numbered from 1."""
 
@@ -26,6 +28,8 @@ class Bounds(NamedTuple):
     """How often the manager gives a round up."""
     late: bool = True
     """Whether orders that were given up may be taken later."""
+    prepares: bool = False
+    """Whether it begins with the preparation; else after it."""
     killed: str = "SonD"
     """Containers that may be killed: source, old, new, sink; O, N: all old or new ones
     at once, with their agent."""
@@ -45,12 +49,13 @@ class Bounds(NamedTuple):
 class Incarnation(NamedTuple):
     """A moved component in one container (`poise.runtime.hosting.runner.Runner`).
 
-    `phase`: inactive, ready (activated, at rest), work, rest, gone, dead.
+    `phase`: inactive, ready (activated, paused), work, rest, gone, dead; `party`: the
+    phase of the migration that it has reached (`MigrationPhases`).
     """
 
     phase: str
     stays: bool = False
-    is_retired: bool = False
+    is_redirected: bool = False
     gives: bool = False
     inside: int = -1
     """The caller whose chain is inside; -1: none."""
@@ -62,6 +67,7 @@ class Incarnation(NamedTuple):
     kept_back: Stream = ()
     """What `activate` published: it goes out when the component works."""
     is_marked: bool = False
+    party: Before = "prepare"
 
 
 class Order(NamedTuple):
@@ -81,7 +87,7 @@ class State(NamedTuple):
     to_olds: tuple[Stream, ...]
     to_news: tuple[Stream, ...]
     # the manager
-    round: str = "hand over 0"
+    round: str = "transfer 0"
     orders: tuple[Order, ...] = ()
     late: frozenset[Order] = frozenset()
     """Orders for which nobody waits, and that may still be taken."""

@@ -73,6 +73,6 @@ def _show_report(report: TransitionReport, console: Console) -> None:
     if not report.committed:
         console.print(f"[red]called off:[/] {escape(report.reason)}")
         return
-    longest = max((move.gate_shut for move in report.moves), default=0.0)
-    gates = f"; the longest gate was shut for {format_seconds(longest)}"
-    console.print(f"done{gates if report.moves else ''}")
+    longest = max((move.downtime for move in report.moves), default=0.0)
+    downtime = f"; the longest downtime was {format_seconds(longest)}"
+    console.print(f"done{downtime if report.moves else ''}")

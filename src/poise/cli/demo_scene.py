@@ -75,7 +75,7 @@ class _Mover:
         if self._report is None and now > _MOVE_AT:
             self._counts.append(_deadlines(run))
             self._report = move(run, _MOVED, self._target)
-            self._ended = now + self._report.prepared + self._report.gate_shut
+            self._ended = now + self._report.prepared + self._report.downtime
         elif len(self._counts) == 1 and now > self._ended + 1:
             self._counts.append(_deadlines(run))
 
@@ -117,8 +117,8 @@ def told(scene: Scene) -> str:
     parts = ("before", scene.before), ("during", scene.during), ("after", scene.after)
     missed = ", ".join(f"{name} {m} of {of}" for name, (m, of) in parts)
     return (
-        f"{_MOVED} went from {report.source} to {report.target}; its gate was shut for "
-        f"{format_seconds(report.gate_shut)}; deadlines missed: {missed}; goal "
+        f"{_MOVED} went from {report.source} to {report.target}; downtime "
+        f"{format_seconds(report.downtime)}; deadlines missed: {missed}; goal "
         f"{'reached' if scene.goal_reached else 'not reached'}"
     )
 

@@ -39,7 +39,7 @@ def move_command(
 
     It keeps its state, and no call or message is lost, doubled or reordered. When
     something fails it goes on where it was, and the exit code is 1. A command-line
-    component is stopped and started again. A component that does not fit beside what
+    component is stopped and started. A component that does not fit beside what
     runs on the computer is refused, unless --force is given.
 
     Example: poise move localiser vision
@@ -98,10 +98,10 @@ def _sentence(report: MoveReport | ReplaceReport) -> str:
         stays, runs = f"{report.architecture} goes on", f"{report.by} runs"
     if not report.committed:
         return f"{stays}: {report.reason}"
-    if isinstance(report, MoveReport) and report.short_stop:
-        away = format_seconds(report.gate_shut)
-        return f"{runs} now; restarted, away for {away}"
+    if isinstance(report, MoveReport) and report.cold:
+        downtime = format_seconds(report.downtime)
+        return f"{runs} now; it was stopped and started, downtime {downtime}"
     return (
-        f"{runs} now; prepared in {format_seconds(report.prepared)}, gate shut for "
-        f"{format_seconds(report.gate_shut)}"
+        f"{runs} now; prepared in {format_seconds(report.prepared)}, downtime "
+        f"{format_seconds(report.downtime)}"
     )

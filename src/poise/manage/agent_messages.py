@@ -16,7 +16,7 @@ import msgspec
 import zenoh
 
 from poise.wire.records.deployment import Accepted, Answer, ManagerId, Refused
-from poise.wire.records.migration import Done, Failed
+from poise.wire.records.migration import StepsDone, StepsFailed
 
 log = logging.getLogger(__name__)
 
@@ -60,10 +60,10 @@ def note(replies: Replies, number: int, reply: zenoh.Reply | None = None) -> Non
     replies.put((number, reply))
 
 
-def _decoded(sample: zenoh.Sample) -> Accepted | Refused | Done | Failed:
+def _decoded(sample: zenoh.Sample) -> Accepted | Refused | StepsDone | StepsFailed:
     """Return an agent's answer; `Refused` when it is none."""
     try:
-        answer: Accepted | Refused | Done | Failed = msgspec.msgpack.decode(
+        answer: Accepted | Refused | StepsDone | StepsFailed = msgspec.msgpack.decode(
             sample.payload.to_bytes(), type=Answer
         )
     except msgspec.DecodeError as error:
@@ -73,6 +73,6 @@ def _decoded(sample: zenoh.Sample) -> Accepted | Refused | Done | Failed:
 
 def answer_of(
     replies: Iterable[zenoh.Reply],
-) -> Accepted | Refused | Done | Failed | None:
+) -> Accepted | Refused | StepsDone | StepsFailed | None:
     """Return the first answer of an agent; `None` when it gave none."""
     return next((_decoded(reply.ok) for reply in replies if reply.ok is not None), None)

@@ -31,13 +31,18 @@ from poise.wire.records.deployment import (
     Refused,
     Request,
 )
-from poise.wire.records.migration import Done, Failed, Order, Outcome
+from poise.wire.records.migration import (
+    MigrationSteps,
+    StepsDone,
+    StepsFailed,
+    StepsOutcome,
+)
 from poise.wire.records.samples import AgentSample
 
 MARGIN = 0.1
-"""An agent's answer to an order may come this much after the order's limit [s]."""
+"""An agent's answer to migration steps may come this much after their limit [s]."""
 _LAST_REPLY = 1.0
-"""zenoh reports within this time after an order's limit that no answer came [s]."""
+"""zenoh reports within this time after the steps' limit that no answer came [s]."""
 _LOOK_EVERY = 0.1
 ANSWER_LIMIT = 2.0
 """An agent answers a claim or deployment within this time [s]."""
@@ -240,41 +245,42 @@ class Agents:
             if refusal
         }
 
-    def order(
+    def take_steps(
         self,
-        orders: Iterable[tuple[str, Order]],
+        batches: Iterable[tuple[str, MigrationSteps]],
         check: Callable[[], object] = _nothing,
-    ) -> Iterator[Outcome]:
-        """Order steps from containers, all at once; yield each outcome as it is known.
+    ) -> Iterator[StepsOutcome]:
+        """Let containers take steps, all at once; yield each outcome as it is known.
 
         Parameters
         ----------
-        orders
-            Computers and orders. An agent that does not answer counts as failed.
+        batches
+            Computers, and the steps for a container on each. No answer of an agent
+            counts as failed.
         check
             Called now and then; may raise to end the waiting.
         """
         replies: Replies = SimpleQueue()
         began = self._clock.now()
-        pending = {order.number: (computer, order) for computer, order in orders}
-        for number, (computer, order) in pending.items():
+        pending = {steps.number: (computer, steps) for computer, steps in batches}
+        for number, (computer, steps) in pending.items():
             take = partial(note, replies, number)
             self._session.get(
                 f"{self._prefix}/agent/{computer}",
                 Callback(take, take),
-                payload=self._encoded(computer, order),
-                timeout=order.limit + MARGIN,
+                payload=self._encoded(computer, steps),
+                timeout=steps.limit + MARGIN,
             )
         return self._outcomes(pending, replies, began, check)
 
     def _outcomes(
         self,
-        pending: dict[int, tuple[str, Order]],
+        pending: dict[int, tuple[str, MigrationSteps]],
         replies: Replies,
         began: float,
         check: Callable[[], object],
-    ) -> Iterator[Outcome]:
-        limit = max((order.limit for _, order in pending.values()), default=0.0)
+    ) -> Iterator[StepsOutcome]:
+        limit = max((steps.limit for _, steps in pending.values()), default=0.0)
         while pending:
             try:
                 number, reply = replies.get(timeout=_LOOK_EVERY)
@@ -285,8 +291,8 @@ class Agents:
                 # zenoh did not even report that the time is over
                 number, reply = next(iter(pending)), None
             if number in pending:
-                computer, order = pending.pop(number)
-                yield self._outcome(computer, order, reply, began)
+                computer, steps = pending.pop(number)
+                yield self._outcome(computer, steps, reply, began)
 
     def _ask(
         self, computer: str, request: Request, limit: float
@@ -312,20 +318,24 @@ class Agents:
         return f"refused: {why}"
 
     def _outcome(
-        self, computer: str, order: Order, reply: zenoh.Reply | None, began: float
-    ) -> Outcome:
-        """Return the outcome of an order that was sent at `began` [s]."""
+        self,
+        computer: str,
+        steps: MigrationSteps,
+        reply: zenoh.Reply | None,
+        began: float,
+    ) -> StepsOutcome:
+        """Return the outcome of steps that were sent at `began` [s]."""
         answer = answer_of(() if reply is None else (reply,))
-        if isinstance(answer, Done | Failed):
+        if isinstance(answer, StepsDone | StepsFailed):
             return answer
         if answer is None:
-            limit = order.limit + MARGIN
+            limit = steps.limit + MARGIN
             # a component may be paused: the agent has had time enough
             left = max(0.0, began + limit - self._clock.now())
             why = self._why_silent(computer, limit, min(_LOSS_DELAY, left))
         else:
             why = f"answered {answer}"
-        return Failed(order.number, f"the agent of '{computer}' {why}")
+        return StepsFailed(steps.number, f"the agent of '{computer}' {why}")
 
     def _why_silent(self, computer: str, limit: float, patience: float) -> str:
         """Return what is known of an agent that gave no answer within `limit` [s].

@@ -21,7 +21,7 @@ from poise.clock import SystemClock
 from poise.errors import RunError, UsageError
 from poise.manage.agents import Agents
 from poise.manage.journal import Journal
-from poise.manage.migration.coordinator import GATE_LIMIT, OPEN_LIMIT
+from poise.manage.migration.coordinator import DOWNTIME_LIMIT, RESUME_LIMIT
 from poise.manage.migration.move import MoveReport, move, replace
 from poise.manage.run import Run, components_of, connectors_of
 from poise.model.robot import (
@@ -34,24 +34,26 @@ from poise.model.robot import (
 )
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.migration import (
-    Await,
-    Lull,
-    Offer,
-    Open,
-    Order,
-    Outcome,
-    Precopy,
-    Rest,
+    AwaitIdle,
+    MigrationSteps,
+    OfferState,
+    Pause,
+    PreCopy,
+    RequestState,
+    Resume,
+    RollBack,
+    StepsOutcome,
 )
 from tests.busy import needs_quiet_machine
 from tests.manage.agents import TELLING, agent
+from tests.model_of_moves.replay import replay
 from tests.runtime.conftest import free_port
 from tests.waiting import wait_until
 
 pytestmark = pytest.mark.slow
 
 LIMIT = 20.0
-ROUNDS = (Offer, Precopy, Await, Lull, Rest, Open)
+ROUNDS = (OfferState, PreCopy, RequestState, AwaitIdle, Pause, Resume)
 """A kind of step in each round of a move."""
 JOINTS: tuple[tuple[str, str], ...] = (
     ("source.numbers", "counter.numbers"),
@@ -175,7 +177,7 @@ class Calling(Counter):
         return self.helps.double(value)
 
 class Called(Source):
-    """Is called back by what it calls."""
+    """Is calrolled back by what it calls."""
 
     helps: Provided[Doubles]
     reentrant = True
@@ -223,7 +225,7 @@ class Sink(Telling):
 
 
 class Striking:
-    """A fleet that does something before a round of orders."""
+    """Agents; something happens before a round of steps."""
 
     def __init__(self, agents: Agents) -> None:
         self._agents = agents
@@ -233,12 +235,14 @@ class Striking:
     def __getattr__(self, name: str) -> object:
         return getattr(self._agents, name)
 
-    def order(self, orders: Iterable[tuple[str, Order]]) -> Iterator[Outcome]:
-        told = list(orders)
-        kinds = {type(step) for _, order in told for step in order.steps}
+    def take_steps(
+        self, batches: Iterable[tuple[str, MigrationSteps]]
+    ) -> Iterator[StepsOutcome]:
+        told = list(batches)
+        kinds = {type(step) for _, batch in told for step in batch.steps}
         for kind in kinds & self.before.keys():
             self.before.pop(kind)()
-        return self._agents.order(told)
+        return self._agents.take_steps(told)
 
 
 class SimulatorProcess:
@@ -430,15 +434,16 @@ def mortal(
 
 
 def assert_bounded(report: MoveReport) -> None:
-    """Allow the gate its limits, and time on a machine that is busy otherwise."""
-    assert report.gate_shut < GATE_LIMIT + OPEN_LIMIT + 2.0
+    """Allow the downtime its limits, and time on a machine that is busy otherwise."""
+    assert report.downtime < DOWNTIME_LIMIT + RESUME_LIMIT + 2.0
 
 
 def move_counter(run: Run, computer: str) -> None:
-    """Move the counter; only a busy machine lets a gate be shut for too long."""
+    """Move the counter; only a busy machine makes the downtime too long."""
     with needs_quiet_machine():
         report = move(run, "counter", computer)
         assert report.committed, report.reason
+    assert replay(report, "counter") == ""
 
 
 @pytest.mark.parametrize(
@@ -495,24 +500,25 @@ def test_a_publisher_waits_for_a_slow_subscriber_that_moves(
         ("Untyped", "Untyped.restore: parameter 'state' must say the state's type"),
     ],
 )
-def test_leads_back_when_the_component_cannot_move(
+def test_rolls_back_when_the_component_cannot_move(
     world: SimulatorProcess, implementation: str, words: str
 ) -> None:
     run = world.start(implementation)
     report = move(run, "counter", "right")
     assert not report.committed
     assert re.search(words, report.reason)
+    assert replay(report, "counter") == ""
     assert_bounded(report)
     assert run.placement()["counter"] == "left"
     world.works()
     assert world.told("sink")[1] == 0
 
 
-def test_leads_back_and_says_so_when_the_component_does_not_come_to_rest(
+def test_rolls_back_and_says_so_when_the_component_does_not_come_to_rest(
     world: SimulatorProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # the component's own limit is the smaller one; here by more than machines stall
-    monkeypatch.setattr("poise.manage.migration.coordinator.GATE_LIMIT", 6.0)
+    monkeypatch.setattr("poise.manage.migration.coordinator.DOWNTIME_LIMIT", 6.0)
     run = world.start("Busy")
     busy = world.folder / world.name / "busy"
     busy.touch()
@@ -528,7 +534,7 @@ def test_leads_back_and_says_so_when_the_component_does_not_come_to_rest(
 def test_goes_on_in_its_container_when_a_snapshot_that_took_too_long_ends(
     world: SimulatorProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("poise.manage.migration.coordinator.GATE_LIMIT", 0.5)
+    monkeypatch.setattr("poise.manage.migration.coordinator.DOWNTIME_LIMIT", 0.5)
     run = world.start("Lingering")
     lingers = world.folder / world.name / "lingers"
     lingers.touch()
@@ -545,9 +551,9 @@ def test_goes_on_in_its_container_when_a_snapshot_that_took_too_long_ends(
     assert world.told("sink")[1] == 0
 
 
-def test_a_move_after_one_that_led_back_succeeds(world: SimulatorProcess) -> None:
+def test_a_move_after_one_that_rolled_back_succeeds(world: SimulatorProcess) -> None:
     run = world.start("Counter")
-    world.striking.before[Rest] = lambda: world.kill("right", "counter")
+    world.striking.before[Pause] = lambda: world.kill("right", "counter")
     first, second = move(run, "counter", "right"), move(run, "counter", "right")
     assert (first.committed, second.committed) == (False, True), second.reason
     world.works()
@@ -559,7 +565,7 @@ def test_a_missing_implementation_is_not_put_in(world: SimulatorProcess) -> None
     report = replace(run, "counter", "moved:Nowhere")
     assert not report.committed
     assert "has no class 'Nowhere'" in report.reason
-    assert report.gate_shut == 0.0
+    assert report.downtime == 0.0
     world.works()
     assert world.told("sink")[1] == 0
 
@@ -584,14 +590,18 @@ def test_a_container_that_is_killed_between_two_rounds(
     started = time.monotonic()
     report = move(run, "counter", "right")
     assert time.monotonic() - started < LIMIT
+    assert replay(report, "counter", kills=1) == ""
     assert_bounded(report)
-    if victim[0] == "right" and before not in {Offer, Precopy}:  # it may be back then
-        assert report.committed == (before is Open)
+    if victim[0] == "right" and before not in {
+        OfferState,
+        PreCopy,
+    }:  # it may be back then
+        assert report.committed == (before is Resume)
     world.works()
     world.wait_for(lambda: world.active() == [run.placement()["counter"]])
 
 
-@pytest.mark.parametrize("before", [Rest, Open])
+@pytest.mark.parametrize("before", [Pause, Resume])
 def test_a_source_that_is_killed_between_two_rounds(
     world: SimulatorProcess, before: type
 ) -> None:
@@ -603,7 +613,7 @@ def test_a_source_that_is_killed_between_two_rounds(
     world.wait_for(lambda: world.active() == [run.placement()["counter"]])
 
 
-@pytest.mark.parametrize("before", [Rest, Open])
+@pytest.mark.parametrize("before", [Pause, Resume])
 def test_a_sink_that_is_killed_between_two_rounds(
     world: SimulatorProcess, before: type
 ) -> None:
@@ -626,7 +636,7 @@ def test_nothing_is_lost_when_containers_stand_still_amid_moves(
         other = "left" if run.placement()["counter"] == "right" else "right"
         component = chance.choice(("source", "counter", "sink"))
         with world.standing_still(component, chance.uniform(0.1, 2.5)):
-            # it may move again before what stood still has heard that it led back
+            # it may move again before what stood still has heard that it rolled back
             for _ in range(2):
                 if run.placement()["counter"] != other:
                     move(run, "counter", other)
@@ -650,14 +660,14 @@ def test_goes_on_when_the_targets_agent_dies(
     report = move(run, "counter", "right")
     assert_bounded(report)
     # what had answered before it could be told that all have done so stays gone
-    assert report.committed == (before is Open)
-    if before is not Open:
+    assert report.committed == (before is Resume)
+    if before is not Resume:
         assert run.placement()["counter"] == "left"
         mortal.works()
         assert mortal.told("sink")[1] == 0
 
 
-def test_the_gate_opens_without_waiting_for_why_an_agent_is_silent(
+def test_the_sources_resume_without_waiting_for_why_an_agent_is_silent(
     mortal: SimulatorProcess, mortals: TwoAgents, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     waited: list[float] = []
@@ -669,11 +679,11 @@ def test_the_gate_opens_without_waiting_for_why_an_agent_is_silent(
 
     monkeypatch.setattr(Agents, "_why_silent", noting)
     monkeypatch.setattr("poise.manage.agents._LOSS_DELAY", LIMIT)
-    monkeypatch.setattr("poise.manage.migration.coordinator.GATE_LIMIT", 0.5)
+    monkeypatch.setattr("poise.manage.migration.coordinator.DOWNTIME_LIMIT", 0.5)
     run = mortal.start("Counter")
     right = mortals.processes["right"]
-    mortal.striking.before[Rest] = lambda: right.send_signal(signal.SIGSTOP)
-    mortal.striking.before[Open] = lambda: right.send_signal(signal.SIGCONT)
+    mortal.striking.before[Pause] = lambda: right.send_signal(signal.SIGSTOP)
+    mortal.striking.before[RollBack] = lambda: right.send_signal(signal.SIGCONT)
     report = move(run, "counter", "right")
     assert "the agent of 'right'" in report.reason
     assert waited
@@ -732,7 +742,7 @@ def _ticker(folder: Path) -> Component:
     return Component(name="ticker", command=command)
 
 
-def test_a_command_line_component_moves_by_a_short_stop(
+def test_a_command_line_component_moves_by_a_cold_move(
     world: SimulatorProcess,
 ) -> None:
     world.extra = (_ticker(world.folder),)
@@ -742,7 +752,7 @@ def test_a_command_line_component_moves_by_a_short_stop(
     before = pid.read_text()
     report = move(run, "ticker", "right")
     assert (report.committed, report.reason) == (True, "")
-    assert report.short_stop
+    assert report.cold
     assert run.placement()["ticker"] == "right"
     wait_until(lambda: pid.read_text() not in {"", before})
     assert not Path("/proc", before).exists()

@@ -3,30 +3,30 @@
 from __future__ import annotations
 
 from poise.manage.deployment import DeploymentPlan, Incarnation
-from poise.manage.migration.plan import MigrationPlan, Rounds
+from poise.manage.migration.plan import MigrationPlan, MigrationRounds
 from poise.model.robot import Architecture, Component, Connector, End, Robot
 from poise.wire.records.migration import (
     Activate,
-    Drain,
-    Flush,
-    Give,
-    Hold,
-    Open,
-    Precopy,
+    Buffer,
+    DrainChannels,
+    DrainMailbox,
+    MigrationStep,
+    Pause,
+    PreCopy,
+    Redirect,
     Release,
-    Rest,
-    Retire,
-    Step,
-    Take,
+    RestoreState,
+    Resume,
+    RollBack,
+    SendState,
 )
 
-NUMBER = 7
 GATEWAYS = {"left": "10.0.0.1:4001", "right": "10.0.0.2:4002"}
 
 
 def rounds_of(
     robot: Robot, olds: dict[str, str], news: dict[str, str], **others: str
-) -> Rounds:
+) -> MigrationRounds:
     """Return the rounds when all components call over ports named ``calls``."""
 
     def placed(where: dict[str, str], epoch: int) -> tuple[Incarnation, ...]:
@@ -34,13 +34,15 @@ def rounds_of(
             Incarnation(component=n, computer=c, epoch=epoch) for n, c in where.items()
         )
 
-    change = MigrationPlan(what="it", olds=placed(olds, 0), news=placed(news, 1))
+    change = MigrationPlan(what="it", sources=placed(olds, 0), targets=placed(news, 1))
     rest = {each.component: each for each in placed(others, 0)}
     calls = {(component.name, "calls") for component in robot.components()}
-    return Rounds(DeploymentPlan(robot, "/run"), change, rest, calls, NUMBER, GATEWAYS)
+    return MigrationRounds(DeploymentPlan(robot, "/run"), change, rest, calls, GATEWAYS)
 
 
-def steps(round_: list[tuple[Incarnation, Step]]) -> list[tuple[str, Step]]:
+def steps(
+    round_: list[tuple[Incarnation, MigrationStep]],
+) -> list[tuple[str, MigrationStep]]:
     return [(where.component, step) for where, step in round_]
 
 
@@ -53,29 +55,29 @@ def test_a_move_takes_one_round_in_stages(robot: Robot) -> None:
         heavy="left",
         thinker="right",
     )
-    (only,) = rounds.hand_over()
+    (only,) = rounds.transfer()
     assert steps(only) == [
-        ("grabber", Hold(("grabber.raw-filter.raw",), NUMBER)),
-        ("filter", Rest("filter", 0, NUMBER)),
-        ("filter", Flush("filter", 0, ("grabber.raw-filter.raw",), NUMBER)),
-        ("heavy", Flush("heavy", 0, ("filter.clean-heavy.clean",), NUMBER)),
-        ("thinker", Flush("thinker", 0, ("filter.clean-thinker.seen",), NUMBER)),
-        ("filter", Give("filter", 0)),
-        ("filter", Take("filter", 1)),
+        ("grabber", Buffer(("grabber.raw-filter.raw",))),
+        ("filter", Pause("filter", 0)),
+        ("filter", DrainChannels("filter", 0, ("grabber.raw-filter.raw",))),
+        ("heavy", DrainChannels("heavy", 0, ("filter.clean-heavy.clean",))),
+        ("thinker", DrainChannels("thinker", 0, ("filter.clean-thinker.seen",))),
+        ("filter", SendState("filter", 0)),
+        ("filter", RestoreState("filter", 1)),
         ("filter", Activate("filter", 1)),
     ]
 
 
-def test_the_gate_opens_to_either_side(robot: Robot) -> None:
+def test_either_side_resumes(robot: Robot) -> None:
     rounds = rounds_of(robot, {"filter": "left"}, {"filter": "right"}, grabber="left")
-    assert steps(rounds.keep()) == [
-        ("filter", Open("filter", 1)),
-        ("grabber", Release(("grabber.raw-filter.raw/0.1",))),
-        ("filter", Retire("filter", 0)),
+    assert steps(rounds.resume()) == [
+        ("filter", Resume("filter", 1)),
+        ("grabber", Release(("grabber.raw-filter.raw/0.1",), "resume")),
+        ("filter", Redirect("filter", 0)),
     ]
-    assert steps(rounds.back()) == [
-        ("filter", Open("filter", 0)),
-        ("grabber", Release(("grabber.raw-filter.raw/0.0",))),
+    assert steps(rounds.roll_back()) == [
+        ("filter", RollBack("filter", 0)),
+        ("grabber", Release(("grabber.raw-filter.raw/0.0",), "roll back")),
     ]
 
 
@@ -112,19 +114,19 @@ def test_an_architecture_is_drained_on_the_way_of_its_messages() -> None:
     rounds = rounds_of(
         _alternatives(), {"b": "left", "a": "left"}, {"c": "left"}, **where
     )
-    first, last = (steps(each) for each in rounds.hand_over())
+    first, last = (steps(each) for each in rounds.transfer())
     assert first == [
-        ("source", Hold(("source.calls-a.port",), NUMBER)),
-        ("a", Flush("a", 0, ("source.calls-a.port",), NUMBER)),
-        ("a", Drain("a", 0)),
-        ("a", Rest("a", 0, NUMBER)),
+        ("source", Buffer(("source.calls-a.port",))),
+        ("a", DrainChannels("a", 0, ("source.calls-a.port",))),
+        ("a", DrainMailbox("a", 0)),
+        ("a", Pause("a", 0)),
     ]
     assert last[:3] == [
-        ("b", Flush("b", 0, ("a.out-b.in",), NUMBER)),
-        ("b", Drain("b", 0)),
-        ("b", Rest("b", 0, NUMBER)),
+        ("b", DrainChannels("b", 0, ("a.out-b.in",))),
+        ("b", DrainMailbox("b", 0)),
+        ("b", Pause("b", 0)),
     ]
-    assert [step for _, step in last][-2:] == [Take("c", 1), Activate("c", 1)]
+    assert [step for _, step in last][-2:] == [RestoreState("c", 1), Activate("c", 1)]
 
 
 def test_the_alternatives_of_a_connector_share_a_slot() -> None:
@@ -136,13 +138,13 @@ def test_the_alternatives_of_a_connector_share_a_slot() -> None:
     assert slots["c.out -> sink.in"] != slots["b.out -> sink.in"]
 
 
-def test_what_was_held_for_one_goes_to_the_alternative() -> None:
+def test_what_was_buffered_for_one_goes_to_the_alternative() -> None:
     where = {"source": "left", "sink": "left"}
     rounds = rounds_of(
         _alternatives(), {"a": "left", "b": "left"}, {"c": "left"}, **where
     )
-    releases = [step for _, step in rounds.keep() if isinstance(step, Release)]
-    assert releases == [Release(("source.calls-c.port/0.1",))]
+    releases = [step for _, step in rounds.resume() if isinstance(step, Release)]
+    assert releases == [Release(("source.calls-c.port/0.1",), "resume")]
     joins = [step for _, step in rounds.prepare()[1]]
     where_from = {"a": "two", "b": "two"}
-    assert joins == [Precopy("c", 1, NUMBER, {"a": 0, "b": 0}, where_from)]
+    assert joins == [PreCopy("c", 1, {"a": 0, "b": 0}, where_from)]

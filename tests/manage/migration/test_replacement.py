@@ -252,5 +252,5 @@ def test_refuses_before_anything_is_touched(world: SimulatorProcess) -> None:
             replace_architecture(world.run, name, by)
     report = replace_architecture(world.run, "halves", "one", "replaced:nothing")
     assert "has no" in report.reason
-    assert report.gate_shut == 0.0
+    assert report.downtime == 0.0
     world.works()

@@ -95,8 +95,8 @@ def test_without_a_third_computer_one_is_stopped_and_the_plan_says_so() -> None:
     now, then = {"a": "x", "b": "y"}, {"a": "y", "b": "x"}
     steps = plan_transition(robot, now, then)
     assert [step.kind for step in steps] == ["stop", "move", "start"]
-    assert "short stop" in steps[0].why
-    assert "short stop" in steps[2].why
+    assert "cold move" in steps[0].why
+    assert "cold move" in steps[2].why
     assert result_of(now, steps) == then
 
 

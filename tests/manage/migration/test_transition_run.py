@@ -64,7 +64,7 @@ def test_what_does_not_end_is_started_anew(run: Run, agents: FakeAgents) -> None
     assert told(agents)["filter"] == ("left", 1, "eye:Filter")
 
 
-def test_what_was_replaced_stays_replaced_over_a_short_stop(
+def test_what_was_replaced_stays_replaced_over_a_cold_move(
     run: Run, agents: FakeAgents
 ) -> None:
     run.placed["filter"] = structs.replace(

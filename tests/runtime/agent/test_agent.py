@@ -38,7 +38,7 @@ from poise.wire.records.deployment import (
     Refused,
     Request,
 )
-from poise.wire.records.migration import Failed, Order, Retire
+from poise.wire.records.migration import MigrationSteps, Redirect, StepsFailed
 from tests.runtime.conftest import free_port
 from tests.waiting import LIMIT, wait_until
 
@@ -442,8 +442,8 @@ def test_a_stopped_container_is_told_within_a_second_or_so(manager: Manager) -> 
     (fault,) = manager.faults(status)
     assert "does not respond since" in fault.message
     assert "its process is stopped (SIGSTOP)" in fault.message
-    order = Order(number=8, container="quiet", steps=(Retire("x", 0),), limit=LIMIT)
-    assert manager.ask(order) == Failed(
+    steps = MigrationSteps(8, 1, "quiet", (Redirect("x", 0),), limit=LIMIT)
+    assert manager.ask(steps) == StepsFailed(
         8, "container 'quiet' does not respond: its process is stopped (SIGSTOP)"
     )
     os.kill(container.pid, signal.SIGCONT)
@@ -467,9 +467,9 @@ def test_a_step_in_a_container_that_is_stopped_meanwhile_fails_at_once(
     manager.deploy("quiet")
     container = manager.wait_active("quiet")
     os.kill(container.pid, signal.SIGSTOP)
-    order = Order(number=9, container="quiet", steps=(Retire("x", 0),), limit=1e3)
-    failed = manager.ask(order)
-    assert isinstance(failed, Failed)
+    steps = MigrationSteps(9, 1, "quiet", (Redirect("x", 0),), limit=1e3)
+    failed = manager.ask(steps)
+    assert isinstance(failed, StepsFailed)
     assert "does not respond" in failed.reason
     os.kill(container.pid, signal.SIGKILL)
 
@@ -511,17 +511,17 @@ def test_obeys_one_manager_until_that_is_gone(doomed: Manager) -> None:
 
     empty = Deployment(generation=99, containers=())
     assert isinstance(doomed.ask(empty, token=1), Refused)
-    order = Order(number=7, container="quiet", steps=(Retire("quiet", 0),), limit=1.0)
-    refused = doomed.ask(order, token=1)
-    assert isinstance(refused, Failed)
+    steps = MigrationSteps(7, 1, "quiet", (Redirect("quiet", 0),), limit=1.0)
+    refused = doomed.ask(steps, token=1)
+    assert isinstance(refused, StepsFailed)
     assert "fencing token is 2" in refused.reason
     doomed.wait_active("quiet")
     assert doomed.ask(empty, token=2) == Accepted()
 
 
 def test_a_step_for_a_container_that_is_not_there_fails(manager: Manager) -> None:
-    order = Order(number=7, container="ghost", steps=(Retire("x", 0),), limit=1.0)
-    assert manager.ask(order) == Failed(7, "container 'ghost' does not run")
+    steps = MigrationSteps(7, 1, "ghost", (Redirect("x", 0),), limit=1.0)
+    assert manager.ask(steps) == StepsFailed(7, "container 'ghost' does not run")
 
 
 @pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGINT])

@@ -1,4 +1,4 @@
-"""Orders to a container: what is too late for the move that it was given in."""
+"""Steps to a container: their order, and those that come too late."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration.executor import MigrationExecutor
 from poise.wire.records.deployment import ComponentSpec
 from poise.wire.records.migration import (
-    Done,
-    Failed,
-    Give,
-    Offer,
-    Open,
-    Order,
-    Rest,
-    Step,
+    MigrationStep,
+    MigrationSteps,
+    OfferState,
+    Pause,
+    RollBack,
+    SendState,
+    StepsDone,
+    StepsFailed,
 )
 from tests.waiting import LIMIT
 
@@ -43,42 +43,90 @@ def runner() -> Iterator[Runner]:
 
 
 @pytest.fixture
-def steps(runner: Runner) -> MigrationExecutor:
+def executor(runner: Runner) -> MigrationExecutor:
     return MigrationExecutor({("one", 0): runner}, Mock(), Mock())
 
 
-def order(*steps: Step) -> Order:
-    return Order(1, "container", steps, LIMIT)
+OFFER, PAUSE, SEND = OfferState("one", 0), Pause("one", 0), SendState("one", 0)
+ROLL_BACK = RollBack("one", 0)
+
+
+def batch(*steps: MigrationStep, migration: int = 1) -> MigrationSteps:
+    return MigrationSteps(1, migration, "container", steps, LIMIT)
 
 
 def is_at_work(runner: Runner) -> bool:
-    """Return whether it can be entered."""
+    """Return whether chains may enter it."""
     runner.exclusion.enter(7, LIMIT)
     runner.exclusion.leave()
     return True
 
 
-def test_orders_of_the_move_before_are_not_taken(
-    steps: MigrationExecutor, runner: Runner
+def test_steps_of_the_migration_before_are_not_taken(
+    executor: MigrationExecutor, runner: Runner
 ) -> None:
-    late = steps.hear(order(Rest("one", 0, mark=1)))
-    steps.note_deployment()  # it led back, and the next move begins
+    late = executor.receive(batch(OFFER, PAUSE))
+    executor.note_deployment()  # it rolled back, and the next migration begins
     runner.stay()
-    assert isinstance(steps.hear(order(Offer("one", 0, number=2)))(), Done)
+    assert isinstance(executor.receive(batch(OFFER, migration=2))(), StepsDone)
     outcome = late()
-    assert isinstance(outcome, Failed)
-    assert outcome.reason == "Rest is late: a deployment came before it"
+    assert isinstance(outcome, StepsFailed)
+    assert outcome.reason == "'offer state' is late: a deployment came before it"
     assert is_at_work(runner)
 
 
-def test_what_gave_its_state_is_not_opened_by_the_move_before(
-    steps: MigrationExecutor, runner: Runner
+def test_a_source_is_not_resumed_by_the_migration_before(
+    executor: MigrationExecutor, runner: Runner
 ) -> None:
-    late = steps.hear(order(Open("one", 0)))
-    steps.note_deployment()
+    late = executor.receive(batch(ROLL_BACK))
+    executor.note_deployment()
     runner.stay()
-    moving = order(Offer("one", 0, number=2), Rest("one", 0, mark=2), Give("one", 0))
-    assert isinstance(steps.hear(moving)(), Done)
-    assert isinstance(late(), Failed)
+    moving = batch(OFFER, PAUSE, SEND, migration=2)
+    assert isinstance(executor.receive(moving)(), StepsDone)
+    assert isinstance(late(), StepsFailed)
     with runner.at_rest():  # it is, still
         pass
+
+
+def test_a_step_of_an_older_migration_is_refused(executor: MigrationExecutor) -> None:
+    executor.receive(batch(OFFER, migration=8))()
+    outcome = executor.receive(batch(PAUSE, migration=7))()
+    assert isinstance(outcome, StepsFailed)
+    assert outcome.reason == (
+        "component 'one': the step belongs to migration 7, and 8 has begun"
+    )
+
+
+@pytest.mark.parametrize(
+    ("steps", "words"),
+    [
+        (
+            (PAUSE,),
+            "step 'pause' leads to phase 'quiesce', which may not follow 'start'",
+        ),
+        ((OFFER, SEND), "'send state' leads to phase 'transfer', which may not follow"),
+        ((OFFER, PAUSE, ROLL_BACK, SEND), "which may not follow 'roll back'"),
+    ],
+)
+def test_an_illegal_step_names_both_phases(
+    executor: MigrationExecutor,
+    runner: Runner,
+    steps: tuple[MigrationStep, ...],
+    words: str,
+) -> None:
+    outcome = executor.receive(batch(*steps))()
+    assert isinstance(outcome, StepsFailed)
+    assert words in outcome.reason
+    assert is_at_work(runner)
+
+
+def test_the_answer_says_which_steps_were_taken(executor: MigrationExecutor) -> None:
+    outcome = executor.receive(batch(OFFER, PAUSE, SEND, ROLL_BACK))()
+    assert isinstance(outcome, StepsDone)
+    assert [(t.who, t.step, t.phase) for t in outcome.taken] == [
+        ("one/0", "offer state", "prepare"),
+        ("one/0", "pause", "quiesce"),
+        ("one/0", "send state", "transfer"),
+        ("one/0", "roll back", "roll back"),
+    ]
+    assert all(t.began <= t.ended for t in outcome.taken)

@@ -1,4 +1,4 @@
-"""What an incarnation hands over makes the next go on where it stopped."""
+"""A target goes on where the source stopped."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from poise.runtime.connectors.interface import methods
 from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration import state_sender
-from poise.runtime.migration.state_sender import Ask, StateSender
+from poise.runtime.migration.state_sender import Request, StateSender
 from poise.wire import frame
 from poise.wire.connections.channel import Pieces
 from poise.wire.frame import Frame
@@ -94,14 +94,14 @@ def adapt(old: Notes) -> Counted:
 class DirectPipe:
     """Asks the old incarnation on the thread of the new."""
 
-    def __init__(self, state_source: StateSender) -> None:
-        self._state_source = state_source
+    def __init__(self, sender: StateSender) -> None:
+        self._sender = sender
 
     def is_ready(self) -> bool:
         return True
 
     def request(self, pieces: Pieces, limit: float) -> Frame:  # noqa: ARG002, it is here
-        answer = self._state_source.handle(frame.parse(b"".join(pieces)))
+        answer = self._sender.handle(frame.parse(b"".join(pieces)))
         return frame.parse(b"".join(answer or ()))
 
     def push(self, pieces: Pieces, limit: float) -> None:
@@ -146,9 +146,9 @@ def texts(runner: Runner) -> tuple[str, ...]:
 def rest(runner: Runner) -> DirectPipe:
     runner.stay()
     runner.rest(LIMIT)
-    state_source = StateSender(runner)
-    state_source.give()
-    return DirectPipe(state_source)
+    sender = StateSender(runner)
+    sender.send()
+    return DirectPipe(sender)
 
 
 def tell(runner: Runner, *words: str) -> None:
@@ -165,7 +165,7 @@ def test_state_and_timers_go_over(incarnations: Incarnations) -> None:
     new = incarnations.start(Book, active=False)
     tell(old, "a", "b")
     channel = rest(old)
-    state_sender.take(new, state_sender.fetch(channel, Ask.ALL, LIMIT))
+    state_sender.restore(new, state_sender.fetch(channel, Request.ALL, LIMIT))
     new.aim("ready")
     new.wait_state({"active"}, LIMIT)
     assert texts(new) == ("a", "b")
@@ -180,7 +180,7 @@ def test_what_waits_goes_over_in_order(incarnations: Incarnations) -> None:
     feed = old.endpoints.feed("notes", Counts())
     for number in range(5):  # more than there is room for while it works
         feed.put((0, Notes((str(number),))))
-    state_sender.take(new, state_sender.fetch(channel, Ask.ALL, LIMIT))
+    state_sender.restore(new, state_sender.fetch(channel, Request.ALL, LIMIT))
     assert [v.texts for _, v in new.endpoints.inboxes["notes"].waiting()] == [
         (str(number),) for number in range(5)
     ]
@@ -194,7 +194,7 @@ def test_one_way_calls_that_wait_go_over_in_order(incarnations: Incarnations) ->
     feed = old.endpoints.feed("tells", Counts())
     for word in ("a", "b"):
         feed.put((tag, (word,)))
-    state_sender.take(new, state_sender.fetch(channel, Ask.ALL, LIMIT))
+    state_sender.restore(new, state_sender.fetch(channel, Request.ALL, LIMIT))
     new.aim("active")
     wait_until(lambda: texts(new) == ("a", "b"))
 
@@ -205,27 +205,27 @@ def test_a_large_state_goes_first_and_then_what_changed(
     old = incarnations.start(Gradual, active=True)
     new = incarnations.start(Gradual, active=False)
     tell(old, "a")
-    state_source = StateSender(old)
-    channel = DirectPipe(state_source)
-    state_sender.take(new, state_sender.fetch(channel, Ask.STATE, LIMIT))
+    sender = StateSender(old)
+    channel = DirectPipe(sender)
+    state_sender.restore(new, state_sender.fetch(channel, Request.STATE, LIMIT))
     assert texts(new) == ("a",)
     tell(old, "b")
     old.stay()
     old.rest(LIMIT)
-    state_source.give()
-    given = state_sender.fetch(channel, Ask.ALL, LIMIT)
+    sender.send()
+    given = state_sender.fetch(channel, Request.ALL, LIMIT)
     assert not given.state
-    state_sender.take(new, given)
+    state_sender.restore(new, given)
     assert texts(new) == ("a", "b")
 
 
 def test_what_works_gives_only_its_state(incarnations: Incarnations) -> None:
     """As when the new one asks after the move led back."""
-    state_source = StateSender(incarnations.start(Book, active=True))
-    state_source.give()
-    channel = DirectPipe(state_source)
+    sender = StateSender(incarnations.start(Book, active=True))
+    sender.send()
+    channel = DirectPipe(sender)
     with pytest.raises(UsageError, match="RunError: component 'book' is not at rest"):
-        state_sender.fetch(channel, Ask.ALL, LIMIT)
+        state_sender.fetch(channel, Request.ALL, LIMIT)
 
 
 def test_another_implementation_takes_the_adapted_state(
@@ -234,16 +234,16 @@ def test_another_implementation_takes_the_adapted_state(
     old = incarnations.start(Book, active=True)
     new = incarnations.start(Counting, active=False)
     tell(old, "a", "b")
-    state_sender.take(new, state_sender.fetch(rest(old), Ask.ALL, LIMIT), adapt)
+    state_sender.restore(new, state_sender.fetch(rest(old), Request.ALL, LIMIT), adapt)
     assert texts(new) == ("?", "?")
 
 
 def test_restore_must_say_the_type_of_the_state(incarnations: Incarnations) -> None:
     old = incarnations.start(Book, active=True)
     new = incarnations.start(Untyped, active=False)
-    given = state_sender.fetch(rest(old), Ask.ALL, LIMIT)
+    given = state_sender.fetch(rest(old), Request.ALL, LIMIT)
     with pytest.raises(UsageError, match="'state' must say the state's type"):
-        state_sender.take(new, given)
+        state_sender.restore(new, given)
 
 
 def test_a_state_comes_in_pieces(
@@ -254,33 +254,31 @@ def test_a_state_comes_in_pieces(
     new = incarnations.start(Book, active=False)
     words = tuple(f"word {number}" for number in range(100))
     tell(old, *words)
-    state_sender.take(new, state_sender.fetch(rest(old), Ask.ALL, LIMIT))
+    state_sender.restore(new, state_sender.fetch(rest(old), Request.ALL, LIMIT))
     assert texts(new) == words
 
 
 def test_a_state_does_not_come_for_ever(incarnations: Incarnations) -> None:
     channel = rest(incarnations.start(Book, active=True))
     with pytest.raises(Timeout, match="of the state came in 0 s"):
-        state_sender.fetch(channel, Ask.ALL, 0.0)
+        state_sender.fetch(channel, Request.ALL, 0.0)
 
 
 def test_whoever_asks_waits_until_it_is_given(incarnations: Incarnations) -> None:
     old = incarnations.start(Book, active=True)
     tell(old, "a")
-    state_source = StateSender(old)
+    sender = StateSender(old)
     with ThreadPoolExecutor(1) as asker:
-        asked = asker.submit(
-            state_sender.fetch, DirectPipe(state_source), Ask.ALL, LIMIT
-        )
+        asked = asker.submit(state_sender.fetch, DirectPipe(sender), Request.ALL, LIMIT)
         old.stay()
         old.rest(LIMIT)
         assert not asked.done()
-        state_source.give()
+        sender.send()
         assert asked.result(LIMIT).state
 
 
 def test_whoever_asks_hears_why_nothing_is_given(incarnations: Incarnations) -> None:
-    state_source = StateSender(incarnations.start(Book, active=True))
-    state_source.refuse("it did not come to rest")
+    sender = StateSender(incarnations.start(Book, active=True))
+    sender.refuse("it did not come to rest")
     with pytest.raises(UsageError, match="it did not come to rest"):
-        state_sender.fetch(DirectPipe(state_source), Ask.ALL, LIMIT)
+        state_sender.fetch(DirectPipe(sender), Request.ALL, LIMIT)

@@ -1,7 +1,7 @@
-"""Takes a command-line component elsewhere: it is stopped here and started there.
+"""Moves a command-line component: stops it here and starts it there.
 
-Its process cannot hand anything over, and must not run twice. So it is made sure first
-that it can run there; then it is away for a moment.
+Its process has no state that could be transferred, and must not run twice. So the
+target is prepared first; then the component is away for a moment.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from poise.manage.migration.coordinator import MigrationReport
 from poise.manage.run import ACTIVE_LIMIT, READY_LIMIT, Run
 
 
-def short_stop(run: Run, old: Incarnation, new: Incarnation) -> MigrationReport:
-    """Stop `old` and start `new`, or start `old` anew; never raises for a failure.
+def cold_move(run: Run, old: Incarnation, new: Incarnation) -> MigrationReport:
+    """Stop `old` and start `new`, or `old` again; never raises for a failure.
 
-    ``gate_shut`` is how long it was away [s].
+    ``downtime`` is how long it was away [s].
     """
     started = time.monotonic()
     others = [each for each in run.placed.values() if each != old]
@@ -29,9 +29,8 @@ def short_stop(run: Run, old: Incarnation, new: Incarnation) -> MigrationReport:
             run.wait([new.with_goal("inactive")], READY_LIMIT)
         except RunError as error:
             run.tell(run.placed.values(), run.computers())
-            return MigrationReport(
-                reason=str(error), prepared=time.monotonic() - started
-            )
+            seconds = time.monotonic() - started
+            return MigrationReport(reason=str(error), phases={"prepare": seconds})
         stopped = time.monotonic()
         reason = _swap(run, others, old, new)
     except RunError as error:
@@ -39,9 +38,8 @@ def short_stop(run: Run, old: Incarnation, new: Incarnation) -> MigrationReport:
     return MigrationReport(
         committed=not reason,
         reason=reason,
-        prepared=stopped - started,
-        gate_shut=time.monotonic() - stopped,
-        seconds={"prepare": stopped - started, "stop": time.monotonic() - stopped},
+        downtime=time.monotonic() - stopped,
+        phases={"prepare": stopped - started},
     )
 
 

@@ -1,21 +1,11 @@
-"""Puts new incarnations in the place of old ones while the robot works, or does not.
+"""The manager's side of a migration: new incarnations replace old ones, or do not.
 
-::
-
-    prepare    the new ones are configured, their connectors are joined, and they fetch
-               a large state; the old ones still serve
-    hand over  what others send to the old ones is held, and they come to rest; what was
-               under way to them and from them arrives; the new ones take state, waiting
-               messages and timers, and are activated; they stay at rest: from here on
-               the exchange is kept
-    open       they go to work; what was held, and every caller that waits, goes to them
-    remove     the old ones end
-
-Until the exchange is kept, any failure leads back: the old ones go on with all that
-waits for them, and the new ones are removed. Old and new are never at work together,
-whatever answer gets lost, because the old ones never go on after that and the new ones
-never go to work before. Why nothing is lost, doubled or reordered, and the model that
-checks it: docs/design/moves.md.
+The phases, and which may follow which, stand in `poise.wire.migration_phases`. Until
+the migration is committed any failure rolls it back: the sources go on with all that
+waits for them, and the targets are removed. Source and target never work at the same
+time, even when answers get lost: after the commit no source resumes, and before it no
+target does. Why nothing is lost, doubled or reordered, and the model that checks it:
+docs/design/moves.md.
 """
 
 from __future__ import annotations
@@ -28,147 +18,184 @@ from msgspec import Struct
 
 from poise.errors import RunError
 from poise.manage.deployment import Incarnation
-from poise.manage.migration.plan import MigrationPlan, Rounds, Where
+from poise.manage.migration.plan import MigrationPlan, MigrationRounds, PlacedStep
 from poise.manage.run import Run, components_of
 from poise.priority import first
-from poise.wire.records.migration import Done, Order, Step
+from poise.wire.migration_phases import MigrationPhases
+from poise.wire.records.migration import (
+    MigrationStep,
+    MigrationSteps,
+    StepsDone,
+    StepTaken,
+)
 
 PREPARE_LIMIT = 30.0
-"""The new ones are configured, and a large state is there, within this time [s]."""
-GATE_LIMIT = 1.4
-"""The exchange is kept within this time after the gate shut [s], or it leads back."""
-OPEN_LIMIT = 0.4
-"""Opening takes no longer than this [s], so that a gate is shut for 2 s at most: these
+"""The targets are configured, and have a large state, within this time [s]."""
+DOWNTIME_LIMIT = 1.4
+"""The migration is committed within this time after the pause [s], or rolls back."""
+RESUME_LIMIT = 0.4
+"""Resuming takes no longer than this [s], so that the downtime is 2 s at most: these
 two, and `MARGIN` for each answer that does not come."""
 LINGER = 0.1
-"""The old ones are there for so long after the gate opened [s]: a caller that chose its
-way before, and got no CPU since, is told there that they moved."""
+"""The sources stay for this time after the targets resumed [s], and redirect callers
+that chose their route before."""
 REMOVE_LIMIT = 2.0
-"""What is not wanted any more is gone after this time [s]; else the journal says so."""
+"""What is to be removed has ended after this time [s]; else the journal says so."""
 
 # a manager that is started later has higher ones
 _numbers = itertools.count(time.time_ns())
 
 
 class MigrationReport(Struct, frozen=True, kw_only=True):
-    """How an exchange went.
+    """How a migration went.
 
     Parameters
     ----------
     committed
-        Whether the new ones run now; else the old ones do, as before.
+        Whether the targets run now; else the sources do, as before.
     reason
         Why not.
-    prepared
-        How long it took before the gate shut [s].
-    gate_shut
-        How long the gate was shut [s].
-    seconds
-        How long each part took [s]: what the manager saw (``prepare``, ``hand over``,
-        ``open``), and the longest step of each kind in a container (``Rest``, ...).
+    downtime
+        How long the components were paused [s].
+    phases
+        How long each phase took [s].
+    steps
+        What containers did, by container in the order of their answers.
     """
 
     committed: bool = False
     reason: str = ""
-    prepared: float = 0.0
-    gate_shut: float = 0.0
-    seconds: Mapping[str, float] = {}
+    downtime: float = 0.0
+    phases: Mapping[str, float] = {}
+    steps: tuple[StepTaken, ...] = ()
+
+    @property
+    def prepared(self) -> float:
+        """How long it took before the pause [s]."""
+        return self.phases.get("prepare", 0.0)
 
 
 class MigrationCoordinator:
-    """One change of what runs. Use it once."""
+    """One migration. Use it once."""
 
-    def __init__(self, run: Run, change: MigrationPlan) -> None:
+    def __init__(self, run: Run, plan: MigrationPlan) -> None:
         self._run = run
-        self._change = change
-        gone = {each.component for each in change.olds}
-        others = {n: each for n, each in run.placed.items() if n not in gone}
-        self._others = others
-        self._rounds = Rounds(
-            run.layout, change, others, run.calls(), next(_numbers), run.gateways()
+        self._plan = plan
+        gone = {each.component for each in plan.sources}
+        self._others = {n: each for n, each in run.placed.items() if n not in gone}
+        self._rounds = MigrationRounds(
+            run.layout, plan, self._others, run.calls(), run.gateways()
         )
-        self._seconds: dict[str, float] = {}
-        self._shut_at = 0.0
-        self._opened_at = 0.0
+        self._number = next(_numbers)
+        self._phases = MigrationPhases("manager", f"migration of {plan.what}")
+        self._taken: list[StepTaken] = []
 
     def run(self) -> MigrationReport:
-        """Change, or lead back; never raises for what goes wrong on the way."""
-        started = time.monotonic()
+        """Migrate, or roll back; never raises for what goes wrong on the way."""
+        downtime, reason = 0.0, ""
+        self._phases.enter("prepare")
         try:
             self._prepare()
         except RunError as error:
-            self._remove(self._change.news)
-            return self._outcome(started, str(error))
-        self._note("prepare", started)
-        with first():
-            reason = self._exchange()
+            reason = str(error)
+            self._phases.enter("roll back")
+        else:
+            with first():
+                paused = time.monotonic()
+                reason = self._switch(paused + DOWNTIME_LIMIT)
+                downtime = time.monotonic() - paused
+        phases = self._phases.seconds()
         if not reason:
             time.sleep(LINGER)
-        self._remove(self._change.news if reason else self._change.olds)
-        return self._outcome(started, reason)
-
-    def _exchange(self) -> str:
-        """Shut the gate and open it to one side; return why it led back, if it did."""
-        self._shut_at = time.monotonic()
-        reason = ""
-        try:
-            for steps in self._rounds.hand_over():
-                self._take(steps, self._left())
-        except RunError as error:
-            reason = str(error)
-        self._note("hand over", self._shut_at)
-        if reason:
-            self._open(self._rounds.back())
-        else:
-            self._keep()
-        return reason
-
-    def _outcome(self, started: float, reason: str = "") -> MigrationReport:
-        shut = self._shut_at or time.monotonic()
+        self._remove(self._plan.targets if reason else self._plan.sources)
         return MigrationReport(
             committed=not reason,
             reason=reason,
-            prepared=shut - started,
-            gate_shut=self._opened_at - self._shut_at if self._shut_at else 0.0,
-            seconds=self._seconds,
+            downtime=downtime,
+            phases=phases,
+            steps=tuple(self._taken),
         )
 
-    def _note(self, part: str, since: float) -> float:
-        now = time.monotonic()
-        self._seconds[part] = now - since
-        return now
-
     def _prepare(self) -> None:
-        run, change = self._run, self._change
-        staying = [old.with_goal("stay") for old in change.olds]
-        run.tell([*self._others.values(), *staying, *change.news], run.computers())
-        run.wait(change.news, PREPARE_LIMIT, self._raise_on_failed)
+        run, plan = self._run, self._plan
+        staying = [source.with_goal("stay") for source in plan.sources]
+        run.tell([*self._others.values(), *staying, *plan.targets], run.computers())
+        run.wait(plan.targets, PREPARE_LIMIT, self._raise_on_failed)
         for steps in self._rounds.prepare():
             self._take(steps, PREPARE_LIMIT)
 
-    def _keep(self) -> None:
-        """Go on with the new incarnations; nothing leads back any more."""
+    def _switch(self, deadline: float) -> str:
+        """Pause, and let the targets go on, or the sources again; return why those."""
+        self._phases.enter("quiesce")
+        try:
+            for steps in self._rounds.transfer():
+                self._take(steps, _left(deadline))
+        except RunError as error:
+            self._phases.enter("roll back")
+            self._resume(self._rounds.roll_back())
+            return str(error)
+        self._phases.enter("transfer")
+        self._phases.enter("commit")
+        self._commit()
+        self._phases.enter("resume")
+        self._resume(self._rounds.resume())
+        return ""
+
+    def _commit(self) -> None:
+        """Go on with the targets; nothing rolls back any more."""
         placed = self._run.placed
-        for old in self._change.olds:
-            del placed[old.component]
-        for new in self._change.news:
-            placed[new.component] = new.with_goal("active")
-        self._open(self._rounds.keep())
+        for source in self._plan.sources:
+            del placed[source.component]
+        for target in self._plan.targets:
+            placed[target.component] = target.with_goal("active")
 
-    def _open(self, steps: Sequence[Where]) -> None:
-        """Let the chosen ones go to work, and all that waits go to them.
+    def _take(self, steps: Sequence[PlacedStep], limit: float) -> None:
+        """Let containers take steps, all at once.
 
-        A container that is not reached is told by the deployment that follows: it then
-        knows of one way only, and what it held goes there.
+        Raises
+        ------
+        RunError
+            One failed; others may still be under way.
         """
-        began = time.monotonic()
-        for outcome in self._run.agents.order(self._orders(steps, OPEN_LIMIT)):
-            if not isinstance(outcome, Done):
+        batches = list(self._batches(steps, limit))
+        pending = {batch.number: batch for _, batch in batches}
+        for outcome in self._run.agents.take_steps(batches):
+            self._taken += outcome.taken
+            if not isinstance(outcome, StepsDone):
+                raise RunError(outcome.reason)
+            del pending[outcome.number]
+            if pending and all(map(_only_transfers, pending.values())):
+                self._phases.enter("transfer")
+
+    def _resume(self, steps: Sequence[PlacedStep]) -> None:
+        """Let the targets, or the sources again, go to work.
+
+        A container that is not reached follows the next deployment: it then has one
+        route only, and sends there what it buffered.
+        """
+        for outcome in self._run.agents.take_steps(self._batches(steps, RESUME_LIMIT)):
+            self._taken += outcome.taken
+            if not isinstance(outcome, StepsDone):
                 self._note_failure(outcome.reason)
-        self._opened_at = self._note("open", began)
+
+    def _batches(
+        self, steps: Sequence[PlacedStep], limit: float
+    ) -> Iterator[tuple[str, MigrationSteps]]:
+        """Yield the steps of each container, and its computer."""
+        by_container: dict[tuple[str, str], list[MigrationStep]] = {}
+        for incarnation, step in steps:
+            container = self._run.layout.container_of(incarnation.component)
+            key = incarnation.computer, container
+            by_container.setdefault(key, []).append(step)
+        for (computer, container), batch in by_container.items():
+            number = next(_numbers)
+            yield (
+                computer,
+                MigrationSteps(number, self._number, container, tuple(batch), limit),
+            )
 
     def _remove(self, gone: Sequence[Incarnation]) -> None:
-        """Let only what is placed run, and wait until those that go have ended."""
+        """Let only what is placed run, and wait until `gone` have ended."""
         run = self._run
 
         def have_ended() -> bool:
@@ -183,54 +210,42 @@ class MigrationCoordinator:
             self._note_failure(f"telling what should run: {error}")
 
     def _note_failure(self, reason: str) -> None:
-        self._run.journal.note("failed", f"exchange of {self._change.what}: {reason}")
+        self._run.journal.note("failed", f"migration of {self._plan.what}: {reason}")
 
     def _raise_on_failed(self) -> bool:
         run = self._run
         run.raise_on_cancel()
         run.raise_on_lost()
-        news = {(new.component, new.epoch): new for new in self._change.news}
-        olds = {(old.component, old.epoch): old for old in self._change.olds}
+        targets = {(t.component, t.epoch): t for t in self._plan.targets}
+        sources = {(s.component, s.epoch): s for s in self._plan.sources}
         for component in components_of(run.current()):
             key = component.name, component.epoch
-            if key in news and component.state == "failed":
+            if key in targets and component.state == "failed":
                 raise RunError(
                     f"component '{component.name}' cannot be configured on "
-                    f"'{news[key].computer}':\n{component.error}"
+                    f"'{targets[key].computer}':\n{component.error}"
                 )
-            if key in olds and component.state != "active":
+            if key in sources and component.state != "active":
                 raise RunError(
-                    f"component '{component.name}' ended on '{olds[key].computer}' "
-                    "before it could hand over"
+                    f"component '{component.name}' ended on '{sources[key].computer}' "
+                    "before its state was transferred"
                 )
         return False
 
-    def _left(self) -> float:
-        left = self._shut_at + GATE_LIMIT - time.monotonic()
-        if left <= 0:
-            raise RunError(f"the gate was shut for {GATE_LIMIT:g} s")
-        return left
 
-    def _take(self, steps: Sequence[Where], limit: float) -> None:
-        """Take steps, those of different containers at once.
+def describe(report: MigrationReport) -> str:
+    """Return downtime and phases of a migration in words."""
+    phases = ", ".join(f"{n} {s * 1e3:.1f}" for n, s in report.phases.items())
+    return f"downtime {report.downtime * 1e3:.1f} ms ({phases} ms)"
 
-        Raises
-        ------
-        RunError
-            One failed; others may still be under way.
-        """
-        for outcome in self._run.agents.order(self._orders(steps, limit)):
-            if not isinstance(outcome, Done):
-                raise RunError(outcome.reason)
-            for kind, seconds in outcome.seconds.items():
-                self._seconds[kind] = max(self._seconds.get(kind, 0.0), seconds)
 
-    def _orders(
-        self, steps: Sequence[Where], limit: float
-    ) -> Iterator[tuple[str, Order]]:
-        by_container: dict[tuple[str, str], list[Step]] = {}
-        for where, step in steps:
-            container = self._run.layout.container_of(where.component)
-            by_container.setdefault((where.computer, container), []).append(step)
-        for (computer, container), mine in by_container.items():
-            yield computer, Order(next(_numbers), container, tuple(mine), limit)
+def _left(deadline: float) -> float:
+    left = deadline - time.monotonic()
+    if left <= 0:
+        raise RunError(f"the downtime reached {DOWNTIME_LIMIT:g} s")
+    return left
+
+
+def _only_transfers(batch: MigrationSteps) -> bool:
+    """Whether a container has nothing to quiesce."""
+    return all(step.phase == "transfer" for step in batch.steps)

@@ -1,7 +1,7 @@
 """Moves one component to another computer, or replaces its implementation.
 
-A component in Python takes its state along, and nobody notices. A command-line
-component is stopped and started: a short stop, and the report says so.
+A component in Python takes its state along, and loses no call or message. A
+command-line component makes a cold move: it is stopped, and started at the target.
 """
 
 from __future__ import annotations
@@ -11,8 +11,12 @@ from msgspec import structs
 from poise.errors import UsageError
 from poise.manage.deployment import Incarnation
 from poise.manage.journal import Kind
-from poise.manage.migration.cold_move import short_stop
-from poise.manage.migration.coordinator import MigrationCoordinator, MigrationReport
+from poise.manage.migration.cold_move import cold_move
+from poise.manage.migration.coordinator import (
+    MigrationCoordinator,
+    MigrationReport,
+    describe,
+)
 from poise.manage.migration.plan import MigrationPlan
 from poise.manage.run import Run
 from poise.model.check.hosts import allowed_hosts
@@ -26,15 +30,15 @@ class MoveReport(MigrationReport, frozen=True, kw_only=True):
     ----------
     source, target
         The computers from which it was to go, and to which.
-    short_stop
-        Whether it was stopped and started anew, as command-line components are;
-        `gate_shut` is how long it was away then.
+    cold
+        Whether it was stopped and started, as command-line components are; `downtime`
+        is how long it was away then.
     """
 
     component: str
     source: str
     target: str
-    short_stop: bool = False
+    cold: bool = False
 
 
 def move(run: Run, component: str, computer: str) -> MoveReport:
@@ -57,7 +61,7 @@ def move(run: Run, component: str, computer: str) -> MoveReport:
         implementation=old.implementation,
         gently=True,
     )
-    return _exchange(run, old, new)
+    return _migrate(run, old, new)
 
 
 def replace(
@@ -91,23 +95,22 @@ def replace(
         adapt=adapt,
         gently=True,
     )
-    return _exchange(run, old, new)
+    return _migrate(run, old, new)
 
 
-def _exchange(run: Run, old: Incarnation, new: Incarnation) -> MoveReport:
+def _migrate(run: Run, old: Incarnation, new: Incarnation) -> MoveReport:
     is_command = bool(_component(run, old.component).command)
     if is_command:
-        done = short_stop(run, old, new)
+        done = cold_move(run, old, new)
     else:
         what = f"component '{old.component}'"
-        done = MigrationCoordinator(
-            run, MigrationPlan(what=what, olds=(old,), news=(new,))
-        ).run()
+        plan = MigrationPlan(what=what, sources=(old,), targets=(new,))
+        done = MigrationCoordinator(run, plan).run()
     report = MoveReport(
         component=old.component,
         source=old.computer,
         target=new.computer,
-        short_stop=is_command,
+        cold=is_command,
         **structs.asdict(done),
     )
     kind: Kind = "done" if report.committed else "failed"
@@ -144,12 +147,12 @@ def _component(run: Run, name: str) -> Component:
 def _sentence(report: MoveReport) -> str:
     if report.source == report.target:
         done = "replaced" if report.committed else "did not replace"
-        shut = f"; gate shut for {report.gate_shut * 1e3:.1f} ms"
-        why = shut if report.committed else f": {report.reason}"
+        down = f"; {describe(report)}"
+        why = down if report.committed else f": {report.reason}"
         return f"{done} component '{report.component}' on '{report.source}'{why}"
     way = f"component '{report.component}' from '{report.source}' to '{report.target}'"
-    if report.committed and report.short_stop:
-        return f"moved {way} by a short stop of {report.gate_shut:.2f} s"
+    if report.committed and report.cold:
+        return f"moved {way} by a cold move; downtime {report.downtime:.2f} s"
     if report.committed:
-        return f"moved {way}; gate shut for {report.gate_shut * 1e3:.1f} ms"
+        return f"moved {way}; {describe(report)}"
     return f"did not move {way}: {report.reason}"

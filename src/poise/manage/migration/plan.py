@@ -1,8 +1,8 @@
-"""Who goes, who comes, and which steps that takes. Pure.
+"""Which incarnations go and come in a migration, and which steps that takes. Pure.
 
 The steps of one round are taken at once, those of one container in their order here.
-That order is one of stages: what a step waits for is of an earlier stage, in whatever
-container, so no two containers wait for each other.
+That order follows the phases: a step waits only for steps of an earlier kind, in
+whatever container, so no two containers wait for each other.
 """
 
 from __future__ import annotations
@@ -14,28 +14,30 @@ from msgspec import Struct
 from poise.manage.deployment import DeploymentPlan, Incarnation, name_of
 from poise.manage.topological_order import levels
 from poise.model.robot import Connector
+from poise.wire.migration_phases import Phase
 from poise.wire.records.migration import (
     Activate,
-    Await,
-    Drain,
-    Flush,
-    Give,
-    Hold,
-    Lull,
-    Offer,
-    Open,
-    Precopy,
+    AwaitIdle,
+    Buffer,
+    DrainChannels,
+    DrainMailbox,
+    MigrationStep,
+    OfferState,
+    Pause,
+    PreCopy,
+    Redirect,
     Release,
-    Rest,
-    Retire,
-    Step,
-    Take,
+    RequestState,
+    RestoreState,
+    Resume,
+    RollBack,
+    SendState,
 )
 
-LULL_LIMIT = 0.25
-"""So long is waited for the end of a component's work, before it moves [s]."""
+IDLE_LIMIT = 0.25
+"""The longest wait for the end of a component's work, before it is paused [s]."""
 
-Where = tuple[Incarnation, Step]
+PlacedStep = tuple[Incarnation, MigrationStep]
 """A step, and an incarnation whose container takes it."""
 
 
@@ -49,12 +51,12 @@ class MigrationPlan(Struct, frozen=True, kw_only=True):
     """
 
     what: str
-    olds: tuple[Incarnation, ...]
-    news: tuple[Incarnation, ...]
+    sources: tuple[Incarnation, ...]
+    targets: tuple[Incarnation, ...]
 
 
-class Rounds:
-    """The steps of one change.
+class MigrationRounds:
+    """The steps of one migration.
 
     Parameters
     ----------
@@ -62,8 +64,6 @@ class Rounds:
         All other incarnations that run, by component.
     calls
         Ends over which a component calls another: component and port.
-    number
-        Tells this exchange, and its marks, from all others.
     gateways
         Computer -> IP address and port of its gateway.
     """
@@ -71,189 +71,193 @@ class Rounds:
     def __init__(
         self,
         layout: DeploymentPlan,
-        change: MigrationPlan,
+        plan: MigrationPlan,
         others: Mapping[str, Incarnation],
         calls: Collection[tuple[str, str]],
-        number: int,
         gateways: Mapping[str, str],
     ) -> None:
         self._layout = layout
         self._gateways = gateways
         self._others = others
-        self._olds = {each.component: each for each in change.olds}
-        self._news = {each.component: each for each in change.news}
-        self._is_move = self._olds.keys() == self._news.keys()
-        self._number = number
-        self._before = layout.connectors({*others, *self._olds})
-        self._after = layout.connectors({*others, *self._news})
+        self._sources = {each.component: each for each in plan.sources}
+        self._targets = {each.component: each for each in plan.targets}
+        self._is_move = self._sources.keys() == self._targets.keys()
+        self._before = layout.connectors({*others, *self._sources})
+        self._after = layout.connectors({*others, *self._targets})
         self._calls = calls
 
-    def prepare(self) -> list[list[Where]]:
-        """Return the rounds while the old ones still serve."""
-        number = self._number
-        epochs = {name: old.epoch for name, old in self._olds.items()}
-        offers: list[Where] = [
-            (old, Offer(name, old.epoch, number)) for name, old in self._olds.items()
+    def prepare(self) -> list[list[PlacedStep]]:
+        """Return the rounds during which the sources still work."""
+        epochs = {name: source.epoch for name, source in self._sources.items()}
+        rounds: list[list[PlacedStep]] = [
+            [(s, OfferState(name, s.epoch)) for name, s in self._sources.items()],
+            [
+                (t, PreCopy(name, t.epoch, epochs, self._addresses(t)))
+                for name, t in self._targets.items()
+            ],
+            [(t, RequestState(name, t.epoch)) for name, t in self._targets.items()],
         ]
-        joins: list[Where]
-        joins = [
-            (new, Precopy(name, new.epoch, number, epochs, self._addresses(new)))
-            for name, new in self._news.items()
-        ]
-        asks: list[Where]
-        asks = [(new, Await(name, new.epoch)) for name, new in self._news.items()]
-        lulls: list[Where] = [
-            (old, Lull(name, old.epoch, LULL_LIMIT)) for name, old in self._olds.items()
-        ]
-        return [offers, joins, asks, *([lulls] if self._is_move else [])]
-
-    def hand_over(self) -> list[list[Where]]:
-        """Return the rounds from the shut gate until the new ones are ready.
-
-        A move takes one round; more when callers must come to rest before those whom
-        they call. Who is replaced by others first works on all that was sent to it, in
-        a round for each step of the way that messages take.
-        """
-        rounds: list[list[Where]] = []
-        rested: set[str] = set()
-        for level in self._levels():
-            rounds.append([] if rounds else list(self._holds()))
-            if not self._is_move:
-                rounds[-1] += self._draining(level, rested)
-            rounds[-1] += self._resting(level)
-            rested |= set(level)
-        rounds[-1] += self._flushes(self._before)
-        rounds[-1] += [(o, Give(o.component, o.epoch)) for o in self._olds.values()]
-        rounds[-1] += [(n, Take(n.component, n.epoch)) for n in self._news.values()]
-        rounds[-1] += [(n, Activate(n.component, n.epoch)) for n in self._news.values()]
+        if self._is_move:
+            rounds.append(
+                [
+                    (s, AwaitIdle(name, s.epoch, IDLE_LIMIT))
+                    for name, s in self._sources.items()
+                ]
+            )
         return rounds
 
-    def keep(self) -> list[Where]:
-        """Return the steps that open the gate to the new ones."""
+    def transfer(self) -> list[list[PlacedStep]]:
+        """Return the rounds from the pause until the targets are ready.
+
+        A move takes one round; more when callers must pause before their callees. An
+        architecture that is replaced first works on all that was sent to it, in a round
+        for each step of the way that messages take.
+        """
+        rounds: list[list[PlacedStep]] = []
+        paused: set[str] = set()
+        for level in self._levels():
+            rounds.append([] if rounds else list(self._buffers()))
+            if not self._is_move:
+                rounds[-1] += self._drains_mailboxes(level, paused)
+            rounds[-1] += [
+                (s, Pause(s.component, s.epoch))
+                for s in map(self._sources.__getitem__, level)
+            ]
+            paused |= set(level)
+        targets = self._targets.values()
+        rounds[-1] += self._drains_channels(self._before)
+        rounds[-1] += [
+            (s, SendState(s.component, s.epoch)) for s in self._sources.values()
+        ]
+        rounds[-1] += [(t, RestoreState(t.component, t.epoch)) for t in targets]
+        rounds[-1] += [(t, Activate(t.component, t.epoch)) for t in targets]
+        return rounds
+
+    def resume(self) -> list[PlacedStep]:
+        """Return the steps after which the targets work."""
         return [
-            *((new, Open(new.component, new.epoch)) for new in self._news.values()),
-            *self._releases(self._after, self._news),
-            *((old, Retire(old.component, old.epoch)) for old in self._olds.values()),
+            *((t, Resume(t.component, t.epoch)) for t in self._targets.values()),
+            *self._releases(self._after, self._targets, "resume"),
+            *((s, Redirect(s.component, s.epoch)) for s in self._sources.values()),
         ]
 
-    def back(self) -> list[Where]:
-        """Return the steps that open the gate to the old ones again."""
+    def roll_back(self) -> list[PlacedStep]:
+        """Return the steps after which the sources work again."""
         return [
-            *((old, Open(old.component, old.epoch)) for old in self._olds.values()),
-            *self._releases(self._before, self._olds),
+            *((s, RollBack(s.component, s.epoch)) for s in self._sources.values()),
+            *self._releases(self._before, self._sources, "roll back"),
         ]
 
-    def _addresses(self, new: Incarnation) -> dict[str, str]:
-        """Return where a new one reaches the old ones, by component."""
+    def _addresses(self, target: Incarnation) -> dict[str, str]:
+        """Return where a target reaches the sources, by component."""
         return {
-            name: self._layout.address(old, new.computer, self._gateways)
-            for name, old in self._olds.items()
+            name: self._layout.address(source, target.computer, self._gateways)
+            for name, source in self._sources.items()
         }
 
-    def _held(self) -> list[Connector]:
-        """Return the connectors from others to the old ones that go to new ones."""
-        slots = {self._layout.slot_of(c) for c in self._into(self._after, self._news)}
+    def _buffered(self) -> list[Connector]:
+        """Return the connectors from others to the sources that go to targets, too."""
+        slots = {
+            self._layout.slot_of(c) for c in self._into(self._after, self._targets)
+        }
         return [
             connector
-            for connector in self._into(self._before, self._olds)
+            for connector in self._into(self._before, self._sources)
             if self._layout.slot_of(connector) in slots
         ]
 
     def _into(
-        self, connectors: list[Connector], targets: Mapping[str, Incarnation]
+        self, connectors: list[Connector], ends: Mapping[str, Incarnation]
     ) -> list[Connector]:
         return [
             connector
             for connector in connectors
             if connector.between[0].component in self._others
-            and connector.between[1].component in targets
+            and connector.between[1].component in ends
         ]
 
-    def _holds(self) -> Iterator[Where]:
-        for source, connectors in self._by_source(self._held()).items():
-            yield source, Hold(tuple(map(name_of, connectors)), self._number)
+    def _buffers(self) -> Iterator[PlacedStep]:
+        for sender, connectors in self._by_sender(self._buffered()).items():
+            yield sender, Buffer(tuple(map(name_of, connectors)))
 
-    def _resting(self, names: Collection[str]) -> Iterator[Where]:
-        for name in names:
-            old = self._olds[name]
-            yield old, Rest(name, old.epoch, self._number)
-
-    def _draining(
-        self, names: Collection[str], rested: Collection[str]
-    ) -> Iterator[Where]:
-        """Let all come that was sent by those who send no more, and be worked on."""
+    def _drains_mailboxes(
+        self, names: Collection[str], paused: Collection[str]
+    ) -> Iterator[PlacedStep]:
+        """Let all arrive from senders that send no more, and be worked on."""
         into = [
             connector
             for connector in self._before
             if connector.between[1].component in names
-            and connector.between[0].component in {*self._others, *rested}
+            and connector.between[0].component in {*self._others, *paused}
         ]
-        yield from self._flushes(into)
+        yield from self._drains_channels(into)
         for name in names:
-            yield self._olds[name], Drain(name, self._olds[name].epoch)
+            source = self._sources[name]
+            yield source, DrainMailbox(name, source.epoch)
 
-    def _flushes(self, connectors: list[Connector]) -> Iterator[Where]:
-        """Wait until all has arrived over these that went to the old ones or from them.
+    def _drains_channels(self, connectors: list[Connector]) -> Iterator[PlacedStep]:
+        """Wait for the markers over those connectors that get one.
 
-        Only what leads to a new one, too, was held and so has a mark.
+        Others' connectors get one only when they lead to a target, too.
         """
-        marked = set(map(name_of, self._held()))
+        marked = set(map(name_of, self._buffered()))
         marked |= {
-            name_of(c) for c in self._before if c.between[0].component in self._olds
+            name_of(c) for c in self._before if c.between[0].component in self._sources
         }
-        by_target: dict[str, list[str]] = {}
+        by_receiver: dict[str, list[str]] = {}
         for connector in connectors:
             if name_of(connector) in marked:
-                target = connector.between[1].component
-                by_target.setdefault(target, []).append(name_of(connector))
-        for name, names in by_target.items():
-            one = self._olds.get(name) or self._others[name]
-            yield one, Flush(name, one.epoch, tuple(names), self._number)
+                receiver = connector.between[1].component
+                by_receiver.setdefault(receiver, []).append(name_of(connector))
+        for name, names in by_receiver.items():
+            receiving = self._sources.get(name) or self._others[name]
+            yield receiving, DrainChannels(name, receiving.epoch, tuple(names))
 
     def _releases(
-        self, connectors: list[Connector], targets: Mapping[str, Incarnation]
-    ) -> Iterator[Where]:
-        held = {self._layout.slot_of(connector) for connector in self._held()}
-        mine = [
+        self, connectors: list[Connector], ends: Mapping[str, Incarnation], phase: Phase
+    ) -> Iterator[PlacedStep]:
+        buffered = {self._layout.slot_of(connector) for connector in self._buffered()}
+        released = [
             connector
-            for connector in self._into(connectors, targets)
-            if self._layout.slot_of(connector) in held
+            for connector in self._into(connectors, ends)
+            if self._layout.slot_of(connector) in buffered
         ]
-        for source, theirs in self._by_source(mine).items():
+        for sender, theirs in self._by_sender(released).items():
             keys = (
                 self._layout.joined(
                     connector,
                     self._others[connector.between[0].component],
-                    targets[connector.between[1].component],
+                    ends[connector.between[1].component],
                     self._gateways,
                 ).key
                 for connector in theirs
             )
-            yield source, Release(tuple(keys))
+            yield sender, Release(tuple(keys), phase)
 
-    def _by_source(
+    def _by_sender(
         self, connectors: list[Connector]
     ) -> dict[Incarnation, list[Connector]]:
-        """Return connectors by one source for each container that they begin in."""
+        """Return connectors by one sender for each container that they begin in."""
         found: dict[tuple[str, str], tuple[Incarnation, list[Connector]]] = {}
         for connector in connectors:
-            source = self._others[connector.between[0].component]
-            container = self._layout.container_of(source.component)
-            key = (source.computer, container)
-            found.setdefault(key, (source, []))[1].append(connector)
+            sender = self._others[connector.between[0].component]
+            container = self._layout.container_of(sender.component)
+            key = (sender.computer, container)
+            found.setdefault(key, (sender, []))[1].append(connector)
         return dict(found.values())
 
     def _levels(self) -> list[list[str]]:
-        """Return the old ones in the order in which they come to rest.
+        """Return the sources in the order in which they pause.
 
-        Who calls one, or sends to it what it is to work on, rests before.
+        A caller pauses before its callee, and in a replacement a publisher before its
+        subscribers.
         """
         leads = (
             (connector.between[0].component, connector.between[1].component)
             for connector in self._before
             if not self._is_move or self._is_call(connector)
         )
-        return levels(self._olds, leads)
+        return levels(self._sources, leads)
 
     def _is_call(self, connector: Connector) -> bool:
         source = connector.between[0]

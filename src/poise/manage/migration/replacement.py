@@ -1,6 +1,6 @@
 """Puts an alternative in the place of a whole architecture, while the robot works.
 
-All its components take over at once, or none does: it is one exchange.
+All its components take over at once, or none does: it is one migration.
 """
 
 from __future__ import annotations
@@ -11,7 +11,11 @@ from poise import plan
 from poise.errors import UsageError
 from poise.manage.deployment import Incarnation, Placement
 from poise.manage.journal import Kind
-from poise.manage.migration.coordinator import MigrationCoordinator, MigrationReport
+from poise.manage.migration.coordinator import (
+    MigrationCoordinator,
+    MigrationReport,
+    describe,
+)
 from poise.manage.migration.plan import MigrationPlan
 from poise.manage.run import Run
 from poise.model.robot import Architecture, Robot
@@ -53,10 +57,10 @@ def replace_architecture(
     """
     old, new = _checked(run, architecture, by)
     where = _placement(run, old, new)
-    change = MigrationPlan(
+    migration = MigrationPlan(
         what=f"architecture '{architecture}'",
-        olds=tuple(run.placed[component.name] for component in old.components),
-        news=tuple(
+        sources=tuple(run.placed[component.name] for component in old.components),
+        targets=tuple(
             Incarnation(
                 component=component.name,
                 computer=where[component.name],
@@ -68,7 +72,7 @@ def replace_architecture(
             for component in new.components
         ),
     )
-    done = MigrationCoordinator(run, change).run()
+    done = MigrationCoordinator(run, migration).run()
     report = ReplaceReport(
         architecture=architecture,
         by=by,
@@ -169,5 +173,5 @@ def _architecture(robot: Robot, name: str) -> Architecture:
 def _sentence(report: ReplaceReport) -> str:
     what = f"architecture '{report.architecture}' by '{report.by}'"
     if report.committed:
-        return f"replaced {what}; gate shut for {report.gate_shut * 1e3:.1f} ms"
+        return f"replaced {what}; {describe(report)}"
     return f"did not replace {what}: {report.reason}"

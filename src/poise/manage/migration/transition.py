@@ -2,8 +2,8 @@
 
 No computer is overfull at any moment: a component goes to a computer only when that has
 room for all of its demand, and leaves room behind only when it has gone. Where
-components wait for each other's room, one of them makes a detour over a third computer;
-where there is none with room, one is stopped for the while, and the plan says so.
+components wait for each other's room, one of them makes an intermediate move to a third
+computer; where none has room, one makes a cold move, and the plan says so.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Step(Struct, frozen=True, kw_only=True):
     source, target
         Computers; a start has no source, a stop no target.
     why
-        Why it is not the direct way: a detour, or a short stop; empty when it is.
+        Why it is no direct live move: an intermediate or a cold one; else empty.
     """
 
     kind: Literal["start", "stop", "move"]
@@ -78,9 +78,9 @@ class _Planner:
     def plan(self) -> tuple[Step, ...]:
         for name in sorted(self._now.keys() - self._then.keys()):
             self._stop(name)
-        parked = self._move_all()
+        stopped = self._move_all()
         for name in sorted(self._then.keys() - self._now.keys()):
-            why = "after a short stop" if name in parked else ""
+            why = "second half of a cold move" if name in stopped else ""
             self._start(name, why)
         return tuple(self._steps)
 
@@ -103,22 +103,24 @@ class _Planner:
 
     def _move_all(self) -> set[str]:
         """Move all that is elsewhere; return what had to be stopped instead."""
-        parked: set[str] = set()
-        detours: set[str] = set()
+        stopped: set[str] = set()
+        intermediate: set[str] = set()
         while pending := self._pending():
             name = _first(pending, self._fits_at_target)
             if name is not None:
                 self._move(name, self._then[name])
                 continue
-            detour = self._detour(pending, detours)
-            if detour is not None:
-                detours.add(detour[0])
-                self._move(*detour, why="a detour: there was no room yet")
+            move = self._intermediate_move(pending, intermediate)
+            if move is not None:
+                intermediate.add(move[0])
+                self._move(*move, why="an intermediate move: there is no room yet")
                 continue
             smallest = pending[0]
-            self._stop(smallest, "a short stop: no computer has room for a detour")
-            parked.add(smallest)
-        return parked
+            self._stop(
+                smallest, "a cold move: no computer has room for an intermediate move"
+            )
+            stopped.add(smallest)
+        return stopped
 
     def _pending(self) -> list[str]:
         """Return what must still move, the least state and demand first."""
@@ -127,7 +129,9 @@ class _Planner:
             key=lambda name: (*_weight(self._components[name]), name),
         )
 
-    def _detour(self, pending: Iterable[str], done: set[str]) -> tuple[str, str] | None:
+    def _intermediate_move(
+        self, pending: Iterable[str], done: set[str]
+    ) -> tuple[str, str] | None:
         for name in pending:
             for computer in sorted(self._allowed[name] - {self._now[name]}):
                 if name not in done and self._fits(name, computer):

@@ -46,7 +46,7 @@ from poise.wire.records.deployment import (
     ManagerRequest,
     Refused,
 )
-from poise.wire.records.migration import Failed, Order
+from poise.wire.records.migration import MigrationSteps, StepsFailed
 from poise.wire.records.samples import SAMPLE_EVERY
 
 REPORT_EVERY = 0.5
@@ -114,7 +114,7 @@ class Agent:
         held = () if setup.lifeline is None else (setup.lifeline,)
         self._zygote, self._zygote_pid = zygote.start(closing=held)
         self._supervisor = Supervisor(self._zygote, self._place, self._clock)
-        self._orders = MigrationRelay(self._supervisor.processes)
+        self._relay = MigrationRelay(self._supervisor.processes)
         self._waker = Waker()
         self._requests = AgentInbox(setup.computer, self._waker.wake)
         self._fence = Fence(setup.robot, setup.computer)
@@ -208,11 +208,11 @@ class Agent:
         wanted = self._supervisor.wanted
         if isinstance(request, Claim):
             answer(query, self._fence.claim(request, asked.token))
-        elif isinstance(request, Order):
+        elif isinstance(request, MigrationSteps):
             if refusal:
-                answer(query, Failed(request.number, refusal))
+                answer(query, StepsFailed(request.number, refusal))
             else:
-                self._orders.carry(request, query, self._clock.now())
+                self._relay.pass_on(request, query, self._clock.now())
         elif refusal:
             answer(query, Refused(refusal))
         elif wanted and request.generation < wanted.generation:
@@ -230,7 +230,7 @@ class Agent:
                 self._attend(request, query)
             while self._silences:
                 self._supervisor.note_silence(self._silences.popleft())
-            self._orders.give_up(self._clock.now())
+            self._relay.give_up(self._clock.now())
             self._supervisor.reconcile()
             status = self._status()
             seen = _states(status)
@@ -247,13 +247,13 @@ class Agent:
         fixed = [self._waker.fileno()]
         fixed += [] if supervisor.trouble else [zygote_fd]
         fixed += [] if self._stopping or lifeline is None else [lifeline]
-        moments = [until, *self._orders.limits(), *supervisor.moments()]
+        moments = [until, *self._relay.limits(), *supervisor.moments()]
         limit = max(0.0, min(moments) - self._clock.now())
         for fd in wait_readable([*fixed, *by_fd], limit):
             if fd in by_fd:
                 outcome = supervisor.hear(by_fd[fd])
                 if outcome is not None:
-                    self._orders.end(outcome)
+                    self._relay.end(outcome)
             elif fd == self._waker.fileno():
                 self._waker.clear()
             elif fd == zygote_fd:

@@ -24,7 +24,7 @@ from poise.wire.records.deployment import (
     FromContainer,
     ToContainer,
 )
-from poise.wire.records.migration import Order, Outcome
+from poise.wire.records.migration import MigrationSteps, StepsOutcome
 
 STOP_LIMIT = 2.0
 """A container that was asked to end is killed after this time [s]."""
@@ -115,12 +115,12 @@ class ContainerProcess:
             self.spec = spec
             self._send(spec)
 
-    def order(self, order: Order) -> None:
-        """Hand on a step."""
+    def take_steps(self, steps: MigrationSteps) -> None:
+        """Let it take steps of a migration."""
         if not self.is_deaf:
-            self._send(order)
+            self._send(steps)
 
-    def hear(self) -> Outcome | None:
+    def hear(self) -> StepsOutcome | None:
         """Take in what it says; return the outcome of a step, if it is one.
 
         One that cannot be understood is killed.
@@ -181,7 +181,7 @@ class ContainerProcess:
     def _components(self) -> tuple[ComponentStatus, ...]:
         return self.status.components if self.status else ()
 
-    def _send(self, what: ContainerSpec | Order) -> None:
+    def _send(self, what: ContainerSpec | MigrationSteps) -> None:
         try:
             record_channel.send(self.connection, ToContainer(what))
         except (Timeout, Unavailable, WireError) as error:

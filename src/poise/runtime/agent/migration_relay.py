@@ -1,6 +1,6 @@
-"""The migration orders that an agent passes to its containers, until they are answered.
+"""The migration steps that an agent passes to its containers, until they are answered.
 
-Each is answered once: with its outcome, or with the reason why the container is silent.
+Each batch is answered once: with its outcome, or with why its container is silent.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from msgspec import Struct
 
 from poise.runtime.agent.container_processes import ContainerProcess
 from poise.runtime.agent.inbox import answer
-from poise.wire.records.migration import Failed, Order, Outcome
+from poise.wire.records.migration import MigrationSteps, StepsFailed, StepsOutcome
 
 
-class _Carried(Struct, frozen=True):
-    order: Order
+class _Pending(Struct, frozen=True):
+    steps: MigrationSteps
     query: zenoh.Query
     limit: float
 
 
 class MigrationRelay:
-    """The orders under way in one agent's containers.
+    """The migration steps in progress in one agent's containers.
 
     Parameters
     ----------
@@ -32,46 +32,46 @@ class MigrationRelay:
 
     def __init__(self, processes: Mapping[str, ContainerProcess]) -> None:
         self._processes = processes
-        self._carried: dict[int, _Carried] = {}
+        self._pending: dict[int, _Pending] = {}
 
-    def carry(self, order: Order, query: zenoh.Query, now: float) -> None:
-        """Hand an order, which came at `now` [s], to its container."""
-        process = self._processes.get(order.container)
+    def pass_on(self, steps: MigrationSteps, query: zenoh.Query, now: float) -> None:
+        """Pass steps, which came at `now` [s], to their container."""
+        process = self._processes.get(steps.container)
         if process is None or process.is_deaf:
-            reason = f"container '{order.container}' does not run"
-            answer(query, Failed(order.number, reason))
+            reason = f"container '{steps.container}' does not run"
+            answer(query, StepsFailed(steps.number, reason))
             return
         if process.silence and process.silence.is_stopped:
-            answer(query, Failed(order.number, _why_silent(process)))
+            answer(query, StepsFailed(steps.number, _why_silent(process)))
             return
-        process.order(order)
-        self._carried[order.number] = _Carried(order, query, now + order.limit)
+        process.take_steps(steps)
+        self._pending[steps.number] = _Pending(steps, query, now + steps.limit)
 
-    def end(self, outcome: Outcome) -> None:
-        """Answer with what came of an order, if nothing was said of it before."""
-        carried = self._carried.pop(outcome.number, None)
-        if carried is not None:
-            answer(carried.query, outcome)
+    def end(self, outcome: StepsOutcome) -> None:
+        """Answer with an outcome, unless these steps were answered before."""
+        pending = self._pending.pop(outcome.number, None)
+        if pending is not None:
+            answer(pending.query, outcome)
 
     def give_up(self, now: float) -> None:
-        """Answer those whose container went away, or took too long at `now` [s]."""
-        for carried in list(self._carried.values()):
-            container = carried.order.container
+        """Answer for containers that are gone, silent or too slow at `now` [s]."""
+        for pending in list(self._pending.values()):
+            container = pending.steps.container
             process = self._processes.get(container)
             if process is None or process.is_deaf:
                 reason = f"container '{container}' ended"
             elif process.silence and process.silence.is_stopped:
                 reason = _why_silent(process)
-            elif now > carried.limit:
-                reason = f"container '{container}' took over {carried.order.limit:g} s"
+            elif now > pending.limit:
+                reason = f"container '{container}' took over {pending.steps.limit:g} s"
                 reason = _why_silent(process) if process.silence else reason
             else:
                 continue
-            self.end(Failed(carried.order.number, reason))
+            self.end(StepsFailed(pending.steps.number, reason))
 
     def limits(self) -> Iterator[float]:
-        """Yield the moments at which orders are given up [s]."""
-        return (carried.limit for carried in self._carried.values())
+        """Yield the moments at which steps are given up [s]."""
+        return (pending.limit for pending in self._pending.values())
 
 
 def _why_silent(process: ContainerProcess) -> str:

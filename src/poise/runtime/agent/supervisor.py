@@ -30,7 +30,7 @@ from poise.wire.records.deployment import (
     ContainerStatus,
     Deployment,
 )
-from poise.wire.records.migration import Outcome
+from poise.wire.records.migration import StepsOutcome
 
 log = logging.getLogger(__name__)
 
@@ -99,7 +99,7 @@ class Supervisor:
         for process in self.processes.values():
             yield process.kill_at
 
-    def hear(self, process: ContainerProcess) -> Outcome | None:
+    def hear(self, process: ContainerProcess) -> StepsOutcome | None:
         """Take in what a container says; return the outcome of a step, if it is one."""
         outcome = process.hear()
         if process.is_deaf and self.trouble:

@@ -43,7 +43,12 @@ from poise.wire.records.deployment import (
     Goal,
     ToContainer,
 )
-from poise.wire.records.migration import Done, Failed, Order, Outcome
+from poise.wire.records.migration import (
+    MigrationSteps,
+    StepsDone,
+    StepsFailed,
+    StepsOutcome,
+)
 
 log = logging.getLogger(__name__)
 
@@ -143,7 +148,7 @@ class Container:
     def _listen(self, limit: float) -> bool:
         """Wait up to `limit` [s] for news, and take it in; whether it is to be told.
 
-        An order is not: what it changes will be.
+        A migration step is not: what it changes is.
         """
         agent, waker = self._agent.fileno(), self._waker.fileno()
         ending = [r for r, _ in self._ending.values() if isinstance(r, Command)]
@@ -155,7 +160,7 @@ class Container:
         if agent in ready:
             what = record_channel.receive(self._agent, ToContainer).what
             self._hear(what)
-            if isinstance(what, Order) and len(ready) == 1:
+            if isinstance(what, MigrationSteps) and len(ready) == 1:
                 return False
         if not ready.isdisjoint(ended):
             self._raise_if_ended()
@@ -174,21 +179,23 @@ class Container:
         if is_writable(self._agent.fileno()):
             self._tell(status)
 
-    def _hear(self, what: ContainerSpec | Order) -> None:
-        if isinstance(what, Order):
-            self._step_threads.submit(self._take_steps, self._steps.hear(what))
+    def _hear(self, what: ContainerSpec | MigrationSteps) -> None:
+        if isinstance(what, MigrationSteps):
+            self._step_threads.submit(self._take_steps, self._steps.receive(what))
         else:
             self._steps.note_deployment()
             self._wanted = what
             with as_usual():
                 self._apply(what)
 
-    def _take_steps(self, take: Callable[[], Outcome]) -> None:
+    def _take_steps(self, take: Callable[[], StepsOutcome]) -> None:
         outcome = take()
         with contextlib.suppress(Timeout, Unavailable):  # the agent gave up on us
             self._tell(outcome)
 
-    def _tell(self, what: ContainerStatus | ContainerFailure | Done | Failed) -> None:
+    def _tell(
+        self, what: ContainerStatus | ContainerFailure | StepsDone | StepsFailed
+    ) -> None:
         with self._telling:
             record_channel.send(self._agent, FromContainer(what))
 

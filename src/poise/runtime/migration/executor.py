@@ -1,15 +1,14 @@
-"""The steps of a transition, as a container takes them for its components.
+"""A container's side of a migration: it takes the steps that the manager sends.
 
-Each is harmless when repeated, and leaves all as it was when it fails. The manager may
-have given a step up before it is taken: what comes to rest or is held then goes on when
-the deployment says that the move is over, and is refused after that. What each step is
-for, and why they come in this order: docs/design/moves.md.
+Each step is harmless when repeated, and leaves all as it was when it fails. A step may
+be taken after the manager gave it up. Then the phases of the incarnation
+(`poise.wire.migration_phases`) refuse it, or the next deployment undoes it and refuses
+what comes later. What each step is for: docs/design/moves.md.
 """
 
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Callable
 from functools import partial
 
@@ -20,36 +19,114 @@ from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.wiring import Runners, Transports, Wiring
 from poise.runtime.migration.state_receiver import StateReceiver
 from poise.runtime.migration.state_sender import StateSender, key_of
+from poise.wire.migration_phases import MigrationPhases, Role
 from poise.wire.records.migration import (
     Activate,
-    Await,
-    Done,
-    Drain,
-    Failed,
-    Flush,
-    Give,
-    Hold,
-    Lull,
-    Offer,
-    Open,
-    Order,
-    Outcome,
-    Precopy,
+    AwaitIdle,
+    Buffer,
+    ComponentStep,
+    DrainChannels,
+    DrainMailbox,
+    MigrationSteps,
+    OfferState,
+    Pause,
+    PreCopy,
+    Redirect,
     Release,
-    Rest,
-    Retire,
-    Step,
-    Take,
+    RequestState,
+    RestoreState,
+    Resume,
+    RollBack,
+    SenderStep,
+    SendState,
+    StepsDone,
+    StepsFailed,
+    StepsOutcome,
+    StepTaken,
+    name_of_step,
 )
 
 _SHARE = 0.75
-"""Steps may take this share of their order's limit: the rest is for the answer, so that
-whoever ordered them hears which step was too slow, and of what component."""
+"""Steps may take this share of their limit: the rest is for the answer, so that the
+manager learns which step was too slow, and of what component."""
 _POLL = 0.001
 """A mailbox does not tell when it is empty; look this often [s]."""
-_REST_SHARE = 0.8
-"""Coming to rest may take this share of that: so those that wait to take over hear why
-they cannot before they give up."""
+_PAUSE_SHARE = 0.8
+"""A pause may take this share of that, so that targets learn why they get no state
+before they give up."""
+
+_ROLES: dict[type[ComponentStep], Role] = {
+    OfferState: "source",
+    AwaitIdle: "source",
+    Pause: "source",
+    DrainMailbox: "source",
+    SendState: "source",
+    Redirect: "source",
+    RollBack: "source",
+    PreCopy: "target",
+    RequestState: "target",
+    RestoreState: "target",
+    Activate: "target",
+    Resume: "target",
+}
+"""Whose phases a step changes; of the others' no phases are kept."""
+
+
+class Party:
+    """One incarnation's part in one migration."""
+
+    def __init__(self, runner: Runner, role: Role, migration: int) -> None:
+        self.runner = runner
+        self.migration = migration
+        self.phases = MigrationPhases(role, f"component '{runner.spec.name}'")
+        self._sender: StateSender | None = None
+        self._receiver: StateReceiver | None = None
+        self._stop_serving: Callable[[], None] | None = None
+
+    @property
+    def sender(self) -> StateSender:
+        """Its state transfer as a source."""
+        if self._sender is None:
+            raise RunError(f"component '{self.runner.spec.name}' offers no state")
+        return self._sender
+
+    @property
+    def receiver(self) -> StateReceiver:
+        """Its state transfer as a target."""
+        if self._receiver is None:
+            raise RunError(f"component '{self.runner.spec.name}' receives no state")
+        return self._receiver
+
+    def offer(self, transports: Transports) -> None:
+        """Serve the state to targets."""
+        self.close()
+        spec = self.runner.spec
+        key = key_of(spec.name, spec.epoch, self.migration)
+        self._sender = StateSender(self.runner)
+        transports.server.open(key, self._sender.handle)
+        self._stop_serving = partial(transports.server.shut, key)
+
+    def pre_copy(self, step: PreCopy, transports: Transports, deadline: float) -> None:
+        """Connect to the sources."""
+        self.close()
+        self._receiver = StateReceiver(
+            self.runner, step, self.migration, transports.channel
+        )
+        self._receiver.connect(deadline)
+
+    def refuse(self, reason: str) -> None:
+        """Tell targets, if there are any, why they get no state."""
+        if self._sender is not None:
+            self._sender.refuse(reason)
+
+    def close(self) -> None:
+        """Transfer nothing any more; harmless when repeated."""
+        self.refuse("the offer is withdrawn")
+        if self._stop_serving is not None:
+            self._stop_serving()
+        if self._receiver is not None:
+            self._receiver.close()
+        self._sender = self._receiver = self._stop_serving = None
 
 
 class MigrationExecutor:
@@ -61,75 +138,103 @@ class MigrationExecutor:
         self._runners = runners
         self._wiring = wiring
         self._transports = transports
-        self._givers: dict[Runner, tuple[str, StateSender]] = {}
-        self._heirs: dict[Runner, StateReceiver] = {}
+        self._parties: dict[Runner, Party] = {}
         self._num_deployments = 0
 
     def note_deployment(self) -> None:
-        """Refuse the orders that were heard until now: a deployment says what is so.
+        """Refuse the steps that were received until now: a deployment says what is so.
 
-        The next move of the same component may follow, and is none of theirs.
+        The next migration of the same component may follow, and needs none of them.
         """
         self._num_deployments += 1
 
-    def hear(self, order: Order) -> Callable[[], Outcome]:
-        """Return what takes the steps of an order that was heard just now."""
-        return partial(self._take_all, order, time.monotonic(), self._num_deployments)
+    def receive(self, batch: MigrationSteps) -> Callable[[], StepsOutcome]:
+        """Return what takes steps that came just now."""
+        return partial(self._take_all, batch, time.monotonic(), self._num_deployments)
 
-    def _take_all(self, order: Order, heard: float, deployment: int) -> Outcome:
-        deadline = heard + _SHARE * order.limit
-        seconds: Counter[str] = Counter()
+    def forget(self, runner: Runner) -> None:
+        """Know no more of an incarnation that has ended."""
+        if runner in self._parties:
+            self._parties.pop(runner).close()
+
+    def _take_all(
+        self, batch: MigrationSteps, received: float, deployment: int
+    ) -> StepsOutcome:
+        deadline = received + _SHARE * batch.limit
+        taken: list[StepTaken] = []
         try:
-            for step in order.steps:
-                if deployment != self._num_deployments:
-                    text = f"{type(step).__name__} is late: a deployment came before it"
-                    return Failed(order.number, text)
+            for step in batch.steps:
+                name = name_of_step(step)
+                self._refuse_late(name, deployment)
                 began = time.monotonic()
-                self._take(step, deadline)
-                seconds[type(step).__name__] += time.monotonic() - began  # type: ignore[assignment] # a counter of times
+                who = batch.container
+                if isinstance(step, Buffer | Release):
+                    self._take_at_senders(step, batch.migration)
+                else:
+                    who = f"{step.component}/{step.epoch}"
+                    self._take(step, batch.migration, deadline)
+                ended = time.monotonic()
+                taken.append(StepTaken(who, name, step.phase, began, ended))
         except PoiseError as error:
-            return Failed(order.number, str(error))
+            return StepsFailed(batch.number, str(error), tuple(taken))
         except Exception as error:  # noqa: BLE001, a user's restore may raise anything
-            return Failed(order.number, told_in_brief(error))
-        return Done(order.number, dict(seconds))
+            return StepsFailed(batch.number, told_in_brief(error), tuple(taken))
+        return StepsDone(batch.number, tuple(taken))
 
-    def _take(self, step: Step, deadline: float) -> None:  # noqa: C901, PLR0912, a table
+    def _refuse_late(self, step: str, deployment: int) -> None:
+        if deployment != self._num_deployments:
+            raise RunError(f"'{step}' is late: a deployment came before it")
+
+    def _take_at_senders(self, step: SenderStep, migration: int) -> None:
         match step:
-            case Hold(connectors, mark):
+            case Buffer(connectors):
                 for name in connectors:
                     sender = self._wiring.sender(name)
                     sender.buffer_for_move()
-                    sender.send_marker(mark)
+                    sender.send_marker(migration)
             case Release(keys):
                 for key in keys:
                     self._wiring.sender_to(key).switch(key)
-            case Offer(component, epoch, number):
-                self._offer(self._runner(component, epoch), number)
-            case Precopy():
+
+    def _take(self, step: ComponentStep, migration: int, deadline: float) -> None:
+        runner = self._runner(step.component, step.epoch)
+        if isinstance(step, DrainChannels):
+            markers = dict.fromkeys(step.connectors, migration)
+            runner.endpoints.wait_markers(markers, _left(deadline))
+            return
+        party = self._party(runner, _ROLES[type(step)], migration)
+        with party.phases.taking(name_of_step(step), step.phase):
+            self._take_at(party, step, deadline)
+
+    def _take_at(  # noqa: C901, a table
+        self, party: Party, step: ComponentStep, deadline: float
+    ) -> None:
+        runner = party.runner
+        match step:
+            case OfferState():
+                party.offer(self._transports)
+            case PreCopy():
                 with as_usual():  # a large state takes its time, and nobody waits
-                    self._precopy(step, deadline)
-            case Await(component, epoch):
-                self._state_target(self._runner(component, epoch)).ask()
-            case Lull(component, epoch, limit):
-                self._runner(component, epoch).wait_lull(min(limit, _left(deadline)))
-            case Rest(component, epoch, mark):
-                self._rest(self._runner(component, epoch), mark, _left(deadline))
-            case Flush(component, epoch, connectors, mark):
-                ends = self._runner(component, epoch).endpoints
-                ends.wait_markers(dict.fromkeys(connectors, mark), _left(deadline))
-            case Drain(component, epoch):
-                self._drain(self._runner(component, epoch), deadline)
-            case Give(component, epoch):
-                self._state_source(self._runner(component, epoch)).give()
-            case Take(component, epoch):
-                state_target = self._state_target(self._runner(component, epoch))
-                state_target.take_over(_left(deadline))
-            case Activate(component, epoch):
-                self._activate(self._runner(component, epoch), _left(deadline))
-            case Open(component, epoch):
-                self._open(self._runner(component, epoch))
-            case Retire(component, epoch):
-                self._runner(component, epoch).exclusion.redirect()
+                    party.pre_copy(step, self._transports, deadline)
+            case RequestState():
+                party.receiver.request()
+            case AwaitIdle():
+                runner.wait_lull(min(step.limit, _left(deadline)))
+            case Pause():
+                _pause(party, _left(deadline))
+            case DrainMailbox():
+                _drain_mailbox(runner, deadline)
+            case SendState():
+                party.sender.send()
+            case RestoreState():
+                party.receiver.restore(_left(deadline))
+            case Activate():
+                _activate(runner, _left(deadline))
+            case Redirect():
+                runner.exclusion.redirect()
+            case Resume() | RollBack():
+                runner.aim("active")
+                party.refuse("it is at work again")
 
     def _runner(self, component: str, epoch: int) -> Runner:
         try:
@@ -137,78 +242,44 @@ class MigrationExecutor:
         except KeyError:
             raise RunError(f"component '{component}' ({epoch}) is not here") from None
 
-    def _state_source(self, runner: Runner) -> StateSender:
-        try:
-            return self._givers[runner][1]
-        except KeyError:
-            raise RunError(f"component '{runner.spec.name}' offers nothing") from None
+    def _party(self, runner: Runner, role: Role, migration: int) -> Party:
+        """Return an incarnation's part in a migration, which may begin with that."""
+        party = self._parties.get(runner)
+        if party is None or party.migration < migration:
+            self.forget(runner)
+            party = self._parties[runner] = Party(runner, role, migration)
+        if party.migration > migration:
+            raise RunError(
+                f"component '{runner.spec.name}': the step belongs to migration "
+                f"{migration}, and {party.migration} has begun"
+            )
+        return party
 
-    def _open(self, runner: Runner) -> None:
-        runner.aim("active")
-        if runner in self._givers:  # it led back
-            self._givers[runner][1].refuse("it is at work again")
 
-    def _rest(self, runner: Runner, mark: int, limit: float) -> None:
-        try:
-            runner.rest(_REST_SHARE * limit)
-        except PoiseError as error:
-            if runner in self._givers:
-                self._givers[runner][1].refuse(str(error))
-            raise
-        for sender in list(runner.endpoints.senders.values()):
-            sender.send_marker(mark)
+def _pause(party: Party, limit: float) -> None:
+    try:
+        party.runner.rest(_PAUSE_SHARE * limit)
+    except PoiseError as error:
+        party.refuse(str(error))
+        raise
+    for sender in list(party.runner.endpoints.senders.values()):
+        sender.send_marker(party.migration)
 
-    def _drain(self, runner: Runner, deadline: float) -> None:
-        while not runner.endpoints.is_empty():
-            if time.monotonic() > deadline:
-                raise Timeout(
-                    f"component '{runner.spec.name}' did not work on all that waits"
-                )
-            time.sleep(_POLL)
 
-    def _offer(self, runner: Runner, number: int) -> None:
-        """Let new incarnations fetch; what an earlier exchange offered is over."""
-        self._withdraw(runner)
-        key = key_of(runner.spec.name, runner.spec.epoch, number)
-        state_source = StateSender(runner)
-        self._givers[runner] = key, state_source
-        self._transports.server.open(key, state_source.handle)
+def _drain_mailbox(runner: Runner, deadline: float) -> None:
+    while not runner.endpoints.is_empty():
+        if time.monotonic() > deadline:
+            raise Timeout(
+                f"component '{runner.spec.name}' did not handle all messages that wait"
+            )
+        time.sleep(_POLL)
 
-    def _withdraw(self, runner: Runner) -> None:
-        if runner in self._givers:
-            key, state_source = self._givers.pop(runner)
-            state_source.refuse("the offer is withdrawn")
-            self._transports.server.shut(key)
 
-    def _precopy(self, step: Precopy, deadline: float) -> None:
-        """Join the pipes for the hand-over, and use them already when that helps."""
-        runner = self._runner(step.component, step.epoch)
-        self._forget_heir(runner)
-        state_target = self._heirs[runner] = StateReceiver(
-            runner, step, self._transports.channel
-        )
-        state_target.join(deadline)
-
-    def _state_target(self, runner: Runner) -> StateReceiver:
-        try:
-            return self._heirs[runner]
-        except KeyError:
-            raise RunError(f"component '{runner.spec.name}' takes nothing") from None
-
-    def _forget_heir(self, runner: Runner) -> None:
-        if runner in self._heirs:
-            self._heirs.pop(runner).close()
-
-    def _activate(self, runner: Runner, limit: float) -> None:
-        runner.aim("ready")
-        if runner.wait_state({"active", "failed"}, limit) != "active":
-            error = runner.status().error or f"waited {limit:g} s"
-            raise RunError(f"component '{runner.spec.name}' is not activated: {error}")
-
-    def forget(self, runner: Runner) -> None:
-        """Know no more of an incarnation that has gone."""
-        self._forget_heir(runner)
-        self._withdraw(runner)
+def _activate(runner: Runner, limit: float) -> None:
+    runner.aim("ready")
+    if runner.wait_state({"active", "failed"}, limit) != "active":
+        error = runner.status().error or f"waited {limit:g} s"
+        raise RunError(f"component '{runner.spec.name}' is not activated: {error}")
 
 
 def _left(deadline: float) -> float:

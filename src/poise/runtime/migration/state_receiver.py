@@ -1,8 +1,8 @@
-"""What a new incarnation takes over, and from whom.
+"""The target's side of a state transfer.
 
-From an old incarnation of the same component it takes everything. When a whole
-architecture is replaced by its alternative, components go that have no successor of
-their name. Then a function of the user's, `adapt`, makes new states from old ones::
+From a source of the same component it takes everything. When a whole architecture is
+replaced by its alternative, a function of the user's, `adapt`, makes the states of the
+new components from those of the old ones, by their names::
 
     class Before(Message):
         odometry: Odometry      # the state of the component `odometry`
@@ -31,28 +31,28 @@ from poise.priority import ahead, first
 from poise.runtime.component.implementation import find_function
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration import state_sender
-from poise.runtime.migration.state_sender import Ask, StateTransfer
+from poise.runtime.migration.state_sender import Request, StateTransfer
 from poise.wire import frame
 from poise.wire.codec import codec
 from poise.wire.connections.channel import Channel
-from poise.wire.records.migration import Precopy
+from poise.wire.records.migration import PreCopy
 
 _POLL = 0.001
-"""While one that hands over is not reached, it is looked for this often [s]."""
+"""While a source is not connected, look this often [s]."""
 
-JOIN_LIMIT = 3.0
-"""Who does not offer its hand-over within this time is gone [s]: all others wait."""
+CONNECT_LIMIT = 3.0
+"""A source that does not offer its state within this time is gone [s]."""
 
-ASK_LIMIT = 5.0
-"""Old incarnations give within this time after they were asked [s]: the gate is about
-to shut, and is shut for less."""
+REQUEST_LIMIT = 5.0
+"""Sources answer within this time after the request [s]: the pause is about to begin,
+and is shorter."""
 
-OpenPipe = Callable[[str, str], Channel]
-"""Opens a pipe by its key and the address of a container."""
+OpenChannel = Callable[[str, str], Channel]
+"""Opens a channel by its key and the address of a container."""
 
 
 class StateReceiver:
-    """A new incarnation in one exchange.
+    """Restores the state of one target in one migration.
 
     Raises
     ------
@@ -60,109 +60,119 @@ class StateReceiver:
         `adapt` cannot be found, or does not say what it takes and gives.
     """
 
-    def __init__(self, runner: Runner, step: Precopy, open_pipe: OpenPipe) -> None:
+    def __init__(
+        self, runner: Runner, step: PreCopy, migration: int, open_channel: OpenChannel
+    ) -> None:
         self._runner = runner
         self._step = step
+        self._migration = migration
         name, adapt = runner.spec.name, runner.spec.adapt
         self._adapt = find_function(adapt) if adapt else None
-        self._is_same = name in step.olds
+        self._is_same = name in step.sources
         self._before: Mapping[str, Any] = {}
         if self._adapt is not None and not self._is_same:
             before, after = types_of(self._adapt)
             self._before = before if name in after else {}
-        self._open_pipe = open_pipe
+        self._open_channel = open_channel
         self._channels: dict[str, Channel] = {}
-        self._asked: dict[str, Future[StateTransfer]] = {}
+        self._requested: dict[str, Future[StateTransfer]] = {}
 
-    def join(self, deadline: float) -> None:
-        """Reach all who hand over; fetch a large state already, while they serve.
+    def connect(self, deadline: float) -> None:
+        """Connect to the sources; fetch a large state while they still work.
 
         Raises
         ------
         Timeout
-            One could not be reached until `deadline` [s, monotonic clock].
+            A source could not be reached until `deadline` [s, monotonic clock].
         """
-        olds = self._step.olds
-        for name in self._givers():
-            if name not in olds:
+        sources = self._step.sources
+        for name in self._needed():
+            if name not in sources:
                 raise UsageError(
                     f"'{self._runner.spec.adapt}' asks for the state of '{name}', "
-                    f"which does not go ({', '.join(olds)} do)"
+                    f"which is not replaced ({', '.join(sources)} are)"
                 )
-            key = state_sender.key_of(name, olds[name], self._step.number)
+            key = state_sender.key_of(name, sources[name], self._migration)
             address = self._step.addresses[name]
-            self._channels[name] = self._open_pipe(key, address)
-        give_up_at = min(deadline, time.monotonic() + JOIN_LIMIT)
+            self._channels[name] = self._open_channel(key, address)
+        give_up_at = min(deadline, time.monotonic() + CONNECT_LIMIT)
         for name, channel in self._channels.items():
             while not channel.is_ready():
                 if time.monotonic() > give_up_at:
-                    raise Timeout(f"component '{name}' ({olds[name]}) is not reached")
+                    raise Timeout(
+                        f"component '{name}' ({sources[name]}) is not reached"
+                    )
                 time.sleep(_POLL)
         if self._is_same and state_sender.offers_delta(self._runner.component):
             left = max(0.0, deadline - time.monotonic())
             channel = self._channels[self._runner.spec.name]
-            self._take_all(state_sender.fetch(channel, Ask.STATE, left))
+            self._restore_same(state_sender.fetch(channel, Request.STATE, left))
 
-    def ask(self) -> None:
-        """Ask the old ones for everything: so the question is there before they give.
+    def request(self) -> None:
+        """Request everything, so that the requests are there when the sources pause.
 
         On threads of their own, which only wait.
         """
         state_sender.warm_up(self._runner)
         for name, channel in self._channels.items():
-            asked: Future[StateTransfer] = Future()
-            self._asked[name] = asked
+            requested: Future[StateTransfer] = Future()
+            self._requested[name] = requested
             with first():
                 threading.Thread(
-                    target=_fetch, args=(channel, asked), name="heir", daemon=True
+                    target=_fetch,
+                    args=(channel, requested),
+                    name="receiver",
+                    daemon=True,
                 ).start()
 
-    def take_over(self, limit: float) -> None:
-        """Take over within `limit` [s], as soon as the old ones give.
+    def restore(self, limit: float) -> None:
+        """Restore the state within `limit` [s], as soon as the sources send it.
 
         Raises
         ------
         Exception
-            One cannot give, or whatever `adapt` and `restore` raise.
+            A source cannot send, or whatever `adapt` and `restore` raise.
         """
         deadline = time.monotonic() + limit
-        given = {}
-        for name, asked in self._asked.items():
+        transfers = {}
+        for name, requested in self._requested.items():
             try:
-                given[name] = asked.result(max(0.0, deadline - time.monotonic()))
+                transfers[name] = requested.result(
+                    max(0.0, deadline - time.monotonic())
+                )
             except TimeoutError:
-                text = f"component '{name}' gave nothing within {limit:g} s"
+                text = f"component '{name}' sent no state within {limit:g} s"
                 raise Timeout(text) from None
         with ahead():  # users' code
             if self._is_same:
-                self._take_all(given[self._runner.spec.name])
+                self._restore_same(transfers[self._runner.spec.name])
             else:
-                self._succeed(given)
+                self._restore_adapted(transfers)
         self.close()
 
     def close(self) -> None:
-        """Ask no more; harmless when repeated."""
-        self._asked.clear()
+        """End the transfer; harmless when repeated."""
+        self._requested.clear()
         while self._channels:
             self._channels.popitem()[1].close()
 
-    def _givers(self) -> set[str]:
+    def _needed(self) -> set[str]:
         if self._is_same:
             return {self._runner.spec.name}
         return set(self._before)
 
-    def _take_all(self, given: StateTransfer) -> None:
-        state_sender.take(self._runner, given, self._adapt)
+    def _restore_same(self, transfer: StateTransfer) -> None:
+        state_sender.restore(self._runner, transfer, self._adapt)
 
-    def _succeed(self, given: Mapping[str, StateTransfer]) -> None:
-        """Take what others than an incarnation of the same component hand over."""
+    def _restore_adapted(self, transfers: Mapping[str, StateTransfer]) -> None:
+        """Restore what `adapt` makes of the states of other components."""
         runner = self._runner
         if self._adapt is None or not self._before:
             return
         states = {
-            name: frame.parse(given[name].state).value(codec(type_))
+            name: frame.parse(transfers[name].state).value(codec(type_))
             for name, type_ in self._before.items()
-            if given[name].state
+            if transfers[name].state
         }
         (parameter,) = _hints(self._adapt)[0]
         after = self._adapt(parameter(**states))
@@ -170,11 +180,11 @@ class StateReceiver:
             runner.component.restore(getattr(after, runner.spec.name))
 
 
-def _fetch(channel: Channel, asked: Future[StateTransfer]) -> None:
+def _fetch(channel: Channel, requested: Future[StateTransfer]) -> None:
     try:
-        asked.set_result(state_sender.fetch(channel, Ask.ALL, ASK_LIMIT))
-    except Exception as error:  # noqa: BLE001, whoever takes over raises it
-        asked.set_exception(error)
+        requested.set_result(state_sender.fetch(channel, Request.ALL, REQUEST_LIMIT))
+    except Exception as error:  # noqa: BLE001, `restore` raises it
+        requested.set_exception(error)
 
 
 def types_of(

@@ -1,9 +1,8 @@
-"""What one incarnation of a component hands over to the next, and how it gets there.
+"""The source's side of a state transfer, and how its messages cross.
 
-The new incarnation asks the old one, over a pipe of their own: first for the state
-while the old one still serves (`Ask.STATE`, for components that offer
-`snapshot_delta`), then for everything (`Ask.ALL`), which is answered as soon as the old
-one is at rest and all that was sent to it has come.
+The target requests the state over a channel of their own: first while the source still
+works (`Request.STATE`, for components that offer `snapshot_delta`), then everything
+(`Request.ALL`), which is answered as soon as the source is paused and drained.
 """
 
 from __future__ import annotations
@@ -29,26 +28,26 @@ from poise.wire.connections.channel import Channel, Pieces
 from poise.wire.frame import Frame, Kind
 
 PIECE = 1 << 18
-"""So many bytes are sent at a time: other calls over the same link go in between."""
+"""Bytes that are sent at a time: calls over the same connection go in between."""
 SERVE_LIMIT = 1.0
-"""A snapshot waits at most this long to enter the component [s]."""
+"""A snapshot waits at most this long for the component's turn [s]."""
 
 
-class Ask(IntEnum):
-    """What the new incarnation asks for."""
+class Request(IntEnum):
+    """What a target requests."""
 
     STATE = 1
     ALL = 2
 
 
 class StateTransfer(Struct, frozen=True, kw_only=True):
-    """All that makes the next incarnation go on where the last one stopped.
+    """All that lets the target go on where the source stopped.
 
     Parameters
     ----------
     state, delta
         Frames with what `snapshot` or `snapshot_delta` gave; empty: nothing.
-    waiting
+    messages
         Ports and frames of the messages and one-way calls that wait, oldest first.
     due
         Timer -> time until its next release [s].
@@ -56,74 +55,74 @@ class StateTransfer(Struct, frozen=True, kw_only=True):
 
     state: bytes = b""
     delta: bytes = b""
-    waiting: tuple[tuple[str, bytes], ...] = ()
+    messages: tuple[tuple[str, bytes], ...] = ()
     due: Mapping[str, float] = {}
 
 
 class Piece(Struct, frozen=True):
-    """A part of what is handed over, and the size of the whole [bytes]."""
+    """A part of an encoded state transfer, and the size of the whole [bytes]."""
 
     size: int
     data: bytes
 
 
-_HANDOVER = codec(StateTransfer)
-_ASK = codec(tuple[int, int, float])
+_TRANSFER = codec(StateTransfer)
+_REQUEST = codec(tuple[int, int, float])
 _PIECE = codec(Piece)
 _ERROR = codec(str)
 
 
-def key_of(component: str, epoch: int, number: int) -> str:
-    """Return what both sides call the pipe from an old incarnation in an exchange."""
-    return f"handover/{component}/{epoch}.{number}"
+def key_of(component: str, epoch: int, migration: int) -> str:
+    """Return what both sides call the channel from a source in a migration."""
+    return f"state/{component}/{epoch}.{migration}"
 
 
 class StateSender:
-    """The old incarnation's side, in one exchange.
+    """Serves the state of one source in one migration.
 
-    Whoever asks for everything waits until `give` or `refuse` was called.
+    A request for everything waits until `send` or `refuse` was called.
     """
 
     def __init__(self, runner: Runner) -> None:
         self._runner = runner
-        self._has_given_state = False
+        self._has_sent_state = False
         self._decided = threading.Event()
         self._why_not = ""
-        self._giving = threading.Lock()
+        self._encoding = threading.Lock()
         self._state_frame = self._frame = b""
 
-    def give(self) -> None:
-        """Hand over from now on: it is at rest, and all that was sent to it is here."""
+    def send(self) -> None:
+        """Answer from now on: the component is paused, and its channels are drained."""
         self._why_not = ""
         self._decided.set()
 
     def refuse(self, reason: str) -> None:
-        """Hand over nothing, and tell why."""
+        """Answer with the reason why no state is sent."""
         self._why_not = reason
         self._decided.set()
 
     def handle(self, received: Frame) -> Pieces:
-        """Answer a new incarnation; a component's error crosses as text."""
+        """Answer a target; a component's error crosses as text."""
         try:
-            ask, offset, limit = received.value(_ASK)
-            with self._giving:
-                given = self._given(Ask(ask), offset, limit)
-            piece = Piece(len(given), given[offset : offset + PIECE])
+            request, offset, limit = received.value(_REQUEST)
+            with self._encoding:
+                data = self._answer(Request(request), offset, limit)
+            piece = Piece(len(data), data[offset : offset + PIECE])
             return frame.segments(_PIECE, piece, Kind.RESULT)
         except Exception as error:  # noqa: BLE001, a user's snapshot may raise anything
             text = f"{type(error).__qualname__}: {error}"
             return frame.segments(_ERROR, text, Kind.ERROR)
 
-    def _given(self, ask: Ask, offset: int, limit: float) -> bytes:
-        """Return what is handed over; it is made when somebody begins to ask."""
-        if ask is Ask.STATE:
+    def _answer(self, request: Request, offset: int, limit: float) -> bytes:
+        """Return the encoded state, which is taken at the first request."""
+        if request is Request.STATE:
             if not offset:
                 self._state_frame = _encoded(self._state())
             return self._state_frame
         with first():
             is_decided = self._decided.wait(limit)
         if not is_decided:
-            raise Timeout(f"component '{self._runner.spec.name}' is not ready to give")
+            raise Timeout(f"component '{self._runner.spec.name}' is not ready to send")
         if self._why_not:
             raise RunError(self._why_not)
         if not self._frame:
@@ -139,33 +138,33 @@ class StateSender:
             state = self._runner.component.snapshot()
         finally:
             self._runner.exclusion.leave()
-        self._has_given_state = True
+        self._has_sent_state = True
         return StateTransfer(state=_frame_of(state))
 
     def _all(self) -> StateTransfer:
         runner = self._runner
         state = delta = b""
         with runner.at_rest():
-            if self._has_given_state:
+            if self._has_sent_state:
                 delta = _frame_of(runner.component.snapshot_delta())
             else:
                 state = _frame_of(runner.component.snapshot())
-            waiting = tuple(_waiting(runner))
+            messages = tuple(_messages(runner))
         now = runner.clock.now()
         return StateTransfer(
             state=state,
             delta=delta,
-            waiting=waiting,
+            messages=messages,
             due={name: s.due - now for name, s in runner.schedules.items()},
         )
 
 
-def _encoded(given: StateTransfer) -> bytes:
-    return b"".join(frame.segments(_HANDOVER, given, Kind.RESULT))
+def _encoded(transfer: StateTransfer) -> bytes:
+    return b"".join(frame.segments(_TRANSFER, transfer, Kind.RESULT))
 
 
-def fetch(channel: Channel, ask: Ask, limit: float) -> StateTransfer:
-    """Ask the old incarnation.
+def fetch(channel: Channel, request: Request, limit: float) -> StateTransfer:
+    """Request the state of a source.
 
     Raises
     ------
@@ -181,16 +180,16 @@ def fetch(channel: Channel, ask: Ask, limit: float) -> StateTransfer:
         left = deadline - time.monotonic()
         if left <= 0:
             raise Timeout(f"{len(data)} of {size} B of the state came in {limit:g} s")
-        asked = frame.segments(_ASK, (ask, len(data), left), Kind.CALL)
-        answer = channel.request(asked, left)
+        pieces = frame.segments(_REQUEST, (request, len(data), left), Kind.CALL)
+        answer = channel.request(pieces, left)
         if answer.kind is Kind.ERROR:
             text = answer.value(_ERROR)
             raise UsageError(f"the state could not be taken: {text}")
         piece = answer.value(_PIECE)
         data += piece.data
         size = piece.size
-    given: StateTransfer = frame.parse(data).value(_HANDOVER)
-    return given
+    transfer: StateTransfer = frame.parse(data).value(_TRANSFER)
+    return transfer
 
 
 def offers_delta(component: Component) -> bool:
@@ -198,10 +197,10 @@ def offers_delta(component: Component) -> bool:
     return type(component).snapshot_delta is not Component.snapshot_delta
 
 
-def take(
-    runner: Runner, given: StateTransfer, adapt: Callable[[Any], Any] | None = None
+def restore(
+    runner: Runner, transfer: StateTransfer, adapt: Callable[[Any], Any] | None = None
 ) -> None:
-    """Let a new, inactive incarnation go on from what the old one gave just now.
+    """Let an inactive target go on from what the source sent just now.
 
     Parameters
     ----------
@@ -216,28 +215,29 @@ def take(
     """
     component = runner.component
     now = runner.clock.now()
-    runner.keep_phases({name: now + left for name, left in given.due.items()})
+    runner.keep_phases({name: now + left for name, left in transfer.due.items()})
     with runner.at_rest():
-        if given.state:
+        if transfer.state:
             if adapt is None:
                 _check_restores(component)
-            state = _value_of(given.state, adapt or component.restore)
+            state = _value_of(transfer.state, adapt or component.restore)
             component.restore(adapt(state) if adapt else state)
-        if given.delta:
-            component.restore_delta(_value_of(given.delta, component.restore_delta))
-    for port, data in given.waiting:
+        if transfer.delta:
+            delta = _value_of(transfer.delta, component.restore_delta)
+            component.restore_delta(delta)
+    for port, data in transfer.messages:
         received = frame.parse(data)
         value = received.value(entry_codec(runner.ports[port], received.tag))
         runner.endpoints.preload(port, (received.tag, value))
 
 
 def warm_up(runner: Runner) -> None:
-    """Look up types and codecs now, which `take` would else do while others wait."""
+    """Look up types and codecs before the pause, for `restore`."""
     for method in (runner.component.restore, runner.component.restore_delta):
         codec(_type_taken_by(method))
 
 
-def _waiting(runner: Runner) -> list[tuple[str, bytes]]:
+def _messages(runner: Runner) -> list[tuple[str, bytes]]:
     frames = []
     for name, inbox in runner.endpoints.inboxes.items():
         for tag, value in inbox.waiting():
@@ -266,13 +266,13 @@ def check_state(component: type[Component]) -> None:
 
 
 def _check_restores(component: Component) -> None:
-    """Raise UsageError when what the component gave would be lost."""
+    """Raise UsageError when the component's state would be lost."""
     code = type(component)
-    is_given = code.snapshot is not Component.snapshot
-    if is_given and code.restore is Component.restore:
+    has_state = code.snapshot is not Component.snapshot
+    if has_state and code.restore is Component.restore:
         raise UsageError(
             f"{code.__qualname__} has `snapshot`, but no `restore`: its state would be "
-            "lost. Write `restore`, or leave `snapshot` out to begin anew"
+            "lost. Write `restore`, or remove `snapshot` to start without state"
         )
 
 

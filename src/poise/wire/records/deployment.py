@@ -2,8 +2,8 @@
 
 Downwards goes what *should* be (`Deployment`, `ContainerSpec`), upwards what *is*
 (`AgentStatus`, `ContainerStatus`). Each receiver compares the two and takes the
-smallest step, so that saying a thing twice is harmless. What containers are ordered to
-do in a move stands in `poise.wire.records.migration`.
+smallest step, so that saying a thing twice is harmless. The steps of migrations
+stand in `poise.wire.records.migration`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, Literal
 from msgspec import Struct
 
 from poise.wire.records.clocks import ClockStatus
-from poise.wire.records.migration import Done, Failed, Order
+from poise.wire.records.migration import MigrationSteps, StepsDone, StepsFailed
 
 PROTOCOL = 4
 """Manager, agents and containers of different protocol versions refuse each other."""
@@ -173,9 +173,9 @@ class Refused(Struct, frozen=True, tag=True):
     reason: str
 
 
-Answer = Accepted | Refused | Done | Failed
+Answer = Accepted | Refused | StepsDone | StepsFailed
 
-Request = Claim | Deployment | Order
+Request = Claim | Deployment | MigrationSteps
 """What a manager asks of an agent."""
 
 
@@ -183,7 +183,7 @@ class ManagerRequest(Struct, frozen=True, kw_only=True):
     """A request with its manager's fencing token.
 
     Each manager claims its agents with a token above all that they have seen. An agent
-    refuses deployments and orders with any other token than that of the manager which
+    refuses deployments and steps with any other token than that of the manager which
     it obeys: what a replaced manager still sends has no effect.
     """
 
@@ -350,13 +350,13 @@ class ContainerFailure(Struct, frozen=True, tag=True):
 class ToContainer(Struct, frozen=True):
     """What an agent tells a container."""
 
-    what: ContainerSpec | Order
+    what: ContainerSpec | MigrationSteps
 
 
 class FromContainer(Struct, frozen=True):
     """What a container tells its agent."""
 
-    what: ContainerStatus | ContainerFailure | Done | Failed
+    what: ContainerStatus | ContainerFailure | StepsDone | StepsFailed
 
 
 class Fault(Struct, frozen=True, kw_only=True):

@@ -1,184 +1,235 @@
-"""What a container is told to do in a move, step by step, and what came of it.
+"""What manager and containers tell each other while components move.
 
-Why the steps come in this order, and what each is for: docs/design/moves.md.
+A *source* is the incarnation that a component leaves, a *target* the one that it goes
+to. Why the steps come in this order, and what each is for: docs/design/moves.md.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import ClassVar
 
 from msgspec import Struct
 
-
-class Hold(Struct, frozen=True, tag=True):
-    """Queue what goes out over these connectors, behind a mark; calls go on."""
-
-    connectors: tuple[str, ...]
-    mark: int
+from poise.wire.migration_phases import Phase
 
 
-class Release(Struct, frozen=True, tag=True):
-    """Send what waits, and all that follows, over the connectors with these keys."""
+class OfferState(Struct, frozen=True, tag="offer state"):
+    """Source: serve the state to the targets of this migration."""
 
-    keys: tuple[str, ...]
-
-
-class Offer(Struct, frozen=True, tag=True):
-    """Old incarnation: be ready to hand over in the exchange `number`."""
-
+    phase: ClassVar[Phase] = "prepare"
     component: str
     epoch: int
-    number: int
 
 
-class Precopy(Struct, frozen=True, tag=True):
-    """New incarnation: join those who will hand over, and fetch a large state already.
+class PreCopy(Struct, frozen=True, tag="pre-copy"):
+    """Target: connect to the sources, and fetch a large state while they still work.
 
-    From an incarnation of the same component it will take state, waiting messages and
-    timers; from other components what `adapt` (`ComponentSpec`) makes of their states.
+    From a source of the same component it takes state, buffered messages and timers;
+    from other components what `adapt` (`ComponentSpec`) makes of their states.
 
     Parameters
     ----------
-    olds
-        The components that hand over, and their epochs.
+    sources
+        The components that transfer their state, and their epochs.
     addresses
         Where their containers are reached.
     """
 
+    phase: ClassVar[Phase] = "prepare"
     component: str
     epoch: int
-    number: int
-    olds: Mapping[str, int]
+    sources: Mapping[str, int]
     addresses: Mapping[str, str]
 
 
-class Await(Struct, frozen=True, tag=True):
-    """New incarnation: ask the old ones already; they answer when they give."""
+class RequestState(Struct, frozen=True, tag="request state"):
+    """Target: ask the sources for everything; they answer when they send it."""
 
+    phase: ClassVar[Phase] = "prepare"
     component: str
     epoch: int
 
 
-class Lull(Struct, frozen=True, tag=True):
-    """Old incarnation: wait for the end of its work, at most for `limit` [s].
+class AwaitIdle(Struct, frozen=True, tag="await idle"):
+    """Source: wait until it has just finished its work, at most for `limit` [s].
 
-    Then the gate shuts in the best moment: nobody waits for it, and the next work is
-    far. It need not come, and the step succeeds all the same.
+    A pause that begins then delays nobody. The step succeeds without it, too.
     """
 
+    phase: ClassVar[Phase] = "prepare"
     component: str
     epoch: int
     limit: float
 
 
-class Rest(Struct, frozen=True, tag=True):
-    """Old incarnation: come to rest, and send a mark behind all that it sent."""
+class Buffer(Struct, frozen=True, tag="buffer"):
+    """Send a marker over these connectors, and buffer all messages after it."""
 
+    phase: ClassVar[Phase] = "quiesce"
+    connectors: tuple[str, ...]
+
+
+class Pause(Struct, frozen=True, tag="pause"):
+    """Source: finish the calls in progress, start no more, and send markers."""
+
+    phase: ClassVar[Phase] = "quiesce"
     component: str
     epoch: int
-    mark: int
 
 
-class Flush(Struct, frozen=True, tag=True):
-    """Wait until this mark has come to a component, over each of these connectors."""
+class DrainChannels(Struct, frozen=True, tag="drain channels"):
+    """Wait until the markers have arrived at a component over these connectors."""
 
+    phase: ClassVar[Phase] = "quiesce"
     component: str
     epoch: int
     connectors: tuple[str, ...]
-    mark: int
 
 
-class Drain(Struct, frozen=True, tag=True):
-    """Old incarnation, to which no more comes: work on all that waits."""
+class DrainMailbox(Struct, frozen=True, tag="drain mailbox"):
+    """Source, to which no message comes any more: handle all that wait."""
 
+    phase: ClassVar[Phase] = "quiesce"
     component: str
     epoch: int
 
 
-class Give(Struct, frozen=True, tag=True):
-    """Old incarnation, to which all has come: hand over to whoever asks."""
+class SendState(Struct, frozen=True, tag="send state"):
+    """Source, paused and drained: send the state to the targets that asked for it."""
 
+    phase: ClassVar[Phase] = "transfer"
     component: str
     epoch: int
 
 
-class Take(Struct, frozen=True, tag=True):
-    """New incarnation: take over as soon as the old ones give."""
+class RestoreState(Struct, frozen=True, tag="restore state"):
+    """Target: restore the state as soon as the sources send it."""
 
+    phase: ClassVar[Phase] = "transfer"
     component: str
     epoch: int
 
 
-class Activate(Struct, frozen=True, tag=True):
-    """New incarnation, which has taken over: be activated, and stay at rest."""
+class Activate(Struct, frozen=True, tag="activate"):
+    """Target, with its state restored: run `activate`, and stay paused."""
 
+    phase: ClassVar[Phase] = "transfer"
     component: str
     epoch: int
 
 
-class Open(Struct, frozen=True, tag=True):
-    """Go to work: the new incarnation, or the old one again after a failed move."""
+class Redirect(Struct, frozen=True, tag="redirect"):
+    """Source: send callers that wait for it to the target."""
 
+    phase: ClassVar[Phase] = "commit"
     component: str
     epoch: int
 
 
-class Retire(Struct, frozen=True, tag=True):
-    """Old incarnation: send those that wait for it to the new one."""
+class Resume(Struct, frozen=True, tag="resume"):
+    """Target: begin to work."""
 
+    phase: ClassVar[Phase] = "resume"
     component: str
     epoch: int
 
 
-Step = (
-    Hold
-    | Release
-    | Offer
-    | Precopy
-    | Await
-    | Lull
-    | Rest
-    | Flush
-    | Drain
-    | Give
-    | Take
+class RollBack(Struct, frozen=True, tag="roll back"):
+    """Source: resume after a migration that failed."""
+
+    phase: ClassVar[Phase] = "roll back"
+    component: str
+    epoch: int
+
+
+class Release(Struct, frozen=True, tag="release"):
+    """Send buffered messages, and all that follow, over the connectors with these keys.
+
+    `phase` is ``resume`` or ``roll back``: the keys lead to the targets or the sources.
+    """
+
+    keys: tuple[str, ...]
+    phase: Phase
+
+
+ComponentStep = (
+    OfferState
+    | PreCopy
+    | RequestState
+    | AwaitIdle
+    | Pause
+    | DrainChannels
+    | DrainMailbox
+    | SendState
+    | RestoreState
     | Activate
-    | Open
-    | Retire
+    | Redirect
+    | Resume
+    | RollBack
 )
+"""A step of one component."""
+SenderStep = Buffer | Release
+"""A step of connectors that begin in a container."""
+MigrationStep = ComponentStep | SenderStep
 
 
-class Order(Struct, frozen=True, tag=True):
-    """Steps of a transition, for one container, one after the other.
+def name_of_step(step: MigrationStep) -> str:
+    """Return the name of a step, as people see it: ``drain channels``."""
+    return str(step.__struct_config__.tag)
 
-    The first that fails ends it.
+
+class MigrationSteps(Struct, frozen=True, tag=True):
+    """Steps for one container, one after the other; the first that fails ends them.
 
     Parameters
     ----------
     number
-        Tells one order from another.
+        Tells these steps from all others.
+    migration
+        The migration that they belong to; its markers have the same number.
     limit
-        It is answered within this time [s], but may still be taken afterwards.
+        They are answered within this time [s], but may still be taken afterwards.
     """
 
     number: int
+    migration: int
     container: str
-    steps: tuple[Step, ...]
+    steps: tuple[MigrationStep, ...]
     limit: float
 
 
-class Done(Struct, frozen=True, tag=True):
-    """The steps were taken; `seconds` says how long those of each kind took [s]."""
+class StepTaken(Struct, frozen=True):
+    """A step that a container took, for the trace of a migration.
+
+    Parameters
+    ----------
+    who
+        Component and epoch (``localiser/3``), or the container of a sender.
+    began, ended
+        By the monotonic clock of the container's computer [s].
+    """
+
+    who: str
+    step: str
+    phase: Phase
+    began: float
+    ended: float
+
+
+class StepsDone(Struct, frozen=True, tag=True):
+    """All steps were taken."""
 
     number: int
-    seconds: Mapping[str, float] = {}
+    taken: tuple[StepTaken, ...] = ()
 
 
-class Failed(Struct, frozen=True, tag=True):
+class StepsFailed(Struct, frozen=True, tag=True):
     """A step was not taken, and why; all is as before that step."""
 
     number: int
     reason: str
+    taken: tuple[StepTaken, ...] = ()
 
 
-Outcome = Done | Failed
+StepsOutcome = StepsDone | StepsFailed
