@@ -29,6 +29,7 @@ PUBLIC = {
         "Profiling",
         "Provided",
         "Published",
+        "RecordedRun",
         "Required",
         "Robot",
         "RobotError",

@@ -114,7 +114,7 @@ def messages(report: dict[str, Any]) -> dict[str, dict[str, int]]:
     return found
 
 
-@pytest.mark.parametrize("placement", ["auto"])
+@pytest.mark.parametrize("placement", ["auto", "static"])
 def test_one_alternative_runs_and_all_that_was_sent_is_in_the_final_counts(
     tmp_path: Path, placement: str
 ) -> None:

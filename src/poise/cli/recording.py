@@ -11,14 +11,12 @@ import typer
 from rich.console import Console
 
 from poise.errors import UsageError
-from poise.manage.observe.estimates import DemandEstimate, Estimates
-from poise.manage.observe.export import export
-from poise.manage.observe.recording import load, replay
-from poise.session.profiles import read_profile
+from poise.manage.observe.estimates import DemandEstimate
+from poise.session.recorded_run import RecordedRun
+from poise.session.render.shown import console_to
 from poise.session.render.tables import table
 from poise.session.robot_file import load_bare
 from poise.session.writable import to_write
-from poise.wire.records.samples import AgentSample
 
 
 def recording_command(
@@ -36,7 +34,8 @@ def recording_command(
         typer.Option(help="For export: what the rows are of."),
     ] = "components",
     robot: Annotated[
-        Path | None, typer.Option(help="For replay: the robot file.")
+        Path | None,
+        typer.Option(envvar="POISE_ROBOT", help="For replay: the robot file."),
     ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="For replay: print JSON.")
@@ -53,42 +52,23 @@ def recording_command(
     poise recording export run.recording --to run.parquet
     poise recording replay run.recording --robot robot.yaml
     """
-    recorded = load(file)
+    recorded = RecordedRun(file)
     if what == "export":
         if to is None:
             raise UsageError("give a file: --to run.csv or --to run.parquet")
-        count = export(recorded.samples, to, of)
+        count = recorded.export(to, of)
         sys.stdout.write(f"{count} rows of {of} in {to}\n")
         return
     if robot is None:
         raise UsageError("give the robot file: --robot robot.yaml")
-    found = load_bare(robot)
-    if found.name != recorded.robot:
-        raise UsageError(
-            f"{file} was recorded of robot '{recorded.robot}', not of '{found.name}'"
-        )
-    emulated = all(computer.address is None for computer in found.computers)
-    estimates = Estimates(found, read_profile(found), emulated=emulated)
-    console = Console(stderr=as_json, highlight=False)
-    _replay(recorded.samples, estimates, console)
-    demand_estimates = estimates.demand_estimates()
+    console = console_to(stderr=as_json)
+    demand_estimates = recorded.replay(
+        load_bare(robot), say=lambda sentence: console.print(f"[yellow]{sentence}[/]")
+    )
     if as_json:
         sys.stdout.write(msgspec.json.encode(demand_estimates).decode() + "\n")
     else:
         _show(demand_estimates, console)
-
-
-def _replay(samples: list[AgentSample], estimates: Estimates, console: Console) -> None:
-    began = min((sample.at for sample in samples), default=0.0)
-
-    def take(sample: AgentSample) -> None:
-        for name, drift in estimates.take(sample):
-            console.print(
-                f"[yellow]{sample.at - began:.1f} s: '{name}' needs {drift.after:.1%} "
-                f"of a core, {drift.before:.1%} before[/]"
-            )
-
-    replay(samples, take)
 
 
 def _show(demand_estimates: list[DemandEstimate], console: Console) -> None:

@@ -1,0 +1,93 @@
+"""A recording of a run: as a table, or as estimates of what components needed."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from poise.errors import UsageError
+from poise.manage.observe.estimates import DemandEstimate, Estimates
+from poise.manage.observe.export import COLUMNS, Which, export, rows
+from poise.manage.observe.recording import load, replay
+from poise.model.robot import Robot
+from poise.session.profiles import read_profile
+from poise.session.say import Say, log
+from poise.wire.records.samples import AgentSample
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+class RecordedRun:
+    """What agents said of a run, several times a second.
+
+    Parameters
+    ----------
+    file
+        What `poise.run` or `poise.up` wrote with ``record=...``.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be read, or is no recording.
+    """
+
+    def __init__(self, file: str | PathLike[str]) -> None:
+        self.file = Path(file)
+        self._recorded = load(self.file)
+
+    @property
+    def robot(self) -> str:
+        """The robot's name."""
+        return self._recorded.robot
+
+    def rows(self, of: Which = "components") -> list[dict[str, Any]]:
+        """Return a row for every component, or end of a connector, in every sample."""
+        found = rows(self._recorded.samples, of)
+        return [dict(zip(COLUMNS[of], row, strict=True)) for row in found]
+
+    def to_pandas(self, of: Which = "components") -> pd.DataFrame:
+        """Return `rows` as a data frame; pandas must be installed."""
+        import pandas as pd
+
+        return pd.DataFrame(self.rows(of))
+
+    def export(self, to: str | PathLike[str], of: Which = "components") -> int:
+        """Write `rows` to a .csv or .parquet file; return how many there are."""
+        return export(self._recorded.samples, Path(to), of)
+
+    def replay(self, robot: Robot, *, say: Say = log.info) -> list[DemandEstimate]:
+        """Return what the robot's components needed at the end, by their estimates.
+
+        Parameters
+        ----------
+        robot
+            The robot that was recorded.
+        say
+            Takes a sentence each time a demand shifts.
+
+        Raises
+        ------
+        UsageError
+            Another robot was recorded.
+        """
+        if robot.name != self.robot:
+            raise UsageError(
+                f"{self.file} was recorded of robot '{self.robot}', not of "
+                f"'{robot.name}'"
+            )
+        emulated = all(computer.address is None for computer in robot.computers)
+        estimates = Estimates(robot, read_profile(robot), emulated=emulated)
+        samples = self._recorded.samples
+        began = min((sample.at for sample in samples), default=0.0)
+
+        def take(sample: AgentSample) -> None:
+            for name, drift in estimates.take(sample):
+                say(
+                    f"{sample.at - began:.1f} s: '{name}' needs {drift.after:.1%} "
+                    f"of a core, {drift.before:.1%} before"
+                )
+
+        replay(samples, take)
+        return estimates.demand_estimates()
