@@ -9,8 +9,8 @@ import typer
 
 from poise.cli.interrupts import interrupts
 from poise.cli.options import Method, RobotFile, RobotTask
-from poise.cli.render.printer import Printer, log_printer
 from poise.session.placement import place
+from poise.session.printer import Printer, log_printer
 from poise.session.robot_file import load, task_of
 from poise.session.up import up
 from poise.session.writable import to_write

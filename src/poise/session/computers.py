@@ -14,11 +14,11 @@ from poise.emulate import EmulatedComputer, Emulation, StarvationWatch
 from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import RunError
 from poise.model.robot import Robot
+from poise.session.printer import STDERR, Printer, relay
 from poise.session.say import Say
 from poise.wire.control_session import locator
 from poise.wire.records.samples import SAMPLE_EVERY
 
-_STDERR = 2
 _TOLERATED = 0.1
 """A run is invalid when the host starved computers for more than this share of it."""
 
@@ -136,7 +136,12 @@ def _emulated(
     # an agent ends at the end of its lifeline, so even a killed manager leaves none
     lifeline, held = os.pipe()
     try:
-        with Emulation(robot, folder) as emulation:
+        with (
+            # what components print must not get into a JSON report
+            Printer(STDERR) as printer,
+            relay(printer) as output,
+            Emulation(robot, folder) as emulation,
+        ):
             for sentence in emulation.without:
                 say(f"  without {sentence}")
             computers = emulation.computers
@@ -152,8 +157,8 @@ def _emulated(
                 agents[name] = computers[name].popen(
                     argv,
                     stdin=subprocess.DEVNULL,
-                    # what components print must not get into a JSON report
-                    stdout=_STDERR,
+                    stdout=output,
+                    stderr=output,
                     pass_fds=[lifeline],
                 )
             yield Computers(

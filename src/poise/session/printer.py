@@ -5,13 +5,15 @@ from __future__ import annotations
 import logging
 import os
 import queue
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Self, TextIO
+from typing import Self
 
-MOST_LINES = 1000
+STDOUT, STDERR = 1, 2
+LONGEST_LINE = 1 << 16
+"""A longer line of another process counts as several [bytes]."""
+MOST_LINES = 10_000
 """At most this many lines wait to be printed; further ones are counted, and dropped."""
 _CLOSE_LIMIT = 1.0
 """At the end, lines that wait are printed within this time [s], or never."""
@@ -22,13 +24,13 @@ class Printer:
 
     Parameters
     ----------
-    file
-        Where to; its descriptor is written to directly, because a thread that is
-        blocked within Python's own files would also hold up the end of the program.
+    fd
+        Where to. Not one of Python's own files: a thread that is blocked within one
+        would also hold up the end of the program.
     """
 
-    def __init__(self, file: TextIO = sys.stdout) -> None:
-        self._file = file
+    def __init__(self, fd: int = STDOUT) -> None:
+        self._fd = fd
         self._lines: queue.Queue[str | None] = queue.Queue(MOST_LINES)
         self._dropped = 0
         self._thread = threading.Thread(target=self._run, name="printer", daemon=True)
@@ -64,14 +66,36 @@ class Printer:
     def _write(self, line: str) -> None:
         left = f"{line}\n".encode(errors="replace")
         while left:
-            left = left[os.write(self._file.fileno(), left) :]
+            left = left[os.write(self._fd, left) :]
+
+
+@contextmanager
+def relay(printer: Printer) -> Iterator[int]:
+    """Give a descriptor for the output of processes, which is printed as it comes.
+
+    So they never wait for the terminal. It ends when the last of them has.
+    """
+    reading, writing = os.pipe()
+
+    def run() -> None:
+        with os.fdopen(reading, "rb") as lines:
+            while line := lines.readline(LONGEST_LINE):
+                printer.print(line.decode(errors="replace").removesuffix("\n"))
+
+    thread = threading.Thread(target=run, name="relay", daemon=True)
+    thread.start()
+    try:
+        yield writing
+    finally:
+        os.close(writing)
+        thread.join(_CLOSE_LIMIT)
 
 
 @contextmanager
 def log_printer() -> Iterator[None]:
     """Print the warnings of Poise to stderr on a thread of its own meanwhile."""
     logger = logging.getLogger("poise")
-    with Printer(sys.stderr) as printer:
+    with Printer(STDERR) as printer:
         handler = _LogPrinter(printer)
         logger.addHandler(handler)
         try:

@@ -1,0 +1,109 @@
+"""`poise up` whose output nobody reads goes on looking after its robot."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+import select
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from poise.errors import PoiseError
+from poise.manage.control_socket.client import send_command
+from poise.manage.control_socket.records import RobotStatus, StatusCommand
+from tests.command import POISE, run_poise
+from tests.waiting import LONG, wait_long
+
+pytestmark = pytest.mark.slow
+
+NAME = f"chatty{os.getpid()}"
+CODE = """
+from poise import Component, every
+
+class Chatty(Component):
+    count = 0
+
+    @every(0.01)
+    def chat(self):
+        self.count += 1
+        print("chat " * 200, self.count, flush=True)
+"""
+FILE = f"""
+robot: {NAME}
+computers:
+  left: {{cpu: 0.5, memory: 1 GiB}}
+  right: {{cpu: 0.5, memory: 1 GiB}}
+architectures:
+  work:
+    function: work
+    components:
+      chatty: {{implementation: "chatty:Chatty", only: [left], cpu: 5%, memory: 50 MiB}}
+      other: {{implementation: "chatty:Chatty", only: [right], cpu: 5%, memory: 50 MiB}}
+tasks:
+  work: {{actions: [{{name: work, functions: [work]}}]}}
+"""
+PIPE = 4096
+"""The smallest that Linux gives [bytes]."""
+
+
+def status() -> RobotStatus:
+    answer = send_command(NAME, StatusCommand())
+    assert isinstance(answer, RobotStatus)
+    return answer
+
+
+def is_up() -> bool:
+    try:
+        return bool(status().computers)
+    except PoiseError:
+        return False
+
+
+def releases(computer: str) -> int:
+    (container,) = status().computers[computer].containers
+    return sum(t.releases for c in container.components for t in c.timers)
+
+
+def agent_of(up: int, computer: str) -> int:
+    children = Path(f"/proc/{up}/task").glob("*/children")
+    for pid in " ".join(file.read_text() for file in children).split():
+        words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+        if b"agent" in words and computer.encode() in words:
+            return int(pid)
+    pytest.fail(f"no agent of {computer}")
+
+
+def test_a_killed_agent_is_noticed_though_nobody_reads(tmp_path: Path) -> None:
+    (tmp_path / "chatty.py").write_text(CODE)
+    (tmp_path / "robot.yaml").write_text(FILE)
+    reading, writing = os.pipe()
+    fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, PIPE)
+    argv = [*POISE, "up", str(tmp_path / "robot.yaml")]
+    up = subprocess.Popen(argv, stdout=writing, stderr=writing)
+    try:
+        wait_long(is_up)
+        # not one more byte of the chat goes out
+        wait_long(lambda: not select.select([], [writing], [], 0)[1])
+        before = releases("left")
+        wait_long(lambda: releases("left") > before + 200)
+
+        os.kill(agent_of(up.pid, "right"), signal.SIGKILL)
+        wait_long(lambda: run_poise("status", "--robot", NAME).returncode == 1)
+        said = run_poise("status", "--robot", NAME).stdout
+        assert re.search("computer 'right' is out of reach since .* other may", said)
+        before = releases("left")
+        wait_long(lambda: releases("left") > before + 50)
+
+        stopped = run_poise("stop", "--robot", NAME)
+        assert stopped.returncode == 1
+        assert "'right' is out of reach" in stopped.stderr
+        up.wait(LONG)
+    finally:
+        up.kill()
+        up.wait(LONG)
+        os.close(reading)
+        os.close(writing)
