@@ -40,6 +40,8 @@ class Incarnation(Struct, frozen=True, kw_only=True):
     adapt
         ``package.module:function`` that turns the state of the implementation before
         into one for this; empty: it is the same.
+    fresh
+        Whether it begins without state.
     gently
         Whether it is prepared with the CPU time that others leave.
     """
@@ -50,6 +52,7 @@ class Incarnation(Struct, frozen=True, kw_only=True):
     goal: Goal = "active"
     implementation: str = ""
     adapt: str = ""
+    fresh: bool = False
     gently: bool = False
 
     def with_goal(self, goal: Goal) -> Incarnation:
@@ -207,6 +210,7 @@ class DeploymentPlan:
             implementation=incarnation.implementation or component.implementation,
             command=component.command,
             adapt=incarnation.adapt,
+            fresh=incarnation.fresh,
             parameters=component.parameters,
             devices={
                 name: str(PurePath(self._folder) / self._robot.device(name).path)

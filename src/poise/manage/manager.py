@@ -194,10 +194,12 @@ class Manager:
                     )
                     check_move(robot, run.placement(), component, computer)
                 return Moved(move(run, component, computer))
-            case ReplaceCommand(component, implementation, adapt):
-                return Moved(replace(run, component, implementation, adapt))
-            case ReplaceArchitectureCommand(architecture, by, adapt):
-                return Replaced(replace_architecture(run, architecture, by, adapt))
+            case ReplaceCommand(component, by, adapt, fresh):
+                return Moved(replace(run, component, by, adapt, fresh=fresh))
+            case ReplaceArchitectureCommand(architecture, by, adapt, fresh):
+                return Replaced(
+                    replace_architecture(run, architecture, by, adapt, fresh=fresh)
+                )
             case RebalanceCommand(cost, dry):
                 return self._rebalance(cost, dry=dry)
         raise AssertionError(command)

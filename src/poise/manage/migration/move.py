@@ -65,7 +65,12 @@ def move(run: Run, component: str, computer: str) -> MoveReport:
 
 
 def replace(
-    run: Run, component: str, implementation: str, adapt: str = ""
+    run: Run,
+    component: str,
+    implementation: str,
+    adapt: str = "",
+    *,
+    fresh: bool = False,
 ) -> MoveReport:
     """Swap a running component's implementation for another with fitting ports.
 
@@ -76,6 +81,8 @@ def replace(
     adapt
         ``package.module:function`` that turns the old state into the new one; empty:
         the new implementation restores the old one's state as it is.
+    fresh
+        Whether the state is dropped.
 
     Raises
     ------
@@ -93,6 +100,7 @@ def replace(
         goal="inactive",
         implementation=implementation,
         adapt=adapt,
+        fresh=fresh,
         gently=True,
     )
     return _migrate(run, old, new)

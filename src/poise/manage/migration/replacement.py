@@ -17,7 +17,7 @@ from poise.manage.migration.coordinator import (
     describe,
 )
 from poise.manage.migration.plan import MigrationPlan
-from poise.manage.run import Run
+from poise.manage.run import Run, components_of
 from poise.model.robot import Architecture, Robot
 
 
@@ -36,7 +36,7 @@ class ReplaceReport(MigrationReport, frozen=True, kw_only=True):
 
 
 def replace_architecture(
-    run: Run, architecture: str, by: str, adapt: str = ""
+    run: Run, architecture: str, by: str, adapt: str = "", *, fresh: bool = False
 ) -> ReplaceReport:
     """Replace a running architecture by another that provides the same function.
 
@@ -47,15 +47,19 @@ def replace_architecture(
     ----------
     adapt
         ``package.module:function`` that makes states for the components of `by` from
-        those of `architecture` (`state_receiver`); empty: they begin anew.
+        those of `architecture` (`state_receiver`).
+    fresh
+        Whether they begin without state; else `adapt` is needed where there is any.
 
     Raises
     ------
     UsageError
-        It does not run, the other is no alternative, or somebody calls what the other
-        does not offer; nothing was touched.
+        It does not run, the other is no alternative, somebody calls what the other
+        does not offer, or state would be lost; nothing was touched.
     """
     old, new = _checked(run, architecture, by)
+    if not adapt and not fresh:
+        _check_stateless(run, old)
     where = _placement(run, old, new)
     migration = MigrationPlan(
         what=f"architecture '{architecture}'",
@@ -67,6 +71,7 @@ def replace_architecture(
                 epoch=run.next_epoch(component.name),
                 goal="inactive",
                 adapt=adapt,
+                fresh=fresh,
                 gently=True,
             )
             for component in new.components
@@ -106,6 +111,20 @@ def _checked(run: Run, name: str, by: str) -> tuple[Architecture, Architecture]:
         )
     _check_callers(run, old, new)
     return old, new
+
+
+def _check_stateless(run: Run, old: Architecture) -> None:
+    """Raise UsageError when a component has a state that nobody would take."""
+    placed = {run.placed[c.name].computer for c in old.components}
+    names = {c.name for c in old.components}
+    statuses = run.agents.statuses()
+    found = components_of({c: s for c, s in statuses.items() if c in placed})
+    lost = sorted({c.name for c in found if c.has_state} & names)
+    if lost:
+        raise UsageError(
+            f"the state of '{', '.join(lost)}' would be lost: map it with --adapt, or "
+            "drop it with --fresh"
+        )
 
 
 def _check_callers(run: Run, old: Architecture, new: Architecture) -> None:

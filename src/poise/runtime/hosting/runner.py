@@ -272,6 +272,7 @@ class Runner:
             cpu=self.counters.cpu() if cpu is None else cpu,
             start=self._start,
             snapshot=self._snapshot,
+            has_state=type(self.component).snapshot is not Component.snapshot,
             requires=self._ports_that("requires"),
             subscribes=self._ports_that("subscribes"),
             timers=tuple(s.status(until) for s in list(self.schedules.values())),

@@ -31,6 +31,11 @@ from poise.priority import ahead, first
 from poise.runtime.component.implementation import find_function
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration import state_sender
+from poise.runtime.migration.state_check import (
+    check_adapted,
+    check_fits,
+    check_result,
+)
 from poise.runtime.migration.state_sender import Request, StateTransfer
 from poise.wire import frame
 from poise.wire.codec import codec
@@ -70,8 +75,11 @@ class StateReceiver:
         self._adapt = find_function(adapt) if adapt else None
         self._is_same = name in step.sources
         self._before: Mapping[str, Any] = {}
-        if self._adapt is not None and not self._is_same:
-            before, after = types_of(self._adapt)
+        if self._adapt is not None and self._is_same:
+            check_result(self._adapt, runner.component)
+        elif self._adapt is not None:
+            before, after = states = types_of(self._adapt)
+            check_adapted(runner.component, name, states, step.sources)
             self._before = before if name in after else {}
         self._open_channel = open_channel
         self._channels: dict[str, Channel] = {}
@@ -87,11 +95,6 @@ class StateReceiver:
         """
         sources = self._step.sources
         for name in self._needed():
-            if name not in sources:
-                raise UsageError(
-                    f"'{self._runner.spec.adapt}' asks for the state of '{name}', "
-                    f"which is not replaced ({', '.join(sources)} are)"
-                )
             key = state_sender.key_of(name, sources[name], self._migration)
             address = self._step.addresses[name]
             self._channels[name] = self._open_channel(key, address)
@@ -169,6 +172,10 @@ class StateReceiver:
         runner = self._runner
         if self._adapt is None or not self._before:
             return
+        for name, type_ in self._before.items():
+            if transfers[name].state:
+                described = transfers[name].state_type
+                check_fits(described, type_, f"--adapt for '{name}'")
         states = {
             name: frame.parse(transfers[name].state).value(codec(type_))
             for name, type_ in self._before.items()

@@ -7,12 +7,11 @@ works (`Request.STATE`, for components that offer `snapshot_delta`), then everyt
 
 from __future__ import annotations
 
-import inspect
 import threading
 import time
 from collections.abc import Callable, Mapping
 from enum import IntEnum
-from typing import Any, get_type_hints
+from typing import Any
 
 from msgspec import Struct
 
@@ -22,6 +21,12 @@ from poise.runtime.component.component import Component
 from poise.runtime.connectors.channel_route import entry_codec
 from poise.runtime.execution.exclusion import new_chain
 from poise.runtime.hosting.runner import Runner
+from poise.runtime.migration.state_check import (
+    check_fits,
+    check_restores,
+    describe_type,
+    type_taken_by,
+)
 from poise.wire import frame
 from poise.wire.codec import codec
 from poise.wire.connections.channel import Channel, Pieces
@@ -47,6 +52,8 @@ class StateTransfer(Struct, frozen=True, kw_only=True):
     ----------
     state, delta
         Frames with what `snapshot` or `snapshot_delta` gave; empty: nothing.
+    state_type
+        The type of the state, by `state_check.describe_type`.
     messages
         Ports and frames of the messages and one-way calls that wait, oldest first.
     due
@@ -54,6 +61,7 @@ class StateTransfer(Struct, frozen=True, kw_only=True):
     """
 
     state: bytes = b""
+    state_type: str = ""
     delta: bytes = b""
     messages: tuple[tuple[str, bytes], ...] = ()
     due: Mapping[str, float] = {}
@@ -139,20 +147,23 @@ class StateSender:
         finally:
             self._runner.exclusion.leave()
         self._has_sent_state = True
-        return StateTransfer(state=_frame_of(state))
+        return StateTransfer(state=_frame_of(state), state_type=_type_of(state))
 
     def _all(self) -> StateTransfer:
         runner = self._runner
         state = delta = b""
+        state_type = ""
         with runner.at_rest():
             if self._has_sent_state:
                 delta = _frame_of(runner.component.snapshot_delta())
             else:
-                state = _frame_of(runner.component.snapshot())
+                taken = runner.component.snapshot()
+                state, state_type = _frame_of(taken), _type_of(taken)
             messages = tuple(_messages(runner))
         now = runner.clock.now()
         return StateTransfer(
             state=state,
+            state_type=state_type,
             delta=delta,
             messages=messages,
             due={name: s.due - now for name, s in runner.schedules.items()},
@@ -217,12 +228,14 @@ def restore(
     now = runner.clock.now()
     runner.keep_phases({name: now + left for name, left in transfer.due.items()})
     with runner.at_rest():
-        if transfer.state:
-            if adapt is None:
-                _check_restores(component)
-            state = _value_of(transfer.state, adapt or component.restore)
+        if transfer.state and not runner.spec.fresh:
+            check_restores(component)
+            method = adapt or component.restore
+            taken = type_taken_by(method)
+            check_fits(transfer.state_type, taken, method.__qualname__)
+            state = _value_of(transfer.state, method)
             component.restore(adapt(state) if adapt else state)
-        if transfer.delta:
+        if transfer.delta and not runner.spec.fresh:
             delta = _value_of(transfer.delta, component.restore_delta)
             component.restore_delta(delta)
     for port, data in transfer.messages:
@@ -234,7 +247,8 @@ def restore(
 def warm_up(runner: Runner) -> None:
     """Look up types and codecs before the pause, for `restore`."""
     for method in (runner.component.restore, runner.component.restore_delta):
-        codec(_type_taken_by(method))
+        codec(type_taken_by(method))
+    describe_type(type_taken_by(runner.component.restore))
 
 
 def _messages(runner: Runner) -> list[tuple[str, bytes]]:
@@ -247,6 +261,10 @@ def _messages(runner: Runner) -> list[tuple[str, bytes]]:
     return frames
 
 
+def _type_of(state: Struct | None) -> str:
+    return "" if state is None else describe_type(type(state))
+
+
 def _frame_of(state: Struct | None) -> bytes:
     if state is None:
         return b""
@@ -254,7 +272,7 @@ def _frame_of(state: Struct | None) -> bytes:
 
 
 def _value_of(data: bytes, method: Any) -> Any:  # noqa: ANN401, a user's method
-    return frame.parse(data).value(codec(_type_taken_by(method)))
+    return frame.parse(data).value(codec(type_taken_by(method)))
 
 
 def check_state(component: type[Component]) -> None:
@@ -262,25 +280,4 @@ def check_state(component: type[Component]) -> None:
     for name in ("restore", "restore_delta"):
         method = getattr(component, name)
         if method is not getattr(Component, name):
-            _type_taken_by(method.__get__(component))
-
-
-def _check_restores(component: Component) -> None:
-    """Raise UsageError when the component's state would be lost."""
-    code = type(component)
-    has_state = code.snapshot is not Component.snapshot
-    if has_state and code.restore is Component.restore:
-        raise UsageError(
-            f"{code.__qualname__} has `snapshot`, but no `restore`: its state would be "
-            "lost. Write `restore`, or remove `snapshot` to start without state"
-        )
-
-
-def _type_taken_by(method: Any) -> Any:  # noqa: ANN401, a user's method
-    hints = get_type_hints(method)
-    name = next(iter(inspect.signature(method).parameters))
-    if name not in hints:
-        raise UsageError(
-            f"{method.__qualname__}: parameter '{name}' must say the state's type"
-        )
-    return hints[name]
+            type_taken_by(method.__get__(component))

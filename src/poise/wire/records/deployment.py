@@ -48,6 +48,8 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
     adapt
         ``package.module:function`` that maps the state of the incarnation before, when
         that had another implementation; empty: the state is the same.
+    fresh
+        Whether it begins without the state of the incarnation before.
     devices
         Device names to paths.
     weigh
@@ -62,6 +64,7 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
     implementation: str = ""
     command: tuple[str, ...] = ()
     adapt: str = ""
+    fresh: bool = False
     parameters: Mapping[str, Any] = {}
     devices: Mapping[str, str] = {}
     weigh: bool = False
@@ -325,6 +328,7 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
     cpu: float = 0.0
     start: float = 0.0
     snapshot: int = 0
+    has_state: bool = False
     requires: tuple[str, ...] = ()
     subscribes: tuple[str, ...] = ()
     timers: tuple[TimerStatus, ...] = ()

@@ -1,0 +1,118 @@
+"""Whether a state fits what is to restore it, by the names of its fields."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Collection, Mapping
+from functools import cache
+from types import UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+from msgspec import Struct
+
+from poise.errors import UsageError
+from poise.runtime.component.component import Component
+from poise.runtime.component.fingerprint import fingerprint
+
+_WAYS_OUT = "map it with --adapt, or drop it with --fresh"
+
+
+@cache
+def describe_type(type_: Any) -> str:  # noqa: ANN401, any type
+    """Return the fields of a message class, by name and type: equal when they fit."""
+    made_of = fingerprint(type_)
+    if isinstance(type_, type) and issubclass(type_, Struct):
+        assert isinstance(made_of, tuple)  # noqa: S101, of a message class
+        made_of = made_of[1]  # the class's own name does not count
+    return repr(made_of)
+
+
+def check_fits(described: str, taken: Any, by: str) -> None:  # noqa: ANN401, any type
+    """Raise UsageError when a state is not what a method takes.
+
+    Parameters
+    ----------
+    described
+        The state's type, by `describe_type`.
+    taken
+        The type that the method's parameter is annotated with.
+    by
+        The method.
+    """
+    is_union = get_origin(taken) in {Union, UnionType}
+    options = get_args(taken) if is_union else (taken,)
+    if taken is Any or any(describe_type(each) == described for each in options):
+        return
+    raise UsageError(
+        f"the state has the fields {described}, but {by} takes "
+        f"{' or '.join(map(describe_type, options))}: {_WAYS_OUT}"
+    )
+
+
+def check_restores(component: Component) -> None:
+    """Raise UsageError when a component would lose the state that it is given."""
+    code = type(component)
+    if code.restore is Component.restore:
+        raise UsageError(
+            f"{code.__qualname__} has no `restore`, so the state would be lost: write "
+            f"`restore`, or {_WAYS_OUT}"
+        )
+
+
+def check_adapted(
+    component: Component,
+    name: str,
+    states: tuple[Mapping[str, Any], Mapping[str, Any]],
+    sources: Collection[str],
+) -> None:
+    """Raise UsageError when `adapt` makes no state for a component, or of other ones.
+
+    Parameters
+    ----------
+    states
+        The states that `adapt` takes, and those that it makes: component -> type.
+    sources
+        The components that are replaced.
+    """
+    before, after = states
+    unknown = ", ".join(sorted(before.keys() - set(sources)))
+    if unknown:
+        raise UsageError(
+            f"--adapt takes the state of '{unknown}', which is not replaced "
+            f"({', '.join(sorted(sources))} are)"
+        )
+    takes_state = type(component).restore is not Component.restore
+    if takes_state and name not in after:
+        raise UsageError(
+            f"--adapt makes no state for '{name}', only for {', '.join(after)}: add "
+            f"the field '{name}', or begin without state by --fresh"
+        )
+    if name in after:
+        check_restores(component)
+
+
+def check_result(adapt: Callable[[Any], Any], component: Component) -> None:
+    """Raise UsageError when `adapt` makes another state than a component restores."""
+    check_restores(component)
+    result = get_type_hints(adapt).get("return")
+    if result is None:
+        raise UsageError(f"{adapt.__qualname__} must say which type it returns")
+    by = f"{type(component).__qualname__}.restore"
+    check_fits(describe_type(result), type_taken_by(component.restore), by)
+
+
+def type_taken_by(method: Any) -> Any:  # noqa: ANN401, a user's method
+    """Return the type that a method's parameter is annotated with.
+
+    Raises
+    ------
+    UsageError
+        There is no annotation.
+    """
+    hints = get_type_hints(method)
+    name = next(iter(inspect.signature(method).parameters))
+    if name not in hints:
+        raise UsageError(
+            f"{method.__qualname__}: parameter '{name}' must say the state's type"
+        )
+    return hints[name]
