@@ -11,6 +11,7 @@ import pytest
 from poise.errors import UsageError
 from poise.manage.agents import Agents
 from poise.manage.journal import Journal
+from poise.manage.migration.move import replace
 from poise.manage.migration.replacement import replace_architecture
 from poise.manage.run import Run, components_of
 from poise.model.robot import (
@@ -66,6 +67,22 @@ class Counter(Component):
 
     def snapshot(self) -> Count:
         return self.state
+
+class Remembering(Counter):
+    def restore(self, state: Count) -> None:
+        self.state = state
+
+class Total(Message):
+    total: int
+
+class Renamed(Counter):
+    """Its state has one number, too, and means another thing."""
+
+    def restore(self, state: Total) -> None:
+        self.state = Count(state.total)
+
+def renamed(state: Count) -> Total:
+    return Total(state.count)
 
 class Adder(Component):
     """The second half: adds up."""
@@ -123,6 +140,12 @@ class After(Message):
 
 def adapt(before: Before) -> After:
     return After(Both(before.counter.count, before.adder.sum))
+
+class Strange(Message):
+    stranger: Count
+
+def elsewhere(before: Strange) -> After:
+    return After(Both(before.stranger.count, 0))
 
 class Broke(Message):
     broken: Both
@@ -238,6 +261,40 @@ def test_all_goes_on_as_before_when_one_component_cannot_restore(
     before = {"source", "sink", "counter", "adder"}
     world.run.agents.wait_news(lambda: world.active() == before, LIMIT)
     assert world.active() == before
+
+
+def test_a_state_is_matched_by_the_names_of_its_fields(
+    world: SimulatorProcess,
+) -> None:
+    for by, adapt, words in (
+        ("Counter", "", "Counter has no `restore`, so the state would be lost"),
+        ("Renamed", "", r"fields (('count', 'int'),), but Renamed.restore takes"),
+        ("Renamed", "replaced:adapt", "but Renamed.restore takes (('total', 'int'),)"),
+    ):
+        report = replace(world.run, "counter", f"replaced:{by}", adapt)
+        assert not report.committed
+        assert words in report.reason
+        world.works()
+    for by, adapt, fresh in (
+        ("Remembering", "", False),
+        ("Renamed", "replaced:renamed", False),
+        ("Counter", "", True),
+    ):
+        report = replace(world.run, "counter", f"replaced:{by}", adapt, fresh=fresh)
+        assert report.committed, report.reason
+        world.works()
+    assert world.wrong() == 0
+
+
+def test_no_state_of_an_architecture_is_lost_unsaid(world: SimulatorProcess) -> None:
+    with pytest.raises(UsageError, match=r"'adder, counter' would be lost: .*--fresh"):
+        replace_architecture(world.run, "halves", "one")
+    report = replace_architecture(world.run, "halves", "one", "replaced:misadapt")
+    assert "--adapt makes no state for 'whole', only for broken" in report.reason
+    report = replace_architecture(world.run, "halves", "one", "replaced:elsewhere")
+    assert "--adapt takes the state of 'stranger', which is not" in report.reason
+    assert world.run.placement().keys() >= {"counter", "adder"}
+    assert replace_architecture(world.run, "halves", "bad", fresh=True).committed
 
 
 def test_refuses_before_anything_is_touched(world: SimulatorProcess) -> None:
