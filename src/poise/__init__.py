@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from poise.session.placement import place as place
     from poise.session.profiling import Profiling as Profiling
     from poise.session.profiling import profile as profile
-    from poise.session.recorded_run import RecordedRun as RecordedRun
+    from poise.session.recordings.recorded_run import RecordedRun as RecordedRun
     from poise.session.report import RunReport as RunReport
     from poise.session.robot_file import check as check
     from poise.session.robot_file import load as load
@@ -57,7 +57,7 @@ else:
         "Profiling": "session.profiling",
         "Provided": "runtime.component.ports",
         "Published": "runtime.component.ports",
-        "RecordedRun": "session.recorded_run",
+        "RecordedRun": "session.recordings.recorded_run",
         "Required": "runtime.component.ports",
         "Robot": "model.robot",
         "RobotError": "errors",

@@ -31,7 +31,10 @@ from poise.session.render.plan import (
 
 
 def plan_command(
-    file: Annotated[Path, typer.Argument(help="Robot file, or problem in .json.")],
+    file: Annotated[
+        Path,
+        typer.Argument(help="Robot file, or problem in .json.", envvar="POISE_ROBOT"),
+    ],
     task: Annotated[str | None, typer.Option(help="Task to place; else all.")] = None,
     method: Annotated[
         str, typer.Option(help="auto, greedy, exact, search, cpsat or static.")

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from poise.errors import UsageError
 from poise.manage.observe.estimates import DemandEstimate
-from poise.session.recorded_run import RecordedRun
+from poise.session.recordings.recorded_run import RecordedRun
 from poise.session.render.shown import console_to
 from poise.session.render.tables import table
 from poise.session.robot_file import load_bare

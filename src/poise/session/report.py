@@ -11,15 +11,15 @@ from rich.console import RenderableType
 
 from poise.errors import RunError
 from poise.manage.drain import unprocessed
-from poise.manage.observe.silence import SilentPort, silent_ports
-from poise.model.robot import Robot
-from poise.session.failures import (
+from poise.manage.observe.failures import (
     ComponentError,
     HungHandler,
     component_errors,
     hung_handlers,
     refused_messages,
 )
+from poise.manage.observe.silence import SilentPort, silent_ports
+from poise.model.robot import Robot
 from poise.session.placement import Placement
 from poise.session.render.report import report_parts
 from poise.session.render.shown import Shown

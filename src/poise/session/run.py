@@ -12,7 +12,7 @@ from poise.manage.journal import Journal
 from poise.manage.run import Run
 from poise.model.robot import Robot
 from poise.session.placement import Placement, runnable
-from poise.session.recording import keeping
+from poise.session.recordings.record_run import keeping
 from poise.session.report import Measured, RunReport, reported
 from poise.session.robot_file import task_of
 from poise.session.say import Check, Say, log, nothing

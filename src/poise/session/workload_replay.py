@@ -12,7 +12,7 @@ from msgspec import Struct
 from poise.errors import UsageError
 from poise.model.robot import Architecture, Component, Connector, End, Robot
 from poise.runtime.workload.replay import Part, read_recorded
-from poise.session.recorders import interface_type, message_type
+from poise.session.recordings.tapped_robot import interface_type, message_type
 
 PLAYER = "player-of-workload"
 

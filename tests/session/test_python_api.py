@@ -1,0 +1,117 @@
+"""The Python API: quick to import, and its results show themselves."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import poise
+from poise.model import Architecture, Component, Computer, Robot
+from poise.session.report import ComponentReport, RunReport
+from poise.wire.records.deployment import Summary, TimerStatus
+from tests.waiting import LONG
+
+
+def hello() -> Robot:
+    left = Computer(name="left", capacity={"cpu": 1.0, "memory": 1.0})
+    counter = Component(name="counter", demand={"cpu": 0.5, "memory": 0.5})
+    architecture = Architecture(name="a", function="a", components=(counter,))
+    return Robot(name="hello", computers=(left,), architectures=(architecture,))
+
+
+def report() -> RunReport:
+    timer = TimerStatus(
+        name="tick",
+        period=0.1,
+        deadline=0.1,
+        releases=10,
+        missed=1,
+        lateness=Summary(),
+        duration=Summary(count=10, mean=0.002, median=0.002, p99=0.003, maximum=0.004),
+    )
+    counter = ComponentReport(
+        name="counter", computer="left", cpu=0.1, errors=0, timers=(timer,), measures={}
+    )
+    return RunReport(
+        robot="hello",
+        task="greet",
+        method="auto",
+        placement={"counter": "left"},
+        decision_seconds=0.0,
+        seconds=1.0,
+        cpu_share={"left": 0.1},
+        components=(counter,),
+        connectors=(),
+    )
+
+
+def test_the_names_are_listed_before_they_are_imported() -> None:
+    assert {"load", "place", "run", "up", "Component"} <= set(dir(poise))
+    with pytest.raises(AttributeError, match="no attribute 'lode'"):
+        _ = poise.lode  # type: ignore[attr-defined]
+
+
+@pytest.mark.slow
+def test_authors_of_components_do_not_pay_for_the_application() -> None:
+    code = (
+        "import sys; from poise import Component, every; "
+        "print([m for m in ('zenoh', 'rich', 'typer', 'yaml', 'poise.plan') "
+        "if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=LONG,
+        check=True,
+    )
+    assert done.stdout == "[]\n"
+
+
+def test_a_file_with_problems_is_an_error_with_all_of_them(tmp_path: Path) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text("robot: r\ncomputers: {a: {cup: 1}, b: {memroy: 1}}\n")
+    with pytest.raises(poise.RobotError) as error:
+        poise.load(file)
+    text = " ".join(problem.message for problem in error.value.problems)
+    assert "cup" in text
+    assert "memroy" in text
+
+
+def test_a_placement_shows_where_components_are() -> None:
+    placed = poise.place(hello())
+    assert placed["counter"] == "left"
+    assert placed.explain("counter").reason
+    for text in (str(placed), placed._repr_html_()):
+        assert "counter" in text
+        assert "left" in text
+
+
+def test_what_fits_nowhere_says_why_and_does_not_run() -> None:
+    robot = hello()
+    small = Computer(name="left", capacity={"cpu": 0.1, "memory": 1.0})
+    robot = Robot(
+        name="r", computers=(small,), architectures=robot.architectures, tasks=()
+    )
+    placed = poise.place(robot)
+    assert not placed.feasible
+    assert "cpu" in placed.reason
+    with pytest.raises(poise.RobotError, match="no placement"):
+        poise.run(robot, "all", seconds=1.0, placement=placed)
+
+
+def test_a_report_is_rows_of_plain_values() -> None:
+    (row,) = report().rows("timers")
+    assert (row["component"], row["timer"], row["missed"]) == ("counter", "tick", 1)
+    assert row["duration_p99"] == 0.003
+    assert "counter" in str(report())
+
+
+@pytest.mark.slow
+def test_a_report_is_a_data_frame() -> None:
+    pytest.importorskip("pandas")
+    frame = report().to_pandas("timers")
+    assert list(frame["timer"]) == ["tick"]
