@@ -173,7 +173,7 @@ def activate(runner: Runner) -> None:
     runner.start()
     runner.aim("active")
     end = time.monotonic() + 10
-    while runner.state != "active":
+    while runner.life_cycle.state != "active":
         assert time.monotonic() < end, runner.status().error
         time.sleep(0.005)
 

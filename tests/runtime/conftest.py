@@ -85,7 +85,7 @@ class Pair:
         self._closing.callback(_end, runner)
         runner.start()
         runner.aim("inactive")
-        assert runner.wait_state({"inactive", "failed"}, LIMIT) == "inactive"
+        assert runner.life_cycle.wait_state({"inactive", "failed"}, LIMIT) == "inactive"
         component = runner.component
         assert isinstance(component, implementation)
         return component
@@ -115,7 +115,7 @@ class Pair:
         )
         for runner in self.runners.values():
             runner.aim("active")
-            assert runner.wait_state({"active", "failed"}, LIMIT) == "active"
+            assert runner.life_cycle.wait_state({"active", "failed"}, LIMIT) == "active"
 
     def start_source_anew(self, implementation: type[C]) -> C:
         """End the source's container as if it was killed, and start another."""

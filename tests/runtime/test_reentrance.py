@@ -102,10 +102,10 @@ def test_a_component_comes_to_rest_between_chains_that_cross(pair: Pair) -> None
     """Whoever waits for the rest keeps nobody out for whom a chain waits."""
     with crossing(pair, Letting, LIMIT) as runners, ThreadPoolExecutor() as pool:
         for runner in runners * 5:
-            runner.stay()
+            runner.gate.begin_migration()
             both = threading.Barrier(2)
             chains = [pool.submit(begin, each, both) for each in runners]
-            rest = pool.submit(runner.rest, LIMIT)
+            rest = pool.submit(runner.gate.pause_for_migration, LIMIT)
             rest.result(LIMIT)
             runner.aim("active")
             assert [chain.result(LIMIT) for chain in chains] == [4, 4]

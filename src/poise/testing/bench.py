@@ -15,7 +15,7 @@ from typing import Any, Generic, Self, TypeVar
 from poise.errors import UsageError
 from poise.runtime.component.component import Component, Context, create
 from poise.runtime.component.ports import Published, ports_of, timers_of
-from poise.runtime.execution.timers import Timers
+from poise.runtime.execution.timers import Releases
 from poise.testing.clock import VirtualClock
 
 C = TypeVar("C", bound=Component)
@@ -73,7 +73,7 @@ class Bench(Generic[C]):
         self._connect(required)
         self.component.activate()
         timers = timers_of(implementation).values()
-        self._schedules = [Timers(timer, self.clock.now()) for timer in timers]
+        self._schedules = [Releases(timer, self.clock.now()) for timer in timers]
 
     def __enter__(self) -> Self:
         return self

@@ -57,8 +57,13 @@ class MigrationPhases:
         self._seconds: dict[str, float] = {}
         self._changing = threading.Lock()
 
-    def enter(self, phase: Phase) -> None:
+    def enter(self, phase: Phase, since: float | None = None) -> None:
         """Go to a phase; harmless when it is there already.
+
+        Parameters
+        ----------
+        since
+            When it began, by the monotonic clock [s]; None: now.
 
         Raises
         ------
@@ -67,7 +72,7 @@ class MigrationPhases:
         """
         with self._changing:
             self._check(phase)
-            self._count()
+            self._count(since)
             self._phase = phase
 
     @contextmanager
@@ -100,8 +105,8 @@ class MigrationPhases:
                 f"'{self._phase}' (only {choices})"
             )
 
-    def _count(self) -> None:
-        now = time.monotonic()
+    def _count(self, until: float | None = None) -> None:
+        now = time.monotonic() if until is None else until
         if self._phase != "start":
             seconds = self._seconds.get(self._phase, 0.0)
             self._seconds[self._phase] = seconds + now - self._since

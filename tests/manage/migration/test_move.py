@@ -21,7 +21,11 @@ from poise.clock import SystemClock
 from poise.errors import RunError, UsageError
 from poise.manage.agents import Agents
 from poise.manage.journal import Journal
-from poise.manage.migration.coordinator import DOWNTIME_LIMIT, RESUME_LIMIT
+from poise.manage.migration.coordinator import (
+    DOWNTIME_LIMIT,
+    PREPARE_LIMIT,
+    RESUME_LIMIT,
+)
 from poise.manage.migration.move import MoveReport, move, replace
 from poise.manage.run import Run, components_of, connectors_of
 from poise.model.robot import (
@@ -236,13 +240,15 @@ class Striking:
         return getattr(self._agents, name)
 
     def take_steps(
-        self, batches: Iterable[tuple[str, MigrationSteps]]
+        self,
+        batches: Iterable[tuple[str, MigrationSteps]],
+        check: Callable[[], object] = lambda: None,
     ) -> Iterator[StepsOutcome]:
         told = list(batches)
         kinds = {type(step) for _, batch in told for step in batch.steps}
         for kind in kinds & self.before.keys():
             self.before.pop(kind)()
-        return self._agents.take_steps(told)
+        return self._agents.take_steps(told, check)
 
 
 class SimulatorProcess:
@@ -495,7 +501,7 @@ def test_a_publisher_waits_for_a_slow_subscriber_that_moves(
         ("Unwritable", "WireError: a object cannot cross"),
         (
             "Unrestoring",
-            "Unrestoring has `snapshot`, but no `restore`: its state would",
+            "Unrestoring has no `restore`, so the state would be lost",
         ),
         ("Untyped", "Untyped.restore: parameter 'state' must say the state's type"),
     ],
@@ -556,6 +562,30 @@ def test_a_move_after_one_that_rolled_back_succeeds(world: SimulatorProcess) -> 
     world.striking.before[Pause] = lambda: world.kill("right", "counter")
     first, second = move(run, "counter", "right"), move(run, "counter", "right")
     assert (first.committed, second.committed) == (False, True), second.reason
+    world.works()
+    assert world.told("sink")[1] == 0
+
+
+@pytest.mark.parametrize("before", [OfferState, AwaitIdle])
+def test_a_move_away_from_a_frozen_container_fails_soon(
+    world: SimulatorProcess, before: type
+) -> None:
+    """It said nothing for 30 s: the source offered its state when it went on."""
+    run = world.start("Counter", "right", isolated=True)
+    container = run.layout.container_of("counter")
+    (pid,) = (
+        each.pid
+        for each in run.agents.statuses()["left"].containers
+        if each.name == container
+    )
+    world.striking.before[before] = lambda: os.kill(pid, signal.SIGSTOP)
+    started = time.monotonic()
+    report = move(run, "counter", "right")
+    took = time.monotonic() - started
+    os.kill(pid, signal.SIGCONT)
+    assert not report.committed
+    assert re.search("does not respond|is unresponsive", report.reason)
+    assert took < PREPARE_LIMIT / 3
     world.works()
     assert world.told("sink")[1] == 0
 

@@ -5,29 +5,29 @@ from __future__ import annotations
 import pytest
 
 from poise.runtime.component.ports import Timer
-from poise.runtime.execution.timers import Timers
+from poise.runtime.execution.timers import Releases
 from poise.wire.records.deployment import TimerStatus
 
 START = 10.0
 
 
 @pytest.fixture
-def schedule() -> Timers:
-    return Timers(Timer("tick", 0.1, 0.05), START)
+def schedule() -> Releases:
+    return Releases(Timer("tick", 0.1, 0.05), START)
 
 
-def run(schedule: Timers, began: float, ended: float) -> float:
+def run(schedule: Releases, began: float, ended: float) -> float:
     """Run from `began` to `ended`, counted from activation; return the release."""
     release = schedule.begin(START + began)
     schedule.end(release, START + began, START + ended)
     return round(release - START, 9)
 
 
-def status(schedule: Timers, at: float) -> TimerStatus:
+def status(schedule: Releases, at: float) -> TimerStatus:
     return schedule.status(START + at)
 
 
-def test_releases_lie_at_multiples_of_the_period(schedule: Timers) -> None:
+def test_releases_lie_at_multiples_of_the_period(schedule: Releases) -> None:
     for k in (1, 2, 3):
         assert schedule.due == pytest.approx(START + 0.1 * k)
         assert run(schedule, 0.1 * k + 0.01, 0.1 * k + 0.02) == pytest.approx(0.1 * k)
@@ -35,27 +35,27 @@ def test_releases_lie_at_multiples_of_the_period(schedule: Timers) -> None:
     assert status(schedule, 0.35).missed == 0
 
 
-def test_lateness_and_duration_are_measured(schedule: Timers) -> None:
+def test_lateness_and_duration_are_measured(schedule: Releases) -> None:
     run(schedule, 0.11, 0.13)
     told = status(schedule, 0.15)
     assert told.lateness.maximum == pytest.approx(0.01)
     assert told.duration.maximum == pytest.approx(0.02)
 
 
-def test_a_run_that_ends_after_its_deadline_missed_it(schedule: Timers) -> None:
+def test_a_run_that_ends_after_its_deadline_missed_it(schedule: Releases) -> None:
     run(schedule, 0.1, 0.149)
     assert status(schedule, 0.16).missed == 0
     run(schedule, 0.2, 0.251)
     assert status(schedule, 0.26).missed == 1
 
 
-def test_waiting_counts_towards_the_deadline(schedule: Timers) -> None:
+def test_waiting_counts_towards_the_deadline(schedule: Releases) -> None:
     run(schedule, 0.145, 0.155)  # 10 ms of work, begun 45 ms late
     assert status(schedule, 0.16).missed == 1
 
 
 def test_of_several_that_passed_the_last_is_run_and_the_others_missed(
-    schedule: Timers,
+    schedule: Releases,
 ) -> None:
     run(schedule, 0.1, 0.42)  # over the releases at 0.2, 0.3 and 0.4
     assert run(schedule, 0.42, 0.43) == pytest.approx(0.4)
@@ -66,14 +66,14 @@ def test_of_several_that_passed_the_last_is_run_and_the_others_missed(
 
 
 def test_without_a_deadline_nothing_is_missed() -> None:
-    schedule = Timers(Timer("tick", 0.1), START)
+    schedule = Releases(Timer("tick", 0.1), START)
     run(schedule, 0.1, 0.42)
     run(schedule, 0.42, 0.43)
     assert status(schedule, 0.45).releases == 4
     assert status(schedule, 0.45).missed == 0
 
 
-def test_what_should_have_begun_counts_while_a_run_goes_on(schedule: Timers) -> None:
+def test_what_should_have_begun_counts_while_a_run_goes_on(schedule: Releases) -> None:
     schedule.begin(START + 0.1)
     told = status(schedule, 0.95)  # still running; 0.2 to 0.8 passed wholly
     assert told.releases == 8

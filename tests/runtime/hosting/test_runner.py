@@ -99,14 +99,14 @@ def reach(runner: Runner, state: State) -> Recorder:
 
 
 def _reached(runner: Runner, state: State) -> Recorder:
-    assert runner.wait_state({state, "failed"}, LIMIT) == state
+    assert runner.life_cycle.wait_state({state, "failed"}, LIMIT) == state
     assert isinstance(runner.component, Recorder)
     return runner.component
 
 
 def rest(runner: Runner, limit: float) -> None:
-    runner.stay()
-    runner.rest(limit)
+    runner.gate.begin_migration()
+    runner.gate.pause_for_migration(limit)
 
 
 def receive(runner: Runner, *texts: str) -> None:
@@ -247,10 +247,10 @@ def test_a_component_that_is_busy_does_not_come_to_rest(running: Fixture) -> Non
         rest(runner, 0.01)
     Slow.go_on.set()
     rest(runner, LIMIT)
-    runner.go_on()
+    runner.gate.resume()
 
 
-def test_a_lull_comes_when_all_that_waits_was_worked_on(running: Fixture) -> None:
+def test_is_idle_when_all_that_waits_was_worked_on(running: Fixture) -> None:
     class Slow(Recorder):
         go_on: ClassVar = threading.Semaphore(0)
 
@@ -264,19 +264,19 @@ def test_a_lull_comes_when_all_that_waits_was_worked_on(running: Fixture) -> Non
     receive(runner, "a", "b")
     component.wait_for("a")
     with ThreadPoolExecutor(1) as waiter:
-        lull = waiter.submit(runner.wait_lull, LIMIT)
-        wait_until(lambda: runner._awaits_lull)
+        idle = waiter.submit(runner.gate.wait_idle, LIMIT)
+        wait_until(lambda: runner.gate._awaited_idle is not None)
         Slow.go_on.release()
         component.wait_for("b")
-        assert not lull.done()
+        assert not idle.done()
         Slow.go_on.release()
-        assert lull.result(LIMIT)
+        assert idle.result(LIMIT)
 
 
-def test_a_lull_is_not_waited_for_longer_than_its_limit(running: Fixture) -> None:
+def test_idleness_is_not_waited_for_longer_than_its_limit(running: Fixture) -> None:
     runner = running.start(Recorder)
     reach(runner, "active")
-    assert not runner.wait_lull(0.01)
+    assert not runner.gate.wait_idle(0.01)
 
 
 def test_waiting_for_marks_has_a_limit(running: Fixture) -> None:
@@ -296,31 +296,31 @@ def test_measures_are_summed_up(running: Fixture) -> None:
 
     runner = running.start(Measuring)
     runner.aim("inactive")
-    runner.wait_state({"inactive"}, LIMIT)
+    runner.life_cycle.wait_state({"inactive"}, LIMIT)
     summary = runner.status().measures["size"]
     assert (summary.count, summary.mean, summary.maximum) == (3, 3.0, 6.0)
 
 
-def test_an_order_to_rest_that_comes_after_the_move_is_refused(
+def test_a_pause_that_comes_after_the_move_is_refused(
     running: Fixture,
 ) -> None:
     runner = running.start(Recorder)
     component = reach(runner, "active")
-    runner.stay()
+    runner.gate.begin_migration()
     runner.aim("active")  # the move is over
     with pytest.raises(RunError, match="component 'one' does not move"):
-        runner.rest(LIMIT)
+        runner.gate.pause_for_migration(LIMIT)
     receive(runner, "a")
     component.wait_for("a")
 
 
-def test_an_order_to_rest_that_waits_ends_with_the_move(running: Fixture) -> None:
+def test_a_pause_that_waits_ends_with_the_move(running: Fixture) -> None:
     runner = running.start(Recorder)
     component = reach(runner, "active")
-    runner.stay()
+    runner.gate.begin_migration()
     runner.exclusion.enter(7, LIMIT)
     with ThreadPoolExecutor() as pool:
-        late = pool.submit(runner.rest, LIMIT)
+        late = pool.submit(runner.gate.pause_for_migration, LIMIT)
         runner.aim("active")
         runner.exclusion.leave()
         with pytest.raises(RunError, match="does not move"):
@@ -329,19 +329,19 @@ def test_an_order_to_rest_that_waits_ends_with_the_move(running: Fixture) -> Non
     component.wait_for("a")
 
 
-def test_an_order_to_rest_that_waits_ends_with_its_own_move(
+def test_a_pause_that_waits_ends_with_its_own_move(
     running: Fixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     runner = running.start(Recorder)
     component = reach(runner, "active")
-    shut = runner._shut
+    pause = runner.gate.pause
 
     def meanwhile(limit: float) -> None:
         runner.aim("active")
-        runner.stay()  # for the next move
-        shut(limit)
+        runner.gate.begin_migration()  # for the next move
+        pause(limit)
 
-    monkeypatch.setattr(runner, "_shut", meanwhile)
+    monkeypatch.setattr(runner.gate, "pause", meanwhile)
     with pytest.raises(RunError, match="does not move"):
         rest(runner, LIMIT)
     receive(runner, "a")
@@ -352,9 +352,9 @@ def test_goes_on_after_its_code_ran_at_rest(running: Fixture) -> None:
     runner = running.start(Recorder)
     component = reach(runner, "active")
     rest(runner, LIMIT)
-    with runner.at_rest():  # a snapshot, say
+    with runner.gate.borrowed():  # a snapshot, say
         runner.aim("active")  # does not wait for it
-        runner.stay()  # nor for the next move
+        runner.gate.begin_migration()  # nor for the next move
         receive(runner, "a")
         with pytest.raises(Timeout):
             runner.exclusion.enter(7, 0.05)
@@ -365,7 +365,7 @@ def test_stays_at_rest_after_its_code_ran_there(running: Fixture) -> None:
     runner = running.start(Recorder)
     component = reach(runner, "active")
     rest(runner, LIMIT)
-    with runner.at_rest():
+    with runner.gate.borrowed():
         runner.aim("active")
         rest(runner, LIMIT)  # for the next move
     receive(runner, "a")
@@ -409,5 +409,5 @@ def test_callers_that_wait_are_sent_away_when_it_ends(running: Fixture) -> None:
 def test_nobody_takes_a_snapshot_of_what_works(running: Fixture) -> None:
     runner = running.start(Recorder)
     reach(runner, "active")
-    with pytest.raises(RunError, match="is not at rest"), runner.at_rest():
+    with pytest.raises(RunError, match="is not paused"), runner.gate.borrowed():
         pass

@@ -35,8 +35,8 @@ def runner() -> Iterator[Runner]:
     runner = Runner(spec, Nothing, SystemClock(), lambda: None)
     runner.start()
     runner.aim("active")
-    assert runner.wait_state({"active", "failed"}, LIMIT) == "active"
-    runner.stay()
+    assert runner.life_cycle.wait_state({"active", "failed"}, LIMIT) == "active"
+    runner.gate.begin_migration()
     yield runner
     runner.aim("finalized")
     assert runner.wait_ended(LIMIT)
@@ -67,7 +67,7 @@ def test_steps_of_the_migration_before_are_not_taken(
 ) -> None:
     late = executor.receive(batch(OFFER, PAUSE))
     executor.note_deployment()  # it rolled back, and the next migration begins
-    runner.stay()
+    runner.gate.begin_migration()
     assert isinstance(executor.receive(batch(OFFER, migration=2))(), StepsDone)
     outcome = late()
     assert isinstance(outcome, StepsFailed)
@@ -80,11 +80,11 @@ def test_a_source_is_not_resumed_by_the_migration_before(
 ) -> None:
     late = executor.receive(batch(ROLL_BACK))
     executor.note_deployment()
-    runner.stay()
+    runner.gate.begin_migration()
     moving = batch(OFFER, PAUSE, SEND, migration=2)
     assert isinstance(executor.receive(moving)(), StepsDone)
     assert isinstance(late(), StepsFailed)
-    with runner.at_rest():  # it is, still
+    with runner.gate.borrowed():  # it is, still
         pass
 
 

@@ -122,7 +122,7 @@ class Incarnations:
         self._runners.append(runner)
         runner.start()
         runner.aim("active" if active else "inactive")
-        runner.wait_state({"active" if active else "inactive"}, LIMIT)
+        runner.life_cycle.wait_state({"active" if active else "inactive"}, LIMIT)
         return runner
 
     def close(self) -> None:
@@ -144,8 +144,8 @@ def texts(runner: Runner) -> tuple[str, ...]:
 
 
 def rest(runner: Runner) -> DirectPipe:
-    runner.stay()
-    runner.rest(LIMIT)
+    runner.gate.begin_migration()
+    runner.gate.pause_for_migration(LIMIT)
     sender = StateSender(runner)
     sender.send()
     return DirectPipe(sender)
@@ -167,10 +167,10 @@ def test_state_and_timers_go_over(incarnations: Incarnations) -> None:
     channel = rest(old)
     state_sender.restore(new, state_sender.fetch(channel, Request.ALL, LIMIT))
     new.aim("ready")
-    new.wait_state({"active"}, LIMIT)
+    new.life_cycle.wait_state({"active"}, LIMIT)
     assert texts(new) == ("a", "b")
     # the time for which the answer was under way is all by which the phase may shift
-    assert new.schedules["tick"].due == pytest.approx(old.schedules["tick"].due, abs=5)
+    assert new.timers.next_due() == pytest.approx(old.timers.next_due(), abs=5)
 
 
 def test_what_waits_goes_over_in_order(incarnations: Incarnations) -> None:
@@ -210,8 +210,8 @@ def test_a_large_state_goes_first_and_then_what_changed(
     state_sender.restore(new, state_sender.fetch(channel, Request.STATE, LIMIT))
     assert texts(new) == ("a",)
     tell(old, "b")
-    old.stay()
-    old.rest(LIMIT)
+    old.gate.begin_migration()
+    old.gate.pause_for_migration(LIMIT)
     sender.send()
     given = state_sender.fetch(channel, Request.ALL, LIMIT)
     assert not given.state
@@ -224,7 +224,7 @@ def test_what_works_gives_only_its_state(incarnations: Incarnations) -> None:
     sender = StateSender(incarnations.start(Book, active=True))
     sender.send()
     channel = DirectPipe(sender)
-    with pytest.raises(UsageError, match="RunError: component 'book' is not at rest"):
+    with pytest.raises(UsageError, match="RunError: component 'book' is not paused"):
         state_sender.fetch(channel, Request.ALL, LIMIT)
 
 
@@ -270,8 +270,8 @@ def test_whoever_asks_waits_until_it_is_given(incarnations: Incarnations) -> Non
     sender = StateSender(old)
     with ThreadPoolExecutor(1) as asker:
         asked = asker.submit(state_sender.fetch, DirectPipe(sender), Request.ALL, LIMIT)
-        old.stay()
-        old.rest(LIMIT)
+        old.gate.begin_migration()
+        old.gate.pause_for_migration(LIMIT)
         assert not asked.done()
         sender.send()
         assert asked.result(LIMIT).state

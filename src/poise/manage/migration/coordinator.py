@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from msgspec import Struct
 
@@ -122,19 +122,20 @@ class MigrationCoordinator:
         run.tell([*self._others.values(), *staying, *plan.targets], run.computers())
         run.wait(plan.targets, PREPARE_LIMIT, self._raise_on_failed)
         for steps in self._rounds.prepare():
-            self._take(steps, PREPARE_LIMIT)
+            self._take(steps, PREPARE_LIMIT, self._raise_on_failed)
 
     def _switch(self, deadline: float) -> str:
         """Pause, and let the targets go on, or the sources again; return why those."""
         self._phases.enter("quiesce")
         try:
             for steps in self._rounds.transfer():
-                self._take(steps, _left(deadline))
+                began = time.monotonic()
+                quiesced = began + self._take(steps, _left(deadline))
         except RunError as error:
             self._phases.enter("roll back")
             self._resume(self._rounds.roll_back())
             return str(error)
-        self._phases.enter("transfer")
+        self._phases.enter("transfer", quiesced)
         self._phases.enter("commit")
         self._commit()
         self._phases.enter("resume")
@@ -149,23 +150,36 @@ class MigrationCoordinator:
         for target in self._plan.targets:
             placed[target.component] = target.with_goal("active")
 
-    def _take(self, steps: Sequence[PlacedStep], limit: float) -> None:
+    def _take(
+        self,
+        steps: Sequence[PlacedStep],
+        limit: float,
+        check: Callable[[], object] = lambda: None,
+    ) -> float:
         """Let containers take steps, all at once.
+
+        Parameters
+        ----------
+        check
+            Called now and then while containers have not answered; may raise.
+
+        Returns
+        -------
+        How long the container that took longest to quiesce needed for that [s].
 
         Raises
         ------
         RunError
             One failed; others may still be under way.
         """
-        batches = list(self._batches(steps, limit))
-        pending = {batch.number: batch for _, batch in batches}
-        for outcome in self._run.agents.take_steps(batches):
+        quiesce = 0.0
+        for outcome in self._run.agents.take_steps(self._batches(steps, limit), check):
             self._taken += outcome.taken
             if not isinstance(outcome, StepsDone):
                 raise RunError(outcome.reason)
-            del pending[outcome.number]
-            if pending and all(map(_only_transfers, pending.values())):
-                self._phases.enter("transfer")
+            quiescing = [t for t in outcome.taken if t.phase == "quiesce"]
+            quiesce = max(quiesce, sum(t.ended - t.began for t in quiescing))
+        return quiesce
 
     def _resume(self, steps: Sequence[PlacedStep]) -> None:
         """Let the targets, or the sources again, go to work.
@@ -227,8 +241,8 @@ class MigrationCoordinator:
                 )
             if key in sources and component.state != "active":
                 raise RunError(
-                    f"component '{component.name}' ended on '{sources[key].computer}' "
-                    "before its state was transferred"
+                    f"component '{component.name}' on '{sources[key].computer}' is "
+                    f"{component.state}: its state cannot be transferred"
                 )
         return False
 
@@ -244,8 +258,3 @@ def _left(deadline: float) -> float:
     if left <= 0:
         raise RunError(f"the downtime reached {DOWNTIME_LIMIT:g} s")
     return left
-
-
-def _only_transfers(batch: MigrationSteps) -> bool:
-    """Whether a container has nothing to quiesce."""
-    return all(step.phase == "transfer" for step in batch.steps)

@@ -224,7 +224,7 @@ class Container:
         if goal != "stay":
             running.aim(goal)
         elif isinstance(running, Runner):
-            running.stay()
+            running.gate.begin_migration()
 
     def _add(self, key: Incarnation, component: ComponentSpec, folder: str) -> None:
         if component.command:
@@ -232,7 +232,9 @@ class Container:
             return
         # While others work here they would wait for the interpreter, which a thread
         # that hardly gets a CPU may hold.
-        is_idle = all(each.state != "active" for each in self._runners.values())
+        is_idle = all(
+            each.life_cycle.state != "active" for each in self._runners.values()
+        )
         self._preparing[key] = Preparation(
             component,
             folder,

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
+
 from poise.runtime.component.ports import Timer
 from poise.runtime.execution.histogram import Histogram
 from poise.wire.records.deployment import TimerStatus
 
 
-class Timers:
+class Releases:
     """The releases of a timer, at `start` + k * period for k = 1, 2, ...
 
     Parameters
@@ -69,3 +71,45 @@ class Timers:
             lateness=self._lateness.summary(),
             duration=self._duration.summary(),
         )
+
+
+class Timers:
+    """All timers of a component, by name."""
+
+    def __init__(self, declared: Mapping[str, Timer]) -> None:
+        self._declared = declared
+        self._first: Mapping[str, float] = {}
+        self._releases: dict[str, Releases] = {}
+        self._stopped_at: float | None = None
+
+    def __iter__(self) -> Iterator[Releases]:
+        return iter(list(self._releases.values()))
+
+    def begin_at(self, first: Mapping[str, float]) -> None:
+        """Let timers be due first at these moments [s]: a move keeps their phases."""
+        self._first = first
+
+    def start(self, now: float) -> Iterable[tuple[float, float]]:
+        """Start at `now` [s]; return the start and the period of each [s]."""
+        self._stopped_at = None
+        for name, timer in self._declared.items():
+            first = self._first.get(name, now + timer.period)
+            self._releases[name] = Releases(timer, first - timer.period)
+        return [each.releases for each in self]
+
+    def stop(self, now: float) -> None:
+        """Count no release after `now` [s]."""
+        self._stopped_at = now
+
+    def next_due(self) -> float | None:
+        """Return when a timer is due next [s]; None when there is none."""
+        return min((each.due for each in self), default=None)
+
+    def left(self, now: float) -> dict[str, float]:
+        """Return the time until each is due next [s]."""
+        return {each.timer.name: each.due - now for each in self}
+
+    def status(self, now: float) -> tuple[TimerStatus, ...]:
+        """Return what was counted until `now` [s], or until they were stopped."""
+        until = now if self._stopped_at is None else self._stopped_at
+        return tuple(each.status(until) for each in self)

@@ -219,7 +219,7 @@ class MigrationExecutor:
             case RequestState():
                 party.receiver.request()
             case AwaitIdle():
-                runner.wait_lull(min(step.limit, _left(deadline)))
+                runner.gate.wait_idle(min(step.limit, _left(deadline)))
             case Pause():
                 _pause(party, _left(deadline))
             case DrainMailbox():
@@ -258,7 +258,7 @@ class MigrationExecutor:
 
 def _pause(party: Party, limit: float) -> None:
     try:
-        party.runner.rest(_PAUSE_SHARE * limit)
+        party.runner.gate.pause_for_migration(_PAUSE_SHARE * limit)
     except PoiseError as error:
         party.refuse(str(error))
         raise
@@ -277,7 +277,7 @@ def _drain_mailbox(runner: Runner, deadline: float) -> None:
 
 def _activate(runner: Runner, limit: float) -> None:
     runner.aim("ready")
-    if runner.wait_state({"active", "failed"}, limit) != "active":
+    if runner.life_cycle.wait_state({"active", "failed"}, limit) != "active":
         error = runner.status().error or f"waited {limit:g} s"
         raise RunError(f"component '{runner.spec.name}' is not activated: {error}")
 

@@ -183,7 +183,7 @@ class StateReceiver:
         }
         (parameter,) = _hints(self._adapt)[0]
         after = self._adapt(parameter(**states))
-        with runner.at_rest():
+        with runner.gate.borrowed():
             runner.component.restore(getattr(after, runner.spec.name))
 
 

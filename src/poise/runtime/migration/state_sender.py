@@ -153,7 +153,7 @@ class StateSender:
         runner = self._runner
         state = delta = b""
         state_type = ""
-        with runner.at_rest():
+        with runner.gate.borrowed():
             if self._has_sent_state:
                 delta = _frame_of(runner.component.snapshot_delta())
             else:
@@ -166,7 +166,7 @@ class StateSender:
             state_type=state_type,
             delta=delta,
             messages=messages,
-            due={name: s.due - now for name, s in runner.schedules.items()},
+            due=runner.timers.left(now),
         )
 
 
@@ -226,8 +226,8 @@ def restore(
     """
     component = runner.component
     now = runner.clock.now()
-    runner.keep_phases({name: now + left for name, left in transfer.due.items()})
-    with runner.at_rest():
+    runner.timers.begin_at({name: now + left for name, left in transfer.due.items()})
+    with runner.gate.borrowed():
         if transfer.state and not runner.spec.fresh:
             check_restores(component)
             method = adapt or component.restore

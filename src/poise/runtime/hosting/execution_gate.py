@@ -1,0 +1,159 @@
+"""Pauses and resumes a component, and lends its code to others while it is paused."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from poise.errors import RunError, Timeout
+from poise.runtime.connectors.endpoints import Endpoints
+from poise.runtime.execution.exclusion import Exclusion, new_chain
+
+log = logging.getLogger(__name__)
+
+
+class ExecutionGate:
+    """Whether a component's code may run. It starts paused.
+
+    Parameters
+    ----------
+    name
+        The component's, for errors.
+    may_resume
+        Returns whether the component is active, and should be.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        exclusion: Exclusion,
+        endpoints: Endpoints,
+        may_resume: Callable[[], bool],
+    ) -> None:
+        self._name = name
+        self._exclusion = exclusion
+        self._endpoints = endpoints
+        self._may_resume = may_resume
+        self._changed = threading.Condition()
+        self._is_paused = True
+        self._is_borrowed = self._resumes_later = False
+        self._migration: object = None
+        self._awaited_idle: threading.Event | None = None
+
+    def begin_migration(self) -> None:
+        """Allow a pause for a migration; what the one before paused resumes."""
+        self._migration = object()  # one for each: a pause for the last one is late
+        self.resume()
+
+    def end_migration(self) -> None:
+        """Refuse a pause for a migration."""
+        self._migration = None
+
+    def pause_for_migration(self, limit: float) -> None:
+        """Pause: no code of the component runs, and messages and calls wait.
+
+        Raises
+        ------
+        Timeout
+            It was busy for `limit` [s]; it goes on as before.
+        RunError
+            Its migration is over; it goes on as before.
+        """
+        migration = self._migration
+        self.pause(limit)
+        with self._changed:
+            if migration is None or self._migration is not migration:
+                self.resume()
+                raise RunError(f"component '{self._name}' does not move")
+            self._resumes_later = False
+
+    def pause(self, limit: float) -> None:
+        """Pause; raise Timeout when it was busy for `limit` [s]."""
+        if not self._is_paused:
+            self._exclusion.pause(limit)
+            with self._changed:
+                self._is_paused = True
+                self._endpoints.set_unbounded(unbounded=True)
+
+    def pause_or_redirect(self, limit: float) -> None:
+        """Pause for good; after `limit` [s] without its callers.
+
+        The thread inside belongs to a caller; the process is about to end or the
+        component to go, so waiting longer helps nobody.
+        """
+        try:
+            self.pause(limit)
+        except Timeout as error:
+            log.warning("%s", error)
+            self._exclusion.redirect()
+            self._is_paused = True
+
+    def resume(self) -> None:
+        """Go on after a pause, if it is active; harmless when repeated.
+
+        While its code is borrowed nobody waits: it goes on after that.
+        """
+        with self._changed:
+            self._resumes_later = self._is_borrowed
+            if self._is_paused and not self._is_borrowed and self._may_resume():
+                self._is_paused = False
+                self._endpoints.set_unbounded(unbounded=False)
+                self._endpoints.send_buffered()
+                self._exclusion.resume()
+
+    @contextmanager
+    def borrowed(self) -> Iterator[None]:
+        """Run its code on this thread while it is paused, such as `snapshot`.
+
+        When it was to resume meanwhile, it does at the end.
+
+        Raises
+        ------
+        RunError
+            It is at work.
+        """
+        try:
+            with self.borrowed_by_hook():
+                yield
+        finally:
+            if self._resumes_later:
+                self.resume()
+
+    @contextmanager
+    def borrowed_by_hook(self) -> Iterator[None]:
+        """Run its code on this thread, and do not resume at the end."""
+        with self._changed:
+            self._changed.wait_for(lambda: not self._is_borrowed)
+            if not self._is_paused:
+                raise RunError(f"component '{self._name}' is not paused")
+            self._is_borrowed = True
+        self._exclusion.lend(new_chain())
+        try:
+            yield
+        finally:
+            self._exclusion.lend(0)
+            with self._changed:
+                self._is_borrowed = False
+                self._changed.notify_all()
+
+    def wait_idle(self, limit: float) -> bool:
+        """Wait until it has just finished its work; return whether that was so.
+
+        Parameters
+        ----------
+        limit
+            Wait no longer than this [s]: some are never idle, some have no work.
+        """
+        idle = self._awaited_idle = threading.Event()
+        try:
+            return idle.wait(limit)
+        finally:
+            self._awaited_idle = None
+
+    def note_done(self) -> None:
+        """Note that it has finished a timer or message."""
+        idle = self._awaited_idle
+        if idle is not None and self._endpoints.is_empty():
+            idle.set()
