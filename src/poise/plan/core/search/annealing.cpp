@@ -91,7 +91,8 @@ void Search::calibrate() {
   for (int i = 0; i < 200; ++i) {
     if (!propose()) continue;
     const auto& [out, back, a, b] = move_;
-    const double change = std::fabs(state_.weigh(out, back, a, b).objective);
+    const Change weighed = state_.weigh(out, back, a, b);
+    const double change = std::fabs(aimless_ ? weighed.excess : weighed.objective);
     sum += change;
     count += change > 0;
   }
@@ -130,6 +131,7 @@ void Search::cool(std::int64_t steps, double heat) {
   const double factor = std::pow(kCold / heat, part);
   double temperature = heat * unit_;
   for (std::int64_t step = 0; step < steps && !stop_.stopped(); step += period) {
+    if (aimless_ && !noted_.empty()) break;
     for (std::int64_t i = 0; i < period; ++i) {
       if (propose()) try_move(temperature * minus_logs()[random_.next() >> 54]);
     }
@@ -145,9 +147,10 @@ void Search::try_move(double limit) {
   const auto& [out, back, a, b] = move_;
   const double paid = state_.weigh_paid(out, back, a, b);
   // At best, balance and excess fall to nothing; often that is not enough already.
-  if (paid - state_.balance() - price_ * state_.excess() > limit) return;
+  if (!aimless_ && paid - state_.balance() - price_ * state_.excess() > limit) return;
   const Change rest = state_.weigh_rest(out, back, a, b);
-  if (paid + rest.objective + price_ * rest.excess > limit) return;
+  const double change = aimless_ ? rest.excess : paid + rest.objective + price_ * rest.excess;
+  if (change > limit) return;
   state_.apply(out, back, a, b);
   note();
 }

@@ -53,9 +53,13 @@ void Search::run(const Placement& start) {
   std::int64_t length = 64 * static_cast<std::int64_t>(p_.n);
   // A first short cooling also shows the pace, by which a later one fills its share.
   // While nothing keeps all limits, many short ones find more than a long one.
-  for (cool(length, kHeats[0]); !found() && !stop_.look(); cool(length, kHeats[0])) {
-    length += length / 2;
+  cool(length, kHeats[0]);
+  for (int round = 0; !found() && !stop_.look(); ++round) {
+    aimless_ = round % 4 < 3;
+    cool(length, kHeats[round % 4]);
+    length += length / 4;
   }
+  aimless_ = false;
   if (p_.n < kFewUnits * p_.m) {
     const std::int64_t share = stop_.steps_left() / kShortShare;
     start_over(start, std::max(length, std::min(share, kLongestFirst)));
@@ -71,7 +75,8 @@ void Search::run(const Placement& start) {
   }
 }
 
-// Cool and search locally from the same start over and over; none knows what another has found.
+// Cool and search locally from the same start over and over; none knows what another
+// has found.
 void Search::start_over(const Placement& start, std::int64_t length) {
   while (!stop_.look()) {
     const Placement known = std::move(best_);

@@ -64,6 +64,7 @@ class Search {
   std::uint32_t piece_ = 0;
   std::uint64_t dice_ = 0;
   int dice_left_ = 0;
+  bool aimless_ = false;  // nothing keeps all limits yet: no weight but what breaks them
   double unit_ = 1;  // by how much F changes with a search move, on average
   double price_ = 0, lowest_price_ = 0;
   double record_ = kInfinity;  // the best F noted while cooling

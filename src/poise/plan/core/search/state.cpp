@@ -74,7 +74,7 @@ void State::reset(const Placement& placed) {
       const double limit = p_.bandwidth[a * p_.m + b] + kSlack;
       const double used = traffic_[a * p_.m + b];
       if (used <= limit * (1 + kSlack)) continue;
-      over_links_ += used / limit - 1;
+      over_links_ += std::log(used / limit);
       ++overfull_;
     }
   }
@@ -269,10 +269,10 @@ double State::shift_traffic(int unit, int to) {
     const double limit = p_.bandwidth[a * m + b] + kSlack, last = limit * (1 + kSlack);
     double& used = traffic_[a * m + b];
     const bool was_over = used > last;
-    const double before = was_over ? used / limit - 1 : 0.0;
+    const double before = was_over ? std::log(used / limit) : 0.0;
     used += traffic;
     traffic_[b * m + a] = used;
-    change += (used > last ? used / limit - 1 : 0.0) - before;
+    change += (used > last ? std::log(used / limit) : 0.0) - before;
     overfull_ += (used > last) - was_over;
   };
   for (const Neighbour& other : p_.neighbours(unit)) {

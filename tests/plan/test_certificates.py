@@ -1,0 +1,86 @@
+"""No proof is wrong, and what is full to the last hundredth is found."""
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks.random_robots import random_robot
+from poise import plan
+from poise.plan._core import Core
+from poise.plan.solvers import cpsat
+from poise.plan.tables import tabulate
+
+ROBOTS = Path(__file__).parent / "robots"
+OPTIMA = {
+    "memory_in_bytes": 0.125,
+    "three_computers": 0.16951,
+    "four_computers": 0.34647,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OPTIMA)
+def test_cpsat_proves_the_optimum_of_robots_with_memory_in_bytes(name: str) -> None:
+    pytest.importorskip("ortools")
+    problem = plan.load(ROBOTS / f"{name}.json")
+    ours, theirs = plan.solve(problem, 60.0), plan.solve(problem, 60.0, "cpsat")
+    for result in (ours, theirs):
+        assert result.proven
+        assert result.feasible
+        assert result.objective is not None
+        assert result.objective.total == pytest.approx(OPTIMA[name], abs=1e-4)
+    assert theirs.bound is not None
+    assert ours.objective is not None
+    assert theirs.bound <= ours.objective.total
+
+
+@pytest.mark.slow
+def test_cpsat_counts_in_numbers_that_it_can_add() -> None:
+    """No coefficient is above the parts of a limit, or of F."""
+    pytest.importorskip("ortools")
+    model = cpsat._Relaxation(tabulate(plan.load(ROBOTS / "memory_in_bytes.json")))
+    coefficients = [
+        abs(number)
+        for constraint in model.program.proto.constraints
+        for number in constraint.linear.coeffs
+    ]
+    assert max(coefficients) <= cpsat.UNITS
+
+
+@pytest.mark.slow
+def test_a_known_placement_is_not_proven_by_an_infeasible_model(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pytest.importorskip("ortools")
+    tables = tabulate(plan.load(ROBOTS / "four_computers.json"))
+    core = Core(tables)
+    known = core.search([], 1e9, 50_000, 1)[0]
+    assert known
+
+    def infeasible(*_: object) -> cpsat._Answer:
+        return cpsat._Answer("INFEASIBLE", [], float("-inf"), interrupted=False)
+
+    monkeypatch.setattr(cpsat, "_run", infeasible)
+    answer = cpsat.solve(core, tables, 1.0, 0, known)
+    assert answer.placed == known
+    assert not answer.proven
+
+
+@pytest.mark.slow
+def test_places_a_robot_that_is_nearly_full() -> None:
+    """98 % of its capacity is used, with links, sets and pins."""
+    result = plan.solve(plan.load(ROBOTS / "nearly_full.json"), steps=2_000_000)
+    assert result.feasible
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+def test_search_places_a_fleet_with_pins_and_load(seed: int) -> None:
+    """A quarter is free, and one component in fifty is pinned."""
+    problem = random_robot(seed, 2000, 40, load=0.75, pinned=0.02)
+    greedy = plan.solve(problem, method="greedy").objective
+    found = plan.solve(problem, method="search", steps=400_000, why=False)
+    assert found.feasible
+    assert greedy is not None
+    assert found.objective is not None
+    assert found.objective.total < greedy.total / 2
