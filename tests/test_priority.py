@@ -6,6 +6,9 @@ import os
 import threading
 from collections.abc import Callable
 
+import pytest
+
+from poise.priority import REAL_TIME as REAL_TIME_WANTED
 from poise.priority import ahead, as_usual, first, give_way, go_first
 
 USUAL = os.getpriority(os.PRIO_PROCESS, 0)
@@ -14,7 +17,7 @@ REAL_TIME = 1000
 
 
 def nice() -> int:
-    if os.sched_getscheduler(0) == os.SCHED_RR:
+    if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_RR:
         return REAL_TIME
     return os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
 
@@ -52,15 +55,12 @@ def test_a_thread_that_gives_way_goes_last() -> None:
         give_way()
         seen.append(nice())
 
-    thread = threading.Thread(target=run)
-    thread.start()
-    thread.join()
+    on_a_thread(run)
     assert seen == [19]
 
 
 def test_each_goes_before_the_next_so_far_as_it_is_allowed() -> None:
-    before_usual = USUAL - 10 if may(be_ahead) else USUAL
-    at_first = REAL_TIME if may(be_real_time) else before_usual
+    before_usual = nice_at_best()
     seen: list[int] = []
 
     def run() -> None:
@@ -68,24 +68,38 @@ def test_each_goes_before_the_next_so_far_as_it_is_allowed() -> None:
             seen.append(nice())
         seen.append(nice())
         go_first()
+        with as_usual():
+            seen.append(nice())
         with ahead():
             seen.append(nice())
-            with as_usual():
-                seen.append(nice())
-            seen.append(nice())
         seen.append(nice())
 
-    thread = threading.Thread(target=run)
+    on_a_thread(run)
+    assert seen == [before_usual, USUAL, USUAL, before_usual, before_usual]
+
+
+def test_real_time_is_asked_for_and_never_inherited(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv(REAL_TIME_WANTED, "1")
+    at_first = REAL_TIME if may(be_real_time) else nice_at_best()
+    seen: list[int] = []
+
+    def run() -> None:
+        go_first()
+        seen.append(nice())
+        on_a_thread(lambda: seen.append(nice()))
+
+    on_a_thread(run)
+    assert seen[0] == at_first
+    assert seen[1] != REAL_TIME
+
+
+def nice_at_best() -> int:
+    return USUAL - 10 if may(be_ahead) else USUAL
+
+
+def on_a_thread(do: Callable[[], object]) -> None:
+    thread = threading.Thread(target=do)
     thread.start()
     thread.join()
-    assert seen == [at_first, USUAL, before_usual, USUAL, before_usual, at_first]
-
-
-def test_threads_are_as_the_one_that_starts_them() -> None:
-    seen: list[int] = []
-    with first():
-        seen.append(nice())
-        thread = threading.Thread(target=lambda: seen.append(nice()))
-        thread.start()
-        thread.join()
-    assert seen[0] == seen[1]

@@ -1,9 +1,9 @@
-"""Which threads go first: those that carry orders, then what a shut gate waits for.
+"""Which threads go first: control threads, then transfers of state, then components.
 
-Then come components, and at last preparations. Those that carry orders are real-time
-threads of the lowest priority where the system allows it (root, or a limit `rtprio`):
-they hardly use the CPU, and so much waits for them. The others differ by their nice
-values. Linux has both for each thread, and gives them to the threads that one starts.
+Preparations come last. Threads differ by their nice values, which the threads that they
+start inherit. With `REAL_TIME` set, those that call `go_first` are real-time threads of
+the lowest priority where the system allows it (root, or a limit ``rtprio``); nobody
+inherits that.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ _USUAL = os.getpriority(os.PRIO_PROCESS, 0)
 _AHEAD, _LAST = _USUAL - 10, 19
 _LOWEST = 1
 """The lowest real-time priority: a robot's own real-time threads go before."""
+REAL_TIME = "POISE_REALTIME"
+"""Environment variable: ``1`` makes the control threads real-time threads."""
 
 
 def go_first() -> None:
@@ -26,15 +28,17 @@ def go_first() -> None:
     For what others wait for and takes next to no CPU time. Users' code is never run
     so: nothing could stop it.
     """
-    try:
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_LOWEST))
-    except PermissionError:
-        _be_nice(_AHEAD)
+    if os.environ.get(REAL_TIME) == "1":
+        with contextlib.suppress(PermissionError):
+            policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
+            os.sched_setscheduler(0, policy, os.sched_param(_LOWEST))
+            return
+    _be_nice(_AHEAD)
 
 
 @contextmanager
 def first() -> Iterator[None]:
-    """Let this thread, and those that it starts meanwhile, go first for a while."""
+    """Let this thread go first for a while."""
     with _as_before():
         go_first()
         yield

@@ -7,6 +7,7 @@ import json
 import subprocess
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import IO
 
 import pytest
 
@@ -53,6 +54,72 @@ def test_agents_and_connectors_use_ipv6(poise: Poise, tmp_path: Path) -> None:
     report = json.loads(done.stdout)
     assert {each["kind"] for each in report["connectors"]} == {"remote"}
     assert report["clocks"]
+
+
+def robot_at(folder: Path, **ports: int) -> Path:
+    """Write the hello robot with real computers on this one."""
+    text = (HELLO / "robot.yaml").read_text()
+    for name, port in ports.items():
+        text = text.replace(f"{name}: {{", f"{name}: {{address: '127.0.0.1:{port}', ")
+    (folder / "hello.py").write_bytes((HELLO / "hello.py").read_bytes())
+    (folder / "robot.yaml").write_text(text)
+    return folder / "robot.yaml"
+
+
+@contextlib.contextmanager
+def agent(computer: str, robot: str, port: int) -> Iterator[IO[str]]:
+    """Run an agent; give what it prints."""
+    argv = [*POISE, "agent", computer, "--robot", robot, "--address", "127.0.0.1"]
+    process = subprocess.Popen(
+        [*argv, f"--port={port}"], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    try:
+        yield process.stdout
+    finally:
+        process.terminate()
+        process.communicate(timeout=LONG)
+
+
+@pytest.mark.slow
+def test_agents_say_who_they_are_and_who_manages_them(
+    poise: Poise, tmp_path: Path
+) -> None:
+    ports = {"left": free_port(), "right": free_port()}
+    robot = robot_at(tmp_path, **ports)
+    with (
+        agent("left", "hello", ports["left"]) as said,
+        agent("right", "hello", ports["right"]),
+    ):
+        first = said.readline()
+        assert "agent of computer 'left' of robot 'hello'" in first
+        assert f"at 127.0.0.1:{ports['left']}, gateway 127.0.0.1:" in first
+        assert "Poise " in first
+        done = poise("run", robot, "--task", "greet", "--for", "1s")
+        assert done.returncode == 0, done.stderr
+        assert "managed by user" in said.readline()
+        assert "is gone" in said.readline()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", [("left", "other"), ("third", "hello")])
+def test_the_agent_of_another_computer_or_robot_is_named(
+    poise: Poise, tmp_path: Path, wrong: tuple[str, str]
+) -> None:
+    ports = {"left": free_port(), "right": free_port()}
+    robot = robot_at(tmp_path, **ports)
+    with (
+        agent(*wrong, ports["left"]) as said,
+        agent("right", "hello", ports["right"]),
+    ):
+        said.readline()
+        done = poise("run", robot, "--task", "greet", "--for", "1s")
+    assert done.returncode == 1
+    text = " ".join(done.stderr.split())
+    assert (
+        f"at 127.0.0.1:{ports['left']} there is the agent of computer '{wrong[0]}' of "
+        f"robot '{wrong[1]}', not of computer 'left' of robot 'hello'"
+    ) in text
 
 
 @pytest.mark.slow

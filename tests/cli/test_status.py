@@ -7,14 +7,23 @@ from io import StringIO
 from msgspec.structs import replace
 from rich.console import Console
 
-from poise.cli.status import _remarks, component_table, remarks
+from poise.cli.status import (
+    _remarks,
+    component_table,
+    computer_table,
+    container_lines,
+    remarks,
+)
 from poise.estimate.online import Drift, Estimate
 from poise.manage.control_socket.records import RobotStatus
 from poise.manage.observe.estimates import DemandEstimate
+from poise.session.render.tables import table
 from poise.wire.records.deployment import (
     AgentStatus,
     ComponentStatus,
+    ContainerHealth,
     ContainerStatus,
+    Fault,
     ManagerId,
 )
 
@@ -77,3 +86,34 @@ def test_a_new_component_is_only_not_known_well() -> None:
     (row,) = lines(status(Estimate(mean=0.1, p95=0.1, error=None)))
     assert "at least" not in row
     assert "10.0%" in row
+
+
+def test_says_what_computers_use_and_how_often_containers_restarted() -> None:
+    fault = Fault(container="one", message="was killed by SIGKILL", number=1, at=5.0)
+    health = ContainerHealth(
+        name="one", state="running", since=9.0, restarts=2, last_fault=fault
+    )
+    answer = status(Estimate(mean=0.1, p95=0.1, error=0.01))
+    agent = replace(
+        answer.computers["vision"], load=0.25, memory=3 << 20, health=(health,)
+    )
+    answer = replace(answer, computers={"vision": agent})
+    out = StringIO()
+    Console(file=out, width=80).print(computer_table(answer))
+    row = out.getvalue().splitlines()[-1].split()
+    assert row == ["vision", "0.25", "cores", "3", "MiB", "1", "2"]
+    (line,) = container_lines(answer)
+    assert line.startswith("container 'one' on 'vision': running since ")
+    assert "2 restarts; last fault at " in line
+    assert line.endswith(": was killed by SIGKILL")
+
+
+def test_names_are_never_cut() -> None:
+    names = "a" * 60, "b" * 60
+    rows = table("component", "computer", "state", folds=1)
+    rows.add_row(*names, "active")
+    out = StringIO()
+    Console(file=out, width=80).print(rows)
+    text = out.getvalue()
+    assert (text.count("a"), text.count("b")) == (60 + 2, 60)  # "state", "active"
+    assert max(map(len, text.splitlines())) <= 80

@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from poise.model.robot import (
     Architecture,
@@ -91,6 +92,13 @@ class FakeAgents:
         self._statuses = {
             name: AgentStatus(computer=name, generation=generation, uptime=0, cpu=0)
             for name in computers
+        }
+
+    def note_faults(self, *faults: Fault) -> None:
+        """Let all agents have reported these before."""
+        self._statuses = {
+            name: replace(status, faults=faults)
+            for name, status in self._statuses.items()
         }
 
     def statuses(self) -> dict[str, AgentStatus]:

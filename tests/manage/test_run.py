@@ -74,13 +74,17 @@ def test_a_component_that_fails_ends_the_start_with_its_traceback(
 
 def test_what_is_not_there_in_time_is_named(robot: Robot, agents: FakeAgents) -> None:
     agents.states["thinker"] = ComponentStatus(name="thinker", state="unconfigured")
-    agents.faults = (Fault(container="mind", message="was killed by SIGSEGV"),)
+    known = Fault(container="eye", message="was killed long ago", number=3)
+    agents.note_faults(known)
     run, _ = run_of(robot, agents)
+    new = Fault(container="mind", message="was killed by SIGSEGV", number=4)
+    agents.faults = (known, new)
     with pytest.raises(RunError) as caught:
         run.start()
-    says = "component 'thinker' on 'right' is unconfigured, not yet inactive (does its"
+    says = "component 'thinker' on 'right' is unconfigured, not yet inactive (do its"
     assert says in str(caught.value)
-    assert "container 'mind' was killed by SIGSEGV" in str(caught.value)
+    assert "container 'mind' on 'right' was killed by SIGSEGV" in str(caught.value)
+    assert "long ago" not in str(caught.value)
 
 
 def test_a_silent_agent_is_named(robot: Robot, agents: FakeAgents) -> None:

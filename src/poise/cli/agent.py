@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import sys
+import time
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +14,7 @@ import typer
 from poise.cli.options import parse_option
 from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import UsageError
-from poise.runtime.agent.agent import Agent, AgentSetup
+from poise.runtime.agent.agent import Agent, AgentSetup, ignore
 from poise.session.temporary_folders import scratch_folder
 from poise.units import SECONDS
 from poise.wire.control_session import locator
@@ -59,6 +61,8 @@ def agent_command(
         level="WARNING",
     )
     logging.getLogger("poise.component").setLevel("INFO")
+    if lifeline is not None:  # its manager shows the faults already
+        logging.getLogger("poise.runtime.agent.supervisor").setLevel("ERROR")
     own = contextlib.nullcontext(folder) if folder else scratch_folder("poise-agent-")
     with own as place:
         Agent(
@@ -72,8 +76,15 @@ def agent_command(
                 folder=str(place),
                 lifeline=lifeline,
                 sample_every=parse_option("--sample-every", sample_every, SECONDS),
-            )
+            ),
+            say=_say if lifeline is None else ignore,
         ).run()
+
+
+def _say(sentence: str) -> None:
+    with contextlib.suppress(OSError):  # nobody reads it
+        sys.stdout.write(f"{time.strftime('%H:%M:%S')} {sentence}\n")
+        sys.stdout.flush()
 
 
 def _endpoint(option: str, text: str) -> Endpoint:

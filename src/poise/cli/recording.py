@@ -72,7 +72,7 @@ def recording_command(
 
 
 def _show(demand_estimates: list[DemandEstimate], console: Console) -> None:
-    rows = table("component", "computer", "CPU", "p95", "profile")
+    rows = table("component", "computer", "CPU", "p95", "profile", folds=1)
     for each in demand_estimates:
         now = each.estimate
         error = f" ± {now.error:.1%}" if now.error is not None else ""

@@ -22,6 +22,7 @@ from poise.session.render.clocks import clock_table
 from poise.session.render.connectors import connector_tables
 from poise.session.render.tables import table
 from poise.session.report import clocks_of
+from poise.units import format_bytes
 from poise.wire.records.deployment import ComponentStatus
 
 
@@ -47,8 +48,7 @@ def show_status(answer: RobotStatus, console: Console) -> None:
     console.print(f"robot '{answer.robot}', task '{answer.task}'")
     console.print(f"managed by {answer.manager}")
     for each in answer.deviations:
-        since = time.strftime("%H:%M:%S", time.localtime(each.since))
-        console.print(Text(f"{each.what} (noticed {since})", style="red"))
+        console.print(Text(f"{each.what} (noticed {_clock(each.since)})", style="red"))
     if not answer.deviations:
         console.print("everything is as the robot file says")
     console.print(component_table(answer))
@@ -59,18 +59,50 @@ def show_status(answer: RobotStatus, console: Console) -> None:
     clocks = clock_table(clocks_of(answer.computers))
     if clocks.row_count:
         console.print(clocks)
-    for name, computer in answer.computers.items():
-        for fault in computer.faults:
-            said = escape(fault.message)
-            console.print(f"[red]{name}: container '{fault.container}' {said}")
+    console.print(computer_table(answer))
+    for line in container_lines(answer):
+        console.print(Text(line, style="yellow"))
 
 
 def component_table(answer: RobotStatus) -> Table:
     """Return where components are and what they need, by computer."""
-    rows = table("component", "computer", "state", "CPU", "profile")
+    rows = table("component", "computer", "state", "CPU", "profile", folds=1)
     for computer, component, standing in _each(answer):
         rows.add_row(component.name, computer, component.state, *_needs(standing))
     return rows
+
+
+def computer_table(answer: RobotStatus) -> Table:
+    """Return what agents and containers use of each computer, and what restarted."""
+    rows = table("computer", "CPU", "memory", "containers", "restarts")
+    for name, computer in sorted(answer.computers.items()):
+        running = [h for h in computer.health if h.state != "stopped"]
+        rows.add_row(
+            name,
+            f"{computer.load:.2f} cores",
+            format_bytes(computer.memory),
+            str(len(running)),
+            str(sum(health.restarts for health in computer.health)),
+        )
+    return rows
+
+
+def container_lines(answer: RobotStatus) -> Iterator[str]:
+    """Give the state and the last fault of each container that had one."""
+    for computer, status in sorted(answer.computers.items()):
+        for health in status.health:
+            fault = health.last_fault
+            if fault is None:
+                continue
+            yield (
+                f"container '{health.name}' on '{computer}': {health.state} since "
+                f"{_clock(health.since)}, {health.restarts} restarts; last fault at "
+                f"{_clock(fault.at)}: {fault.message}"
+            )
+
+
+def _clock(moment: float) -> str:
+    return time.strftime("%H:%M:%S", time.localtime(moment))
 
 
 def remarks(answer: RobotStatus) -> Iterator[str]:

@@ -20,8 +20,8 @@ from zenoh.handlers import Callback
 from poise.clock import Clock
 from poise.errors import RunError
 from poise.manage.agent_messages import Replies, answer_of, manager_id, note, reading
-from poise.priority import first
-from poise.wire.control_session import open_session
+from poise.priority import ahead
+from poise.wire.control_session import IDENTITIES, open_session, parse_identity
 from poise.wire.records.deployment import (
     Accepted,
     AgentStatus,
@@ -81,7 +81,10 @@ class Agents:
         self.manager = manager_id()
         self._prefix = f"poise/{robot}"
         self._clock = clock
+        self._robot = robot
+        self._endpoints = endpoints
         self._computers = frozenset(endpoints)
+        self._identities: dict[str, tuple[str, str]] = {}
         self._changed = threading.Condition()
         self._version = 0
         self._statuses: dict[str, AgentStatus] = {}
@@ -89,7 +92,7 @@ class Agents:
         self._lost: dict[str, float] = {}
         self._tokens: dict[str, int] = {}
         # no gossip: it talks to the agents that it knows, and to no other manager
-        with first():  # zenoh's threads only carry
+        with ahead():  # zenoh's threads do nothing but carry messages
             self._session = open_session(
                 connect=tuple(endpoints.values()), gossip=False, lease=lease
             )
@@ -102,6 +105,9 @@ class Agents:
             ),
             self._session.liveliness().declare_subscriber(
                 f"{self._prefix}/alive/*", self._on_alive, history=True
+            ),
+            self._session.liveliness().declare_subscriber(
+                IDENTITIES, self._on_identity, history=True
             ),
         ]
         if on_sample is not None:
@@ -163,11 +169,13 @@ class Agents:
         Raises
         ------
         RunError
-            One was not there within `limit` [s].
+            One was not there within `limit` [s], or at its address there is the agent
+            of another computer or robot.
         """
         wanted, deadline = set(computers), self._clock.now() + limit
         while not self.wait_news(lambda: wanted <= self.reached(), _LOOK_EVERY):
             check()
+            self._raise_on_other_agents(wanted - self.reached())
             if self._clock.now() < deadline:
                 continue
             missing = ", ".join(sorted(wanted - self.reached()))
@@ -175,6 +183,20 @@ class Agents:
                 f"no agent answered within {limit:g} s on: {missing}. Is `poise agent` "
                 "running there, and can this computer reach it?"
             )
+
+    def _raise_on_other_agents(self, missing: Iterable[str]) -> None:
+        others = []
+        for computer in sorted(missing):
+            locator = self._endpoints[computer]
+            found = self._identities.get(locator, (self._robot, computer))
+            if found != (self._robot, computer):
+                others.append(
+                    f"at {locator.removeprefix('tcp/')} there is the agent of computer "
+                    f"'{found[1]}' of robot '{found[0]}', not of computer '{computer}' "
+                    f"of robot '{self._robot}'"
+                )
+        if others:
+            raise RunError("; ".join(others))
 
     def wait_news(self, is_enough: Callable[[], bool], limit: float) -> bool:
         """Wait until `is_enough` is true, evaluated at all news; return whether it is.
@@ -352,6 +374,14 @@ class Agents:
             if status.computer in self._computers:
                 self._statuses[status.computer] = status
                 self._note_news()
+
+    def _on_identity(self, sample: zenoh.Sample) -> None:
+        locator, robot, computer = parse_identity(str(sample.key_expr))
+        with self._changed:
+            if sample.kind == zenoh.SampleKind.PUT:
+                self._identities[locator] = robot, computer
+            elif self._identities.get(locator) == (robot, computer):
+                del self._identities[locator]
 
     def _on_alive(self, sample: zenoh.Sample) -> None:
         computer = str(sample.key_expr).rpartition("/")[2]

@@ -39,8 +39,8 @@ from poise.manage.migration.replacement import replace_architecture
 from poise.manage.migration.transition_run import transit
 from poise.manage.observe.deviations import Deviation, find_deviations
 from poise.manage.observe.estimates import Estimates
+from poise.manage.observe.faults import fault_sentence, faults_after, last_numbers
 from poise.manage.run import Run
-from poise.wire.records.deployment import Fault
 from poise.wire.records.samples import AgentSample
 
 MOST_COMMANDS = 64
@@ -101,7 +101,7 @@ class Manager:
         self._deviations: tuple[Deviation, ...] = ()
         self._retry_at: dict[str, float] = {}
         self._refusals: dict[str, str] = {}
-        self._faults: dict[str, tuple[Fault, ...]] = {}
+        self._faults = run.faults_before
         self._reached = set(run.computers())
 
     @property
@@ -269,13 +269,12 @@ class Manager:
 
     def _note_faults(self) -> None:
         """Journal what broke on computers since the last time."""
-        for computer, status in self._run.agents.statuses().items():
-            before = self._faults.get(computer, ())
-            for fault in status.faults:
-                if fault not in before:
-                    what = f"container '{fault.container}' {fault.message}"
-                    self._run.journal.note("wrong", f"on '{computer}': {what}")
-            self._faults[computer] = status.faults
+        statuses = self._run.agents.statuses()
+        for computer, fault in faults_after(self._faults, statuses):
+            what = fault_sentence(computer, fault)
+            note = self._run.journal.note
+            note("right" if fault.is_over else "wrong", what, fault=fault)
+        self._faults = {**self._faults, **last_numbers(statuses)}
 
 
 def _answer(future: Results, result: Result | Refusal) -> None:

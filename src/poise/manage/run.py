@@ -20,6 +20,7 @@ from poise.manage.deployment import (
     name_of,
 )
 from poise.manage.journal import Journal
+from poise.manage.observe.faults import fault_sentence, faults_after, last_numbers
 from poise.manage.topological_order import levels
 from poise.model.robot import Robot
 from poise.wire.records.deployment import (
@@ -41,7 +42,7 @@ RETURN_LIMIT = 3.0
 """A stop waits this long for computers that are out of reach [s]."""
 
 _WORKING = {
-    "unconfigured": " (does its `configure` end?)",
+    "unconfigured": " (do its import and `configure` end?)",
     "inactive": " (does its `activate` end?)",
 }
 """What may keep a component in a state."""
@@ -83,6 +84,8 @@ class Run:
         }
         self.check: Callable[[], object] = _go_on
         """Called at all news while all is started or watched; may raise to end that."""
+        self.faults_before = last_numbers(agents.statuses())
+        self._faults_before_tell = self.faults_before
         self._generation = 0
         self._told: dict[str, Deployment] = {}
         self._is_cancelled = threading.Event()
@@ -278,6 +281,7 @@ class Run:
         RunError
             An agent refused or did not answer.
         """
+        self._faults_before_tell = last_numbers(self.agents.statuses())
         # later than any that the agents ever saw, from whatever manager
         seen = [status.generation for status in self.agents.statuses().values()]
         self._generation = max(self._generation, *seen, 0) + 1
@@ -375,7 +379,6 @@ class Run:
         statuses = self.current()
         silent = self._told.keys() - statuses.keys() - self.excused
         states = {(c.name, c.epoch): c.state for c in components_of(statuses)}
-        faults = [fault for status in statuses.values() for fault in status.faults]
         unreached = self._unreached_connectors()
         missing = [f"computer '{name}' is silent" for name in sorted(silent)]
         missing += [
@@ -392,7 +395,8 @@ class Run:
         ]
         if not missing:
             return []
-        return missing + [f"container '{f.container}' {f.message}" for f in faults]
+        faults = faults_after(self._faults_before_tell, statuses)
+        return missing + [fault_sentence(computer, fault) for computer, fault in faults]
 
     def _running(self, computers: set[str]) -> list[str]:
         """Return the containers that still run there, for all that is known."""

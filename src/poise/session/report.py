@@ -18,6 +18,7 @@ from poise.manage.observe.failures import (
     hung_handlers,
     refused_messages,
 )
+from poise.manage.observe.faults import faults_after
 from poise.manage.observe.silence import SilentPort, silent_ports
 from poise.model.robot import Robot
 from poise.session.placement import Placement
@@ -202,7 +203,7 @@ def reported(up: Started, placed: Placement, task: str, seen: Measured) -> RunRe
         refused=refused_messages(final),
         lost=unprocessed(up.run, placed.where.keys()),
         silent=silent_ports(robot, final),
-        faults=tuple(fault for status in final.values() for fault in status.faults),
+        faults=tuple(fault for _, fault in faults_after(up.run.faults_before, final)),
         clocks=clocks_of(seen.end),
         interrupted=seen.interrupted,
         invalid=invalid,

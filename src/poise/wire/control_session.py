@@ -73,6 +73,21 @@ def open_session(
         raise RunError(f"cannot listen on {', '.join(listen)}: {why}") from None
 
 
+IDENTITIES = "poise-agent/**"
+"""The liveliness tokens by which the agents of all robots say who they are."""
+
+
+def identity_key(locator: str, robot: str, computer: str) -> str:
+    """Return the key of an agent's token; `parse_identity` takes it apart."""
+    return f"poise-agent/{locator}/{robot}/{computer}"
+
+
+def parse_identity(key: str) -> tuple[str, str, str]:
+    """Return the locator, robot and computer of an agent."""
+    locator, robot, computer = key.removeprefix("poise-agent/").rsplit("/", 2)
+    return locator, robot, computer
+
+
 def locator(agent: Endpoint) -> str:
     """Return zenoh's name of an agent's address."""
     return f"tcp/{agent}"

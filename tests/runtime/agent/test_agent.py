@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -92,6 +93,16 @@ def manager_id(key: str) -> ManagerId:
     return ManagerId(key=key, user="ann", host="desk", pid=7, since=0.0)
 
 
+SLOW_MODULE = """
+import os, time
+from poise import Component
+while not os.path.exists(os.path.join(os.path.dirname(__file__), "go_on")):
+    time.sleep(0.01)
+
+class Slow(Component): pass
+"""
+
+
 class Manager:
     """What a manager sees of one agent, and asks of it."""
 
@@ -133,8 +144,14 @@ class Manager:
 
     def deploy(self, *names: str, goal: Goal = "active", **more: Any) -> None:
         """Let a container of its own run for each class named in `MODULE`."""
+        self._deploy(*(self._container(name, goal, more) for name in names))
+
+    def deploy_container(self, name: str, *components: ComponentSpec) -> None:
+        """Let one container run with these components."""
+        self._deploy(self._with(name, *components))
+
+    def _deploy(self, *containers: ContainerSpec) -> None:
         self._generation += 1
-        containers = tuple(self._container(name, goal, more) for name in names)
         wanted = Deployment(generation=self._generation, containers=containers)
         assert self.ask(wanted) == Accepted()
 
@@ -204,10 +221,13 @@ class Manager:
             implementation="" if command else reference,
             command=command,
         )
+        return self._with(name, component)
+
+    def _with(self, name: str, *components: ComponentSpec) -> ContainerSpec:
         return ContainerSpec(
             name=name,
             folder=str(self.folder),
-            components=(component,),
+            components=components,
             connectors=(),
         )
 
@@ -258,6 +278,10 @@ def children(pid: int) -> list[int]:
 def health(status: AgentStatus, name: str) -> ContainerHealth:
     none = ContainerHealth(name=name, state="stopped", since=0.0)
     return next((h for h in status.health if h.name == name), none)
+
+
+def states(status: AgentStatus) -> dict[str, str]:
+    return {c.name: c.state for each in status.containers for c in each.components}
 
 
 def only(status: AgentStatus) -> ComponentStatus:
@@ -440,7 +464,7 @@ def test_a_stopped_container_is_told_within_a_second_or_so(manager: Manager) -> 
     status = manager.wait_for(lambda s: health(s, "quiet").state == "unresponsive")
     assert only(status).state == "unresponsive"
     (fault,) = manager.faults(status)
-    assert "does not respond since" in fault.message
+    assert "has not responded for" in fault.message
     assert "its process is stopped (SIGSTOP)" in fault.message
     steps = MigrationSteps(8, 1, "quiet", (Redirect("x", 0),), limit=LIMIT)
     assert manager.ask(steps) == StepsFailed(
@@ -472,6 +496,44 @@ def test_a_step_in_a_container_that_is_stopped_meanwhile_fails_at_once(
     assert isinstance(failed, StepsFailed)
     assert "does not respond" in failed.reason
     os.kill(container.pid, signal.SIGKILL)
+
+
+def limit_descriptors(pid: int, more: int | None) -> None:
+    """Let a process open only `more` descriptors besides those that it has."""
+    used = 1 + max(int(file.name) for file in _descriptors(pid))
+    _, hard = resource.prlimit(pid, resource.RLIMIT_NOFILE)
+    limit = hard if more is None else used + more
+    resource.prlimit(pid, resource.RLIMIT_NOFILE, (limit, hard))
+
+
+@pytest.mark.parametrize("who", ["agent", "zygote"])
+def test_lives_on_without_a_free_descriptor(doomed: Manager, who: str) -> None:
+    agent = doomed.process.pid
+    (zygote,) = children(agent)
+    limit_descriptors(*((agent, 3) if who == "agent" else (zygote, 1)))
+    doomed.deploy("quiet", "busy", "stubborn")
+    doomed.wait_for(lambda status: len(doomed.faults(status)) >= 3)
+    assert {"cannot be started" in f.message for f in doomed.faults()} == {True}
+    for pid in (agent, zygote):
+        limit_descriptors(pid, None)
+    for name in ("quiet", "busy", "stubborn"):
+        doomed.wait_active(name)
+
+
+def test_a_slow_import_holds_up_nobody(manager: Manager) -> None:
+    """The other component is active before the import that waits for it ends."""
+    quiet, slow = "quiet_module:Quiet", "slow_module:Slow"
+    (manager.folder / "slow_module.py").write_text(SLOW_MODULE)
+    go_on = manager.folder / "go_on"
+    components = tuple(
+        ComponentSpec(name=name, goal="active", implementation=reference)
+        for name, reference in (("slow", slow), ("quiet", quiet))
+    )
+    manager.deploy_container("both", *components)
+    status = manager.wait_for(lambda s: states(s).get("quiet") == "active")
+    assert states(status)["slow"] == "unconfigured"
+    go_on.touch()
+    manager.wait_for(lambda s: states(s).get("slow") == "active")
 
 
 def test_refuses_another_protocol_whatever_it_looks_like(manager: Manager) -> None:

@@ -19,9 +19,11 @@ from msgspec import Struct
 from poise.errors import RunError
 from poise.manage.deployment import Incarnation
 from poise.manage.migration.plan import MigrationPlan, MigrationRounds, PlacedStep
+from poise.manage.observe.deviations import explain
 from poise.manage.run import Run, components_of
 from poise.priority import first
 from poise.wire.migration_phases import MigrationPhases
+from poise.wire.records.deployment import ComponentStatus
 from poise.wire.records.migration import (
     MigrationStep,
     MigrationSteps,
@@ -240,11 +242,16 @@ class MigrationCoordinator:
                     f"'{targets[key].computer}':\n{component.error}"
                 )
             if key in sources and component.state != "active":
-                raise RunError(
-                    f"component '{component.name}' on '{sources[key].computer}' is "
-                    f"{component.state}: its state cannot be transferred"
-                )
+                raise RunError(self._why_not_active(sources[key], component))
         return False
+
+    def _why_not_active(self, source: Incarnation, found: ComponentStatus) -> str:
+        container = self._run.layout.container_of(source.component)
+        health = self._run.current()[source.computer].health
+        of_container = next((h for h in health if h.name == container), None)
+        return (
+            f"{explain(source, found, of_container)}: its state cannot be transferred"
+        )
 
 
 def describe(report: MigrationReport) -> str:

@@ -7,7 +7,11 @@ from collections.abc import Collection, Iterator, Mapping
 from msgspec import Struct
 
 from poise.manage.deployment import DeploymentPlan, Incarnation
-from poise.wire.records.deployment import AgentStatus, ComponentStatus
+from poise.wire.records.deployment import (
+    AgentStatus,
+    ComponentStatus,
+    ContainerHealth,
+)
 
 
 class Deviation(Struct, frozen=True, kw_only=True):
@@ -77,19 +81,31 @@ def _of_computer(
         for container in status.containers
         for component in container.components
     }
+    health = {each.name: each for each in status.health}
     for each in wanted:
         found = there.get((each.component, each.epoch))
         if found is None or found.state != each.goal:
-            yield each.component, _state(each, found)
+            of_container = health.get(layout.container_of(each.component))
+            yield each.component, explain(each, found, of_container)
     names = {layout.container_of(each.component) for each in wanted}
     for container in status.containers:
         if container.name not in names:
             yield "", f"container '{container.name}' runs on '{computer}', unwanted"
 
 
-def _state(wanted: Incarnation, found: ComponentStatus | None) -> str:
+def explain(
+    wanted: Incarnation,
+    found: ComponentStatus | None,
+    container: ContainerHealth | None,
+) -> str:
+    """Return what is known of an incarnation that is not as it should be."""
     what = f"component '{wanted.component}' on '{wanted.computer}'"
     if found is None:
-        return f"{what} does not run"
+        is_restarting = container is not None and container.state == "restarting"
+        return f"{what} does not run" + (
+            ": its container is being restarted" if is_restarting else ""
+        )
+    if found.state == "unresponsive" and container:
+        return f"{what} does not respond: {container.reason}"
     last = found.error.rstrip().rpartition("\n")[2]
     return f"{what} is {found.state}" + (f": {last}" if last else "")

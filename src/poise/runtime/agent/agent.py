@@ -11,6 +11,7 @@ import signal
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
 
@@ -21,7 +22,7 @@ from msgspec import Struct
 from poise.clock import Clock, SystemClock
 from poise.endpoint import Endpoint
 from poise.errors import RunError, UsageError
-from poise.priority import go_first
+from poise.priority import ahead, go_first
 from poise.runtime._calls import PageSampler
 from poise.runtime.agent.clock_synchronisation import ClockSynchronisation
 from poise.runtime.agent.container_processes import STOP_LIMIT
@@ -37,12 +38,14 @@ from poise.runtime.hosting.wiring import Place
 from poise.runtime.waker import Waker, wait_readable
 from poise.wire.connections.gateway import Gateway
 from poise.wire.connections.socket_path import socket_path
-from poise.wire.control_session import locator, open_session
+from poise.wire.control_session import identity_key, locator, open_session
 from poise.wire.records.clocks import ClockStatus
 from poise.wire.records.deployment import (
+    PROTOCOL,
     Accepted,
     AgentStatus,
     Claim,
+    ManagerId,
     ManagerRequest,
     Refused,
 )
@@ -51,6 +54,10 @@ from poise.wire.records.samples import SAMPLE_EVERY
 
 REPORT_EVERY = 0.5
 """A status goes out at least this often [s]."""
+
+
+def ignore(_: str) -> None:
+    """Say nothing."""
 
 
 class AgentSetup(Struct, frozen=True, kw_only=True):
@@ -90,13 +97,24 @@ class AgentSetup(Struct, frozen=True, kw_only=True):
 class Agent:
     """Runs the containers of one computer.
 
+    Parameters
+    ----------
+    say
+        Called with a sentence when it has begun to listen, and when a manager comes or
+        goes; on the agent's own thread.
+
     Raises
     ------
     UsageError
         The path of the folder is too long for sockets in it.
     """
 
-    def __init__(self, setup: AgentSetup, clock: Clock | None = None) -> None:
+    def __init__(
+        self,
+        setup: AgentSetup,
+        clock: Clock | None = None,
+        say: Callable[[str], object] = ignore,
+    ) -> None:
         self._setup = setup
         self._clock = clock or SystemClock()
         self._born = self._clock.now()
@@ -118,6 +136,9 @@ class Agent:
         self._waker = Waker()
         self._requests = AgentInbox(setup.computer, self._waker.wake)
         self._fence = Fence(setup.robot, setup.computer)
+        self._locator = locator(Endpoint(setup.address, setup.port))
+        self._say = say
+        self._manager: ManagerId | None = None
 
     def run(self) -> None:
         """Work until asked to end by a signal or by the end of the lifeline.
@@ -129,10 +150,9 @@ class Agent:
         """
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._on_signal)
-        # all of its threads alike: they share an interpreter
-        go_first()
         try:
-            self._run_in(self._setup)
+            with ahead():  # zenoh's threads inherit that
+                self._run_in(self._setup)
         finally:
             zygote.end(self._zygote, self._zygote_pid)
         if trouble := self._supervisor.trouble:
@@ -145,26 +165,36 @@ class Agent:
         with (
             Gateway(Path(setup.folder), setup.address, setup.gateway) as gateway,
             open_session(
-                listen=[locator(Endpoint(setup.address, setup.port))],
+                listen=[self._locator],
                 connect=setup.peers,
                 lease=lease,
             ) as session,
         ):
             self._gateway = str(gateway)
+            self._say(
+                f"agent of computer '{setup.computer}' of robot '{setup.robot}' at "
+                f"{self._locator.removeprefix('tcp/')}, gateway {gateway}; "
+                f"Poise {version('poise')}, protocol {PROTOCOL}"
+            )
             publisher = session.declare_publisher(f"{prefix}/status/{setup.computer}")
             key = f"{prefix}/agent/{setup.computer}"
             answers = session.declare_queryable(key, self._requests.hear)
             managers = session.liveliness().declare_subscriber(
                 f"{prefix}/manager/*", self._fence.note_liveliness, history=True
             )
-            token = session.liveliness().declare_token(
-                f"{prefix}/alive/{setup.computer}"
-            )
+            tokens = [
+                session.liveliness().declare_token(key)
+                for key in (
+                    f"{prefix}/alive/{setup.computer}",
+                    identity_key(self._locator, setup.robot, setup.computer),
+                )
+            ]
             samples = session.declare_publisher(f"{prefix}/samples/{setup.computer}")
             sampler = self._sampler(samples)
             clocks = ClockSynchronisation(
                 session, prefix, setup.computer, Path(setup.folder), self._clock
             )
+            go_first()
             try:
                 sampler.start()
                 self._usage = sampler.usage
@@ -177,7 +207,8 @@ class Agent:
                 managers.undeclare()  # type: ignore[no-untyped-call]
                 answers.undeclare()  # type: ignore[no-untyped-call]
                 self._end_all()
-                token.undeclare()  # type: ignore[no-untyped-call]
+                for token in tokens:
+                    token.undeclare()  # type: ignore[no-untyped-call]
 
     def _sampler(self, samples: zenoh.Publisher) -> Sampler:
         def containers() -> list[tuple[str, int, PageSampler]]:
@@ -230,6 +261,7 @@ class Agent:
                 self._attend(request, query)
             while self._silences:
                 self._supervisor.note_silence(self._silences.popleft())
+            self._say_manager()
             self._relay.give_up(self._clock.now())
             self._supervisor.reconcile()
             status = self._status()
@@ -237,6 +269,15 @@ class Agent:
             if seen != reported or self._clock.now() >= report_at:
                 publisher.put(msgspec.msgpack.encode(status))
                 report_at, reported = self._clock.now() + REPORT_EVERY, seen
+
+    def _say_manager(self) -> None:
+        before, self._manager = self._manager, self._fence.present_manager()
+        if self._manager == before:
+            return
+        if before is not None:
+            self._say(f"{before} is gone; containers go on")
+        if self._manager is not None:
+            self._say(f"managed by {self._manager}")
 
     def _wait(self, until: float) -> None:
         """Wait for news until some moment [s], and take them in."""

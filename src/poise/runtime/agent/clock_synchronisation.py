@@ -102,11 +102,14 @@ class ClockSynchronisation:
     def _main(self) -> None:
         asked = answered = 0
         while not self._ended.wait(self._pause(answered or asked)):
-            self._ask()
             asked += 1
+            try:
+                self._ask()
+                self._known = self._now_known()
+                self._table.write(self._known)
+            except Exception:  # the next round may work again
+                log.exception("clocks cannot be compared")
             answered += bool(self._offsets)
-            self._known = self._now_known()
-            self._table.write(self._known)
         self._table.close()
 
     @staticmethod

@@ -26,6 +26,11 @@ class Fence:
         self.manager: ManagerId | None = None
         self.token = 0
 
+    def present_manager(self) -> ManagerId | None:
+        """Return the manager that it obeys, unless that one is gone."""
+        manager = self.manager
+        return None if manager is None or manager.key in self._gone else manager
+
     def note_liveliness(self, sample: zenoh.Sample) -> None:
         """Note that a manager's liveliness token came or went; for zenoh's threads."""
         key = str(sample.key_expr).rpartition("/")[2]

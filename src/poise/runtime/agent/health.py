@@ -45,8 +45,10 @@ class HealthRecords:
         if known is None or (known.state, known.reason) != (state, reason):
             self._enter(container, state, reason=reason)
 
-    def note_fault(self, container: str, message: str) -> None:
-        """Record that something went wrong."""
+    def note_fault(
+        self, container: str, message: str, *, is_over: bool = False
+    ) -> None:
+        """Record that something went wrong, or that it is over."""
         self._number += 1
         known = self._of.get(container)
         fault = Fault(
@@ -55,6 +57,7 @@ class HealthRecords:
             number=self._number,
             at=self._wall(),
             restarts=known.restarts if known else 0,
+            is_over=is_over,
         )
         self._faults.append(fault)
         if known is None:

@@ -135,14 +135,14 @@ class Supervisor:
             return
         process.silence = silence if silence.reason else None
         if silence.reason:
-            since = f"does not respond since {silence.seconds:.1f} s"
-            said = f"{since}: {silence.reason}. {silence.remedy}"
+            lasted = f"has not responded for {silence.seconds:.1f} s"
+            said = f"{lasted}: {silence.reason}. {silence.remedy}"
             self.health.enter(silence.container, "unresponsive", silence.reason)
         else:
             said = f"responds again, after {silence.seconds:.1f} s"
             self.health.enter(silence.container, "running")
         log.warning("container '%s' %s", silence.container, said)
-        self.health.note_fault(silence.container, said)
+        self.health.note_fault(silence.container, said, is_over=not silence.reason)
 
     def statuses(self) -> tuple[ContainerStatus, ...]:
         """Return what the containers said last."""

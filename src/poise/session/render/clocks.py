@@ -13,7 +13,7 @@ from poise.wire.records.clocks import ClockStatus
 
 def clock_table(clocks: Mapping[str, Mapping[str, ClockStatus]]) -> Table:
     """Return a row for each two computers: how far the second is ahead, +- error."""
-    rows = table("clock of", "seen from", "ahead by", "quickest round trip")
+    rows = table("clock of", "seen from", "ahead by", "quickest round trip", folds=1)
     for here, known in clocks.items():
         for there, clock in known.items():
             if there < here and here in clocks.get(there, {}):

@@ -376,6 +376,8 @@ class Fault(Struct, frozen=True, kw_only=True):
         When [s since the epoch], by that computer's clock.
     restarts
         How often the container was started again before.
+    is_over
+        Whether it says that the fault before is over.
     """
 
     container: str
@@ -383,6 +385,7 @@ class Fault(Struct, frozen=True, kw_only=True):
     number: int = 0
     at: float = 0.0
     restarts: int = 0
+    is_over: bool = False
 
 
 class ContainerHealth(Struct, frozen=True, kw_only=True):
