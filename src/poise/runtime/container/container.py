@@ -175,8 +175,9 @@ class Container:
             raise RunError(str(error)) from None
 
     def _report(self, status: ContainerStatus) -> None:
-        # an agent that is slow to listen gets the next status, not all of them
-        if is_writable(self._agent.fileno()):
+        # an agent that is slow to listen gets the next status, not all of them; before
+        # it has said what should run there is nothing to report
+        if self._wanted is not None and is_writable(self._agent.fileno()):
             self._tell(status)
 
     def _hear(self, what: ContainerSpec | MigrationSteps) -> None:
