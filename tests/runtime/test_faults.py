@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import struct
+import sys
 from typing import Any, Protocol
 
 import pytest
 
 from poise import Component, Message, Provided, Published, Required, subscribed
+from poise.errors import CalleeError
 from poise.runtime.connectors.channel_route import ChannelRoute
 from poise.runtime.connectors.interface import message_tag, methods
 from poise.wire.codec import WireError, codec
@@ -15,7 +17,7 @@ from poise.wire.connections.channel import Channel, Pieces
 from poise.wire.frame import FAILURE, LARGEST, Kind, segments
 from tests.waiting import LIMIT, wait_until
 
-from .conftest import Pair
+from .conftest import Pair, every_kind
 
 pytestmark = pytest.mark.slow
 
@@ -31,6 +33,8 @@ class Doubling(Protocol):
 
     def zeros(self, size: int) -> bytes: ...
 
+    def leave(self) -> None: ...
+
 
 class Target(Component):
     doubling: Provided[Doubling]
@@ -44,6 +48,9 @@ class Target(Component):
     def zeros(self, size: int) -> bytes:
         return bytes(size)
 
+    def leave(self) -> None:
+        sys.exit("bye")
+
     @subscribed(block=4)
     def pose(self, message: Pose) -> None:
         self.heard.append(message.x)
@@ -55,7 +62,7 @@ class Source(Component):
 
 
 CALL, MESSAGE = "source.doubling-target.doubling", "source.pose-target.pose"
-DOUBLE, _ = methods(Doubling)
+DOUBLE = next(tag for tag, m in methods(Doubling).items() if m.name == "double")
 
 
 @pytest.fixture
@@ -171,4 +178,16 @@ def test_an_answer_that_is_too_large_is_the_callers_error(
     monkeypatch.setattr("poise.wire.connections.connection.LARGEST", 1000)
     with pytest.raises(WireError, match="1000 B is the largest"):
         ends[0].doubling.zeros(1000)
+    assert ends[0].doubling.double(21) == 42
+
+
+@every_kind
+@pytest.mark.usefixtures("pair")
+def test_a_callee_that_exits_is_an_error_of_its_caller(
+    ends: tuple[Source, Target],
+) -> None:
+    """Else the thread of a connection ends without a word."""
+    with pytest.raises(CalleeError, match="bye") as caught:
+        ends[0].doubling.leave()
+    assert caught.value.type_name == "SystemExit"
     assert ends[0].doubling.double(21) == 42

@@ -113,8 +113,8 @@ class Exclusion:
 class Histogram:
     """Counts values >= 0 with quantiles that are right within 5 %.
 
-    Mean and maximum are exact. Values from 2^-30 to 2^64 are told apart; it holds at
-    most some 750 numbers, however many values come.
+    Mean and maximum are exact. Values from 2^-30 to 2^64 are distinguished; it holds
+    at most some 750 numbers, however many values come.
     """
 
     def __init__(self) -> None: ...
@@ -346,7 +346,7 @@ class DirectCall:
         exclusion: Exclusion,
         limit: float,
         counts: Counts,
-        translate: Callable[[Exception], NoReturn],
+        translate: Callable[[Exception | SystemExit], NoReturn],
         resend: Callable[..., Any] | None = None,
     ) -> None: ...
     def __call__(self, *args: Any, **kwargs: Any) -> Any: ...
@@ -393,7 +393,7 @@ class ServedCall:
         exclusion: Exclusion,
         limit: float,
         counts: Counts,
-        translate: Callable[[Exception], NoReturn],
+        translate: Callable[[Exception | SystemExit], NoReturn],
         is_over: Callable[[], bool],
     ) -> None: ...
     def __call__(self, frame: Frame, ahead: float = 0.0) -> list[Bytes]: ...

@@ -13,8 +13,9 @@ import pytest
 from poise import Message
 from poise.errors import RunError, Timeout, Unavailable
 from poise.runtime.component.ports import Port
+from poise.runtime.connectors.facade import Facade
 from poise.runtime.connectors.interface import Method
-from poise.runtime.connectors.sender import Facade, Sender
+from poise.runtime.connectors.sender import Sender
 from poise.runtime.execution.exclusion import Exclusion, new_chain
 from poise.wire.codec import WireError
 from tests.waiting import wait_until

@@ -104,6 +104,6 @@ def direct_call(
     return DirectCall(method, exclusion, limit, counts, raise_callee_error, resend)
 
 
-def raise_callee_error(error: Exception) -> NoReturn:
+def raise_callee_error(error: Exception | SystemExit) -> NoReturn:
     """Raise what a caller gets when its callee raised `error`."""
     raise CalleeError(type(error).__qualname__, str(error), told(error)) from error

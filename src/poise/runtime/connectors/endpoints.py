@@ -13,7 +13,8 @@ from poise.errors import Timeout
 from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.component import Component
 from poise.runtime.component.ports import Port, Published, Queue, methods_of
-from poise.runtime.connectors.sender import Facade, Sender, refusing
+from poise.runtime.connectors.facade import Facade, refusing
+from poise.runtime.connectors.sender import Sender
 from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.execution.exclusion import Exclusion
 from poise.runtime.execution.mailbox import Entry, Feed, Inbox, Mailbox

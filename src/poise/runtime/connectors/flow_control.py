@@ -174,7 +174,7 @@ class CreditIssuer:
             self._close_channel()
 
     def _count(self, route: int, came: int) -> None:
-        """Note that so many messages came, and report and count what got lost."""
+        """Note how many messages came, and count those that got lost."""
         if route != self._route:
             self._route = route
             self._issued = 0

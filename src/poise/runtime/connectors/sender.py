@@ -17,14 +17,15 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, NoReturn, Protocol
+from typing import Any
 
 from poise.errors import CallError, RunError, Timeout, Unavailable
-from poise.model.suggest import did_you_mean, listed
 from poise.runtime.component.error_report import Sparing
 from poise.runtime.component.ports import Port
+from poise.runtime.connectors.facade import Facade, refusing
 from poise.runtime.connectors.interface import Method, methods
 from poise.runtime.connectors.reentrant import stepping_out
+from poise.runtime.connectors.route import Route
 from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.execution.exclusion import Exclusion
 from poise.wire.codec import WireError
@@ -37,62 +38,6 @@ MOST_BUFFERED = 5_000
 """Messages that a sender buffers while a component moves; then publishers wait."""
 _ASK_FIRST, _ASK_LAST = 0.005, 0.1
 """A sender without room asks for it after this time, and then ever less often [s]."""
-
-
-class Route(Protocol):
-    """A way to one incarnation of the target."""
-
-    def is_ready(self) -> bool:
-        """Return at once whether the other end is there."""
-        ...
-
-    def function(self, method: Method, sender: Sender) -> Callable[..., Any]:
-        """Return the function that calls a method of the target.
-
-        It calls `Sender.again` when the target has moved and did not run the call.
-        """
-        ...
-
-    def push(self, method: Method | None, value: object) -> int:
-        """Send a message, or a one-way call of `method`; return its size [bytes].
-
-        Raises
-        ------
-        CallError
-            It did not go out.
-        """
-        ...
-
-    def has_room(self) -> bool:
-        """Return at once whether the target has room for one more message."""
-        ...
-
-    def ask(self) -> None:
-        """Ask for room, in case that a credit got lost; raises as `push`."""
-        ...
-
-    def send_marker(self, number: int) -> None:
-        """Send a marker behind all that was pushed; raises as `push`."""
-        ...
-
-    def close(self) -> None:
-        """Release its resources at once; harmless when repeated."""
-        ...
-
-
-class Facade:
-    """What a required port holds: the interface's methods as attributes."""
-
-    def __init__(self, what: str) -> None:
-        self._what = what
-
-    def __getattr__(self, name: str) -> NoReturn:
-        """Name the methods that exist; Python asks only for one that does not."""
-        known = [each for each in vars(self) if not each.startswith("_")]
-        raise AttributeError(
-            f"{self._what} has no method '{name}'{did_you_mean(name, known)}; "
-            f"methods: {listed(known)}"
-        )
 
 
 class Sender:
@@ -413,15 +358,6 @@ class Sender:
     def _disconnect(self) -> None:
         for method in self._methods:
             setattr(self._facade, method.name, refusing(self.name))
-
-
-def refusing(what: str) -> Callable[..., NoReturn]:
-    """Return a function that raises `Unavailable`, however it is called."""
-
-    def call(*_: object, **__: object) -> NoReturn:
-        raise Unavailable(f"'{what}' is not connected")
-
-    return call
 
 
 def _oneway(sender: Sender, method: Method) -> Callable[..., None]:

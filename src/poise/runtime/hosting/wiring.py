@@ -21,7 +21,8 @@ from poise.runtime.connectors.flow_control import CREDITS, Credit, CreditIssuer,
 from poise.runtime.connectors.io_thread import IoThread
 from poise.runtime.connectors.recorded_inputs import noting_calls
 from poise.runtime.connectors.remote_clock import RemoteClock, nobody_knows
-from poise.runtime.connectors.sender import Route, Sender
+from poise.runtime.connectors.route import Route
+from poise.runtime.connectors.sender import Sender
 from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.hosting.runner import Runner
 from poise.wire.address import Address

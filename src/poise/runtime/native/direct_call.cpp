@@ -184,7 +184,7 @@ PyType_Spec spec = {
 }  // namespace
 
 void translate_error(nb::handle translate) {
-  if (!PyErr_ExceptionMatches(PyExc_Exception)) return;
+  if (!PyErr_ExceptionMatches(PyExc_Exception) && !PyErr_ExceptionMatches(PyExc_SystemExit)) return;
   PyObject *type, *value, *trace;
   PyErr_Fetch(&type, &value, &trace);
   PyErr_NormalizeException(&type, &value, &trace);

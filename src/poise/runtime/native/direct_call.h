@@ -54,8 +54,8 @@ struct Counts {
 // The type `DirectCall`: a callable with the vectorcall protocol.
 nanobind::object make_direct_call_type();
 
-// Let `translate` raise what a caller gets instead of the error that its callee raised;
-// what is no Exception, such as KeyboardInterrupt, goes on as it is.
+// Let `translate` raise what a caller gets instead of an Exception or SystemExit of its callee;
+// other errors, such as KeyboardInterrupt, go on as they are.
 void translate_error(nanobind::handle translate);
 
 // Set the Python error that stands for an entry that failed. `action` says, with the

@@ -91,7 +91,7 @@ class Connection:
     def is_idle(self) -> bool:
         """Return at once whether the other end is there and has said nothing.
 
-        Over AF_UNIX sending tells whether it is there; TCP takes what nobody will get.
+        Over AF_UNIX sending fails when it is gone; TCP accepts bytes for nobody.
         """
         try:
             self._connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
@@ -112,7 +112,7 @@ class Connection:
             LOANS.give_slot_back(slot)
 
     def end(self, how: int = socket.SHUT_RDWR) -> None:
-        """Let whoever uses it find it closed; from any thread.
+        """Let its user find it closed; from any thread.
 
         With ``socket.SHUT_RD`` what has come is still read, and may be answered.
         """

@@ -253,8 +253,8 @@ def _handed_over(gateway: socket.socket) -> socket.socket:
 
 
 def _refusal(error: WireError, number: int = 0) -> Pieces:
-    told = "WireError", str(error), ""
-    return frame.segments(frame.FAILURE, told, Kind.ERROR, number=number)
+    failure = "WireError", str(error), ""
+    return frame.segments(frame.FAILURE, failure, Kind.ERROR, number=number)
 
 
 def _wait_until_taken(before: _Served) -> None:

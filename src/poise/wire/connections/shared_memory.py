@@ -8,7 +8,7 @@ sender takes another block, or sends through the socket when there is none.
 
 Waking a receiver takes about as long as copying 1 MB. So the sender marks the block as
 being filled, notifies the receiver, copies the rest meanwhile, and then marks the block
-as the receiver's, who waits for that (``native/filling.cpp``).
+as the receiver's, which waits for that (``native/filling.cpp``).
 
 A block has no name in the file system, so the kernel frees what a crash leaves behind.
 """
@@ -67,11 +67,11 @@ class Block:
         return self._map[0] == FREE
 
     def lend(self, slot: int = 0) -> None:
-        """Set its byte `slot`: it is the receiver's when that is told."""
+        """Set its byte `slot`: the receiver owns it once its frame came."""
         self._map[slot] = LENT
 
     def take_back(self, slot: int = 0) -> None:
-        """Undo `lend`: the receiver was not told."""
+        """Undo `lend`: no frame was sent."""
         self._map[slot] = FREE
 
     def close(self) -> None:

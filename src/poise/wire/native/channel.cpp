@@ -25,8 +25,8 @@ namespace {
 // A thread that waits checks after this time whether the other computer is still there [s].
 constexpr double look_after = 1.0;
 
-// So often something was sent again: who has stood still itself, as a computer that slept, may
-// have heard nothing for long, and yet be answered at once.
+// Retransmissions before a computer counts as silent: one that was itself suspended has heard
+// nothing for long, and is answered at once.
 constexpr int in_vain = 2;
 
 // The meaning of a failed system call; `done` when it is to be tried again.

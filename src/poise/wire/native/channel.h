@@ -39,7 +39,7 @@ static_assert(sizeof(Head) == Head::with_block);
 class Channel {
  public:
   // Over TCP the other end is lost when it confirms nothing for `lost_after` [s]. A channel
-  // that does not read ahead keeps nothing between two frames: `poll` then tells all.
+  // that does not read ahead keeps nothing between two frames: `poll` reports each frame.
   Channel(int file, double lost_after, bool reads_ahead);
 
   // Send all of `pieces` before `deadline` [s, of the monotonic clock], and take off what
@@ -62,7 +62,7 @@ class Channel {
   // How many bytes are here already, behind the last head.
   std::size_t num_ahead() const { return end_ - start_; }
 
-  // The next bytes, so many of those that are here already; until the next step.
+  // The next `count` bytes, which are here already; valid until the next step.
   const char* skip(std::size_t count) {
     const char* bytes = ahead_.data() + start_;
     start_ += count;
@@ -70,7 +70,7 @@ class Channel {
   }
 
  private:
-  // So many bytes are asked for at once: nearly every frame comes in one system call.
+  // Bytes to read at once: nearly every frame comes in one system call.
   static constexpr std::size_t ahead_size = 1 << 13;
 
   Outcome fetch(std::size_t count, double deadline);

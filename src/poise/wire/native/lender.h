@@ -10,15 +10,15 @@
 
 namespace poise {
 
-// Where arrays lie that the other end sends, and its byte that says whose the block is.
+// Where arrays lie that the other end sends, and the byte that tells its owner.
 class Lender {
  public:
   Lender(nanobind::handle data, nanobind::handle flags, std::size_t slot);
 
   char* data() const { return data_.begin(); }
   std::size_t size() const { return data_.size(); }
-  // Whose the block is; null for a loan, which was filled before it is lent.
-  Mark* mark() const { return slot_ == 0 ? reinterpret_cast<Mark*>(flags_.begin()) : nullptr; }
+  // The owner of the block; null for a loan, which was filled before it is lent.
+  Owner* owner() const { return slot_ == 0 ? reinterpret_cast<Owner*>(flags_.begin()) : nullptr; }
   void give_back();
 
  private:

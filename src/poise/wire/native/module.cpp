@@ -87,7 +87,7 @@ class Pieces {
     const Memory& room = held_.emplace_back(target, PyBUF_WRITABLE);
     if (poise::data_offset() + head_.used > room.size())
       throw nb::value_error("the arrays are larger than the block");
-    filling_ = poise::Filling(reinterpret_cast<poise::Mark*>(room.begin()),
+    filling_ = poise::Filling(reinterpret_cast<poise::Owner*>(room.begin()),
                               room.begin() + poise::data_offset(), std::move(arrays));
   }
   Pieces(const Pieces&) = delete;
@@ -272,8 +272,8 @@ nb::object rest_of(Channel& channel, const Head& head, double deadline, std::siz
     if (head.used > lender.size())
       raise_wire_error(
           nb::str("{} B announced in a block of {} B").format(head.used, lender.size()));
-    if (poise::Mark* mark = lender.mark(); mark && poise::is_being_filled(mark))
-      run([&] { return poise::wait_until_filled(mark, channel, deadline); }, not_come);
+    if (poise::Owner* owner = lender.owner(); owner && poise::is_being_filled(owner))
+      run([&] { return poise::wait_until_filled(owner, channel, deadline); }, not_come);
     return parse(data, poise::lend(object, head.used));
   }
   if (head.length <= std::min(small, channel.num_ahead())) {

@@ -1,4 +1,4 @@
-"""What stands in a recording: what was used, and what came over connectors."""
+"""The records of a recording: samples, and inputs that came over connectors."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Recorded(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     Parameters
     ----------
     samples
-        What agents told of what is used.
+        What the agents sampled.
     inputs
         What was published between architectures, and called.
     """

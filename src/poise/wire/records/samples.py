@@ -1,7 +1,7 @@
-"""What agents count, told a few times a second: small records without names of fields.
+"""The counters of an agent, published a few times a second, without field names.
 
 All counters are totals since the component, connector or process began; differences are
-for whoever receives them, so that a lost sample loses nothing.
+for the receiver, so that a lost sample loses nothing.
 """
 
 from __future__ import annotations
