@@ -50,6 +50,7 @@ PUBLIC = {
         "place",
         "profile",
         "run",
+        "stop_without_manager",
         "subscribed",
         "time_left",
         "up",

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from poise.session.run import run as run
     from poise.session.running import Running as Running
     from poise.session.running import connect as connect
+    from poise.session.stop import stop_without_manager as stop_without_manager
     from poise.session.up import up as up
     from poise.wire.connections.loans import loan as loan
 else:
@@ -78,6 +79,7 @@ else:
         "place": "session.placement",
         "profile": "session.profiling",
         "run": "session.run",
+        "stop_without_manager": "session.stop",
         "subscribed": "runtime.component.ports",
         "time_left": "runtime.component.deadline",
         "up": "session.up",

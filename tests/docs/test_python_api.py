@@ -27,5 +27,5 @@ def test_the_example_runs() -> None:
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert "'printer': '" in done.stdout
+    assert "everything is as the robot file says" in done.stdout
     assert "counter.count-printer.count" in done.stdout

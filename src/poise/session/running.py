@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import TypeVar
 
+from msgspec.structs import asdict
+from rich.console import RenderableType
+
 from poise.errors import RunError
 from poise.manage.control_socket.client import send_command
 from poise.manage.control_socket.records import (
@@ -23,8 +26,18 @@ from poise.manage.control_socket.records import (
 )
 from poise.manage.migration.move import MoveReport
 from poise.manage.migration.replacement import ReplaceReport
+from poise.session.render.shown import Shown
+from poise.session.render.status import status_parts
 
 R = TypeVar("R", bound=Result)
+
+
+class Status(Shown, RobotStatus, frozen=True, tag="RobotStatus", kw_only=True):
+    """A status that prints itself as tables, in a terminal and in a notebook."""
+
+    def parts(self) -> tuple[RenderableType, ...]:
+        """Return what is printed."""
+        return tuple(status_parts(self))
 
 
 class Running:
@@ -42,9 +55,10 @@ class Running:
     def __init__(self, name: str | None = None) -> None:
         self.name = name
 
-    def status(self) -> RobotStatus:
+    def status(self) -> Status:
         """Return where components run, and how they and their computers are."""
-        return self._send(StatusCommand(), RobotStatus)
+        status = self._send(StatusCommand(), RobotStatus)
+        return Status(**asdict(status))
 
     def move(self, component: str, computer: str, *, force: bool = False) -> MoveReport:
         """Move a component to another computer, with its state.

@@ -7,16 +7,16 @@ from io import StringIO
 from msgspec.structs import replace
 from rich.console import Console
 
-from poise.cli.status import (
+from poise.estimate.online import Drift, Estimate
+from poise.manage.control_socket.records import RobotStatus
+from poise.manage.observe.estimates import DemandEstimate
+from poise.session.render.status import (
     _remarks,
     component_table,
     computer_table,
     container_lines,
     remarks,
 )
-from poise.estimate.online import Drift, Estimate
-from poise.manage.control_socket.records import RobotStatus
-from poise.manage.observe.estimates import DemandEstimate
 from poise.session.render.tables import table
 from poise.wire.records.deployment import (
     AgentStatus,

@@ -1,0 +1,129 @@
+"""How a running robot is, for people."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+from rich.console import RenderableType
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from poise.manage.control_socket.records import RobotStatus
+from poise.manage.observe.estimates import DemandEstimate
+from poise.manage.run import connectors_of
+from poise.session.render.clocks import clock_table
+from poise.session.render.connectors import connector_tables
+from poise.session.render.tables import table
+from poise.units import format_bytes
+from poise.wire.records.deployment import ComponentStatus
+
+
+def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
+    """Yield a status: deviations first."""
+    yield f"robot '{status.robot}', task '{status.task}'"
+    yield f"managed by {status.manager}"
+    for each in status.deviations:
+        yield Text(f"{each.what} (noticed {_clock(each.since)})", style="red")
+    if not status.deviations:
+        yield "everything is as the robot file says"
+    yield component_table(status)
+    for remark in remarks(status):
+        yield f"[yellow]{remark}[/]"
+    yield from connector_tables(connectors_of(status.computers))
+    known = {name: each.clocks for name, each in sorted(status.computers.items())}
+    clocks = clock_table(known)
+    if clocks.row_count:
+        yield clocks
+    yield computer_table(status)
+    for line in container_lines(status):
+        yield Text(line, style="yellow")
+
+
+def component_table(answer: RobotStatus) -> Table:
+    """Return where components are and what they need, by computer."""
+    rows = table("component", "computer", "state", "CPU", "profile", folds=1)
+    for computer, component, standing in _each(answer):
+        rows.add_row(component.name, computer, component.state, *_needs(standing))
+    return rows
+
+
+def computer_table(answer: RobotStatus) -> Table:
+    """Return what agents and containers use of each computer, and what restarted."""
+    rows = table("computer", "CPU", "memory", "containers", "restarts")
+    for name, computer in sorted(answer.computers.items()):
+        running = [h for h in computer.health if h.state != "stopped"]
+        rows.add_row(
+            name,
+            f"{computer.load:.2f} cores",
+            format_bytes(computer.memory),
+            str(len(running)),
+            str(sum(health.restarts for health in computer.health)),
+        )
+    return rows
+
+
+def container_lines(answer: RobotStatus) -> Iterator[str]:
+    """Give the state and the last fault of each container that had one."""
+    for computer, status in sorted(answer.computers.items()):
+        for health in status.health:
+            fault = health.last_fault
+            if fault is None:
+                continue
+            yield (
+                f"container '{health.name}' on '{computer}': {health.state} since "
+                f"{_clock(health.since)}, {health.restarts} restarts; last fault at "
+                f"{_clock(fault.at)}: {fault.message}"
+            )
+
+
+def _clock(moment: float) -> str:
+    return time.strftime("%H:%M:%S", time.localtime(moment))
+
+
+def remarks(answer: RobotStatus) -> Iterator[str]:
+    """Give what is wrong with components, a line for each, by computer."""
+    for _, component, standing in _each(answer):
+        found = ", ".join(_remarks(component, standing))
+        if found:
+            yield f"{component.name}: {found}"
+
+
+def _each(
+    answer: RobotStatus,
+) -> Iterator[tuple[str, ComponentStatus, DemandEstimate | None]]:
+    demand_estimates = {each.component: each for each in answer.demand_estimates}
+    for computer, status in sorted(answer.computers.items()):
+        for container in status.containers:
+            for component in container.components:
+                yield computer, component, demand_estimates.get(component.name)
+
+
+def _remarks(
+    component: ComponentStatus, standing: DemandEstimate | None
+) -> Iterator[str]:
+    if component.errors:
+        last = component.error.rstrip().rpartition("\n")[2]
+        yield f"{component.errors} errors" + (f" ({escape(last)})" if last else "")
+    if standing is not None and standing.estimate.starved:
+        yield f"starved {standing.estimate.starved:.0%}"
+    for timer in component.timers:
+        if timer.deadline is not None and timer.missed:
+            share = timer.missed / timer.releases
+            yield f"{timer.name} missed {share:.1%} of deadlines"
+
+
+def _needs(standing: DemandEstimate | None) -> tuple[str, str]:
+    """Return what a component needs now, and what its profile says."""
+    if standing is None:
+        return "", ""
+    now, expected = standing.estimate, standing.expected
+    text = f"{now.mean:.1%}"
+    if now.error is not None:
+        text += f" ± {now.error:.1%}"
+    elif now.starved:
+        text = f"at least {text}"
+    if now.drift:
+        text = f"[yellow]{text}[/]"
+    return text, "" if expected is None else f"{expected:.1%}"
