@@ -11,7 +11,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from poise.emulate import sweep
 from poise.emulate.cleanup import Cleanup, registry
@@ -21,7 +21,13 @@ from tests.command import Poise, run_poise
 from tests.waiting import LIMIT, wait_until
 
 # an example that takes long on a busy machine is no fault
-settings.register_profile("poise", deadline=None)
+settings.register_profile(
+    "poise",
+    max_examples=50,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.register_profile("soak", settings.get_profile("poise"), max_examples=1000)
 settings.load_profile("poise")
 
 

@@ -20,7 +20,13 @@ from xml.etree import ElementTree as ET
 from poise.units import SECONDS, format_seconds, parse
 
 PYTEST = (sys.executable, "-m", "pytest", "-q", "-n", "2")
-DISTRIBUTION = ("--dist", "loadgroup", "--no-loadscope-reorder")
+OPTIONS = (
+    "--hypothesis-profile",
+    "soak",
+    "--dist",
+    "loadgroup",
+    "--no-loadscope-reorder",
+)
 BURN = "while True: pass"
 
 
@@ -64,7 +70,7 @@ def _run(seed: int, tests: Sequence[str]) -> Round:
     with tempfile.NamedTemporaryFile(suffix=".xml") as report:
         order = ["--shuffle", str(seed), f"--junitxml={report.name}"]
         done = subprocess.run(
-            [*PYTEST, *DISTRIBUTION, *order, *tests],
+            [*PYTEST, *OPTIONS, *order, *tests],
             stdout=subprocess.PIPE,
             text=True,
             check=False,

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from poise.errors import RobotError
@@ -86,7 +86,6 @@ def test_survives_any_bytes(content: bytes) -> None:
 
 @pytest.mark.slow
 @given(st.text(alphabet="ab:[]{},-?&*!|>'\"%@`#\\ \n\t0~<\x85", max_size=60))
-@settings(max_examples=300)
 def test_survives_any_text_of_yaml_signs(text: str) -> None:
     try_to_load(text.encode())
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
@@ -168,7 +168,6 @@ EXTREMES = st.sampled_from([0.0, 1e-30, 1e-15, 1.0, 1e15, 1e30, 10**29])
 
 
 @pytest.mark.slow
-@settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
 @given(problems(most_components=5, most_computers=3), st.data())
 def test_every_number_in_range_is_solved(problem: Problem, data: st.DataObject) -> None:
     """Whatever their sizes: an answer in finite numbers that keeps all limits."""

@@ -3,7 +3,7 @@
 import itertools
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from msgspec.structs import replace
 
 from benchmarks.random_robots import random_robot
@@ -98,7 +98,6 @@ def relieved(problem: Problem, conflict: plan.Conflict, part: float = 1.0) -> Pr
 
 
 @pytest.mark.slow
-@settings(max_examples=250, suppress_health_check=[HealthCheck.too_slow])
 @given(problems(most_components=5, most_computers=3))
 def test_a_conflict_is_small_and_its_way_out_leads_out(problem: Problem) -> None:
     result = plan.solve(problem, steps=2000)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from poise.plan._core import Core
@@ -64,7 +64,6 @@ ANYTHING = st.one_of(
 
 
 @pytest.mark.slow
-@settings(max_examples=600, suppress_health_check=[HealthCheck.too_slow])
 @given(st.dictionaries(st.sampled_from(sorted(GOOD)), ANYTHING, max_size=3), ANYTHING)
 def test_nothing_crashes_the_interpreter(wrong: dict[str, Any], known: object) -> None:
     try:
@@ -86,7 +85,6 @@ EXTREME = st.sampled_from([0.0, 5e-324, 1e-300, 0.5, 1.0, 2.0, 1e60, 1e150])
 
 
 @pytest.mark.slow
-@settings(max_examples=1000, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
 def test_every_shape_and_size_has_an_answer(data: st.DataObject) -> None:
     n, m, r = (data.draw(st.integers(low, 4)) for low in (0, 1, 0))

@@ -3,7 +3,7 @@
 from random import Random
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from poise.model.robot import Computer
@@ -13,8 +13,6 @@ from poise.plan.reference.limits import violations
 from poise.plan.tables import Placed, Tables, tabulate
 from tests.plan.native import Native
 from tests.plan.plan_problems import problems
-
-MANY = settings(max_examples=300, suppress_health_check=[HealthCheck.too_slow])
 
 
 def keeps_limits(tables: Tables, placed: Placed) -> bool:
@@ -66,7 +64,6 @@ def full_robot(
 
 
 @pytest.mark.slow
-@MANY
 @given(problems(most_components=6, most_computers=3), st.integers(0, 3))
 def test_search_finds_a_placement_where_there_is_one(
     problem: Problem, seed: int

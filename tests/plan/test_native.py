@@ -5,7 +5,7 @@ import math
 from random import Random
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
@@ -19,9 +19,7 @@ from poise.plan.tables import Placed, Tables, tabulate
 from tests.plan.native import Native
 from tests.plan.plan_problems import problems
 
-MANY = settings(max_examples=400, suppress_health_check=[HealthCheck.too_slow])
 WIDE = [(200, 12, 6), (280, 260, 1)]
-FEW = settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
 
 
 def solvable(tables: Tables) -> bool:
@@ -45,7 +43,6 @@ def optimum(tables: Tables) -> float:
 
 
 @pytest.mark.slow
-@MANY
 @given(problems())
 def test_the_greedy_decides_like_the_reference(problem: Problem) -> None:
     tables = tabulate(problem)
@@ -106,7 +103,6 @@ def _totals(
 
 
 @pytest.mark.slow
-@MANY
 @given(problems(), st.randoms(use_true_random=False))
 def test_terms_and_limits_are_those_of_the_reference(
     problem: Problem,
@@ -121,7 +117,6 @@ def test_terms_and_limits_are_those_of_the_reference(
 
 
 @pytest.mark.slow
-@FEW
 @given(problems(most_components=5, most_computers=3))
 def test_branch_and_bound_finds_the_optimum(problem: Problem) -> None:
     tables = tabulate(problem)
@@ -194,7 +189,6 @@ def _all_to_all(robot: Problem, seed: int) -> tuple[Edge, ...]:
 
 
 @pytest.mark.slow
-@FEW
 @given(problems(most_components=5, most_computers=3))
 def test_the_bound_is_below_every_placement(problem: Problem) -> None:
     tables = tabulate(problem)
@@ -203,7 +197,6 @@ def test_the_bound_is_below_every_placement(problem: Problem) -> None:
 
 
 @pytest.mark.slow
-@FEW
 @given(problems(), st.integers(0, 5))
 def test_search_keeps_limits_and_never_gets_worse(problem: Problem, seed: int) -> None:
     tables = tabulate(problem)
@@ -218,7 +211,6 @@ def test_search_keeps_limits_and_never_gets_worse(problem: Problem, seed: int) -
 
 
 @pytest.mark.slow
-@FEW
 @given(problems(most_components=6, most_computers=3))
 def test_search_finds_the_optimum_of_small_problems(problem: Problem) -> None:
     tables = tabulate(problem)
