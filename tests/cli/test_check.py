@@ -116,7 +116,7 @@ def test_an_interrupt_ends_with_130() -> None:
     interrupt = (
         "import poise.cli.check as c\n"
         "def stop(*_):\n    raise KeyboardInterrupt\n"
-        "c.find_problems = stop\n"
+        "c.check = stop\n"
     )
     done = poise("check", "robot.yaml", before=interrupt)
     assert (done.returncode, done.stderr) == (130, "")

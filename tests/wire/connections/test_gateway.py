@@ -112,12 +112,12 @@ def test_a_crowd_that_says_nothing_keeps_nobody_out_for_long(
 def test_a_container_that_takes_nobody_in_keeps_nobody_waiting_for_long(
     wire: Wire, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(gateway_module, "SAY_LIMIT", 0.05)
+    monkeypatch.setattr(gateway_module, "ANSWER_LIMIT", 0.05)
     path = gateway_path(wire.folder, "there")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as stuck:
         stuck.bind(str(path))
         fill(path)
-        with pytest.raises(Unavailable):
+        with pytest.raises(Unavailable, match=r"'there' took no connection within"):
             wire.channel().request(call("?"), LIMIT)
 
 

@@ -27,7 +27,7 @@ from poise.wire import frame
 from poise.wire.address import family_of, tune
 from poise.wire.codec import WireError
 from poise.wire.connections.connection import HEAD, Connection
-from poise.wire.connections.opening import NAME
+from poise.wire.connections.opening import ANSWER_LIMIT, NAME
 from poise.wire.connections.socket_path import gateway_path
 from poise.wire.frame import Kind
 
@@ -75,10 +75,12 @@ class _Arrival:
         if hello.kind is not Kind.HELLO:
             raise WireError(f"a frame of the kind {hello.kind.name}, not a name")
         self.container = hello.value(NAME)
+        self.until = time.monotonic() + ANSWER_LIMIT
 
     def refuse(self, why: str) -> None:
-        """Send why, and read no more."""
+        """Send why; then wait for the other end to close."""
         self.is_refused = True
+        self.until = time.monotonic() + SAY_LIMIT
         with contextlib.suppress(CallError, OSError):
             pieces = frame.segments(NAME, why, Kind.ERROR)
             Connection(self.connection).send(pieces, time.monotonic())
@@ -215,7 +217,11 @@ class Gateway:
             # usual while a robot starts: the sender tries again
             arrival.refuse(f"no container '{container}' is here")
         except BlockingIOError:
-            pass  # its queue is full: try again until the time limit
+            if arrival.until <= time.monotonic():
+                arrival.refuse(
+                    f"container '{container}' took no connection within "
+                    f"{ANSWER_LIMIT:g} s"
+                )
         except OSError as error:
             arrival.refuse(f"container '{container}' accepts no connection: {error}")
         else:
