@@ -14,7 +14,12 @@ import pytest
 
 from poise.emulate import Emulation, look
 from poise.manage.control_socket.client import send_command
-from poise.manage.control_socket.records import RobotStatus, StatusCommand
+from poise.manage.control_socket.records import (
+    MoveCommand,
+    Moved,
+    RobotStatus,
+    StatusCommand,
+)
 from poise.model.robot import Computer, Robot
 from tests.command import POISE, run_poise
 from tests.waiting import LONG, wait_long
@@ -22,6 +27,8 @@ from tests.waiting import LONG, wait_long
 pytestmark = pytest.mark.slow
 
 NAMES = ("left", "right", "third")
+MORE = {"right": ", resources: {lift: 1}"}
+"""What only one of them has."""
 CODE = """
 from poise import Component, Message, Published, every, subscribed
 
@@ -53,10 +60,13 @@ architectures:
   work:
     function: work
     components:
-      source: {{implementation: "reach:Source", only: [left], cpu: 1%, memory: 20 MiB}}
+      source: {{implementation: "reach:Source", only: [left, third], cpu: 1%,
+               memory: 20 MiB}}
       sink: {{implementation: "reach:Sink", only: [right], cpu: 1%, memory: 20 MiB}}
       alone: {{implementation: "reach:Alone", only: [left, third], cpu: 1%,
               memory: 20 MiB, isolated: true}}
+      large: {{implementation: "reach:Alone", cpu: 1%, memory: 20 MiB, isolated: true,
+              resources: {{lift: 1}}}}
     connectors:
       - {{between: [source.numbers, sink.numbers]}}
 tasks:
@@ -82,7 +92,7 @@ class Field:
             self.computers[name].popen(argv)
         self.file = folder / "robot.yaml"
         computers = "\n".join(
-            f'  {n}: {{cpu: 1, memory: 1 GiB, address: "{a}"}}'
+            f'  {n}: {{cpu: 1, memory: 1 GiB, address: "{a}"{MORE.get(n, "")}}}'
             for n, a in addresses.items()
         )
         self.file.write_text(FILE.format(name=self.name, computers=computers))
@@ -169,7 +179,9 @@ def test_goes_on_without_a_computer_and_brings_it_back(field: Field, up: Up) -> 
     before = field.pids()
 
     field.set_cable("right", "down")
-    up.wait_for(r"computer 'right' is out of reach since .* components sink may run on")
+    up.wait_for(
+        r"computer 'right' is out of reach since .* components .*sink may run on"
+    )
     status = run_poise("status")
     assert status.returncode == 1
     assert "computer 'right' is out of reach since" in status.stdout
@@ -189,8 +201,44 @@ def test_goes_on_without_a_computer_and_brings_it_back(field: Field, up: Up) -> 
     assert len(before & field.pids()) == len(before) - moved_container
 
 
-def at(field: Field) -> str:
-    return field.status().placement["alone"]
+CUT = 0.5
+"""Shorter than an agent's lease [s], and long enough for what is sent to be lost."""
+
+
+def test_the_first_move_after_a_short_cut_works(field: Field, up: Up) -> None:
+    for name in ("left", "third", "right"):
+        there = "third" if at(field, "source") == "left" else "left"
+        field.set_cable(name, "down")
+        threading.Event().wait(CUT)
+        field.set_cable(name, "up")
+        moved = send_command(field.name, MoveCommand("source", there))
+        assert isinstance(moved, Moved)
+        assert moved.report.committed, moved.report.reason
+        up.wait_for(rf"\d\d:\d\d:\d\d moved component 'source' from .* to '{there}'")
+        assert at(field, "source") == there
+    assert run_poise("status").returncode == 0
+
+
+def test_a_component_moves_where_it_does_not_fit_only_by_force(
+    field: Field, up: Up
+) -> None:
+    there = "third" if at(field) == "left" else "left"
+    refused = run_poise("move", "large", there)
+    assert refused.returncode == 2
+    words = (
+        rf"'large' does not fit on '{there}' \({there}: lift needs 1, has 0: 1 short"
+    )
+    assert re.search(words, refused.stderr)
+    assert "--force" in refused.stderr
+    assert field.status().placement["large"] == "right"
+    forced = run_poise("move", "large", there, "--force")
+    assert forced.returncode == 0, forced.stdout + forced.stderr
+    assert field.status().placement["large"] == there
+    up.wait_for(f"moved component 'large' from 'right' to '{there}'")
+
+
+def at(field: Field, component: str = "alone") -> str:
+    return field.status().placement[component]
 
 
 def test_a_stop_names_what_it_does_not_reach(field: Field, up: Up) -> None:
@@ -198,7 +246,7 @@ def test_a_stop_names_what_it_does_not_reach(field: Field, up: Up) -> None:
     up.wait_for("computer 'right' is out of reach since")
     stopped = run_poise("stop")
     assert stopped.returncode == 1
-    assert re.search(r"'right' is out of reach since .* sink may run", stopped.stderr)
+    assert re.search(r"'right' is out of reach since .*sink may run", stopped.stderr)
     assert up.process.wait(LONG) == 1
 
     stopped = run_poise("stop", "--file", field.file)

@@ -21,7 +21,12 @@ from poise.clock import Clock
 from poise.errors import RunError
 from poise.manage.agent_messages import Replies, answer_of, manager_id, note, reading
 from poise.priority import ahead
-from poise.wire.control_session import IDENTITIES, open_session, parse_identity
+from poise.wire.control_session import (
+    IDENTITIES,
+    LEASE,
+    open_session,
+    parse_identity,
+)
 from poise.wire.records.deployment import (
     Accepted,
     AgentStatus,
@@ -46,6 +51,9 @@ _LAST_REPLY = 1.0
 _LOOK_EVERY = 0.1
 ANSWER_LIMIT = 2.0
 """An agent answers a claim or deployment within this time [s]."""
+SEND_LIMIT = 2 * ANSWER_LIMIT
+"""A claim or deployment that is not answered is sent again within this time [s]: the
+connection may just be made again, and receiving one twice is harmless."""
 _LOSS_DELAY = 0.5
 """The loss of an agent is known this long [s] after its connection ends, at most."""
 
@@ -76,7 +84,7 @@ class Agents:
         endpoints: Mapping[str, str],
         clock: Clock,
         on_sample: Callable[[AgentSample], object] | None = None,
-        lease: float = 1.0,
+        lease: float = LEASE,
     ) -> None:
         self.manager = manager_id()
         self._prefix = f"poise/{robot}"
@@ -237,8 +245,8 @@ class Agents:
         for computer in sorted(computers):
             token = self._statuses[computer].token + 1
             self._tokens[computer] = token
-            replies = self._ask(computer, Claim(self.manager), ANSWER_LIMIT)
-            refusal = self._refusal(computer, replies)
+            claim = Claim(self.manager)
+            refusal = self._refusal(computer, claim, self._ask(computer, claim))
             if refusal:
                 raise RunError(f"the agent of '{computer}' {refusal}")
             self.wait_news(
@@ -254,12 +262,13 @@ class Agents:
         Computer -> why its agent did not accept it within `ANSWER_LIMIT`; empty when
         all did.
         """
-        requests = [
-            (computer, self._ask(computer, deployment, ANSWER_LIMIT))
+        replies = {
+            computer: self._ask(computer, deployment)
             for computer, deployment in deployments.items()
-        ]
+        }
         refusals = {
-            computer: self._refusal(computer, replies) for computer, replies in requests
+            computer: self._refusal(computer, deployment, replies[computer])
+            for computer, deployment in deployments.items()
         }
         return {
             computer: f"the agent of '{computer}' {refusal}"
@@ -316,28 +325,37 @@ class Agents:
                 computer, steps = pending.pop(number)
                 yield self._outcome(computer, steps, reply, began)
 
-    def _ask(
-        self, computer: str, request: Request, limit: float
-    ) -> Iterable[zenoh.Reply]:
+    def _ask(self, computer: str, request: Request) -> Iterable[zenoh.Reply]:
         return self._session.get(
             f"{self._prefix}/agent/{computer}",
             payload=self._encoded(computer, request),
-            timeout=limit,
+            timeout=ANSWER_LIMIT,
         )
 
     def _encoded(self, computer: str, request: Request) -> bytes:
         token = self._tokens.get(computer, 0)
         return msgspec.msgpack.encode(ManagerRequest(token=token, request=request))
 
-    def _refusal(self, computer: str, replies: Iterable[zenoh.Reply]) -> str:
+    def _refusal(
+        self, computer: str, request: Request, replies: Iterable[zenoh.Reply]
+    ) -> str:
         """Return why an agent did not accept a request; empty when it did."""
-        answer = answer_of(replies)
+        deadline = self._clock.now() + SEND_LIMIT
+        while (answer := answer_of(replies)) is None:
+            self._clock.sleep(
+                _LOOK_EVERY
+            )  # its connection may not be known as lost yet
+            left = max(0.0, deadline - self._clock.now())
+            if not left or not self.wait_news(lambda: self._is_reached(computer), left):
+                return self._why_silent(computer, SEND_LIMIT, _LOSS_DELAY)
+            replies = self._ask(computer, request)
         if isinstance(answer, Accepted):
             return ""
-        if answer is None:
-            return self._why_silent(computer, ANSWER_LIMIT, _LOSS_DELAY)
         why = answer.reason if isinstance(answer, Refused) else str(answer)
         return f"refused: {why}"
+
+    def _is_reached(self, computer: str) -> bool:
+        return computer in self.reached()
 
     def _outcome(
         self,

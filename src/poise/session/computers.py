@@ -16,7 +16,7 @@ from poise.errors import RunError
 from poise.model.robot import Robot
 from poise.session.printer import STDERR, Printer, relay
 from poise.session.say import Say
-from poise.wire.control_session import locator
+from poise.wire.control_session import LEASE, locator
 from poise.wire.records.samples import SAMPLE_EVERY
 
 _TOLERATED = 0.1
@@ -58,7 +58,7 @@ class Computers:
         self.faster = faster or {}
         self._agents = agents or {}
         # nothing can cut off agents that were started here, but they may be starved
-        self.lease = 10.0 if agents else 1.0
+        self.lease = 10.0 if agents else LEASE
         self.without = without
         self._make_watch = watch
         self._watch: StarvationWatch | None = None

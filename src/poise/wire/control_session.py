@@ -11,6 +11,10 @@ import zenoh
 from poise.endpoint import Endpoint
 from poise.errors import RunError
 
+LEASE = 2.0
+"""A manager or an agent that is cut off counts as out of reach after this time [s]. TCP
+sends again after waits that double, so a cut of 0.5 s may silence it for 1.5 s."""
+
 
 def open_session(
     *,

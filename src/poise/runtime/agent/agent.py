@@ -38,7 +38,7 @@ from poise.runtime.hosting.wiring import Place
 from poise.runtime.waker import Waker, wait_readable
 from poise.wire.connections.gateway import Gateway
 from poise.wire.connections.socket_path import socket_path
-from poise.wire.control_session import identity_key, locator, open_session
+from poise.wire.control_session import LEASE, identity_key, locator, open_session
 from poise.wire.records.clocks import ClockStatus
 from poise.wire.records.deployment import (
     PROTOCOL,
@@ -161,7 +161,7 @@ class Agent:
     def _run_in(self, setup: AgentSetup) -> None:
         prefix = f"poise/{setup.robot}"
         # beside its manager it is never cut off, but may have to wait for its turn
-        lease = 1.0 if setup.lifeline is None else 10.0
+        lease = LEASE if setup.lifeline is None else 10.0
         with (
             Gateway(Path(setup.folder), setup.address, setup.gateway) as gateway,
             open_session(

@@ -42,12 +42,10 @@ class Fence:
     def claim(self, claim: Claim, token: int) -> Accepted | Refused:
         """Obey a manager from now on, if nobody else is obeyed or that one is gone."""
         before = self.manager
-        is_free = (
-            before is None
-            or before.key == claim.manager.key
-            or before.key in self._gone
-        )
-        if not is_free or token <= self.token:
+        is_same = before is not None and before.key == claim.manager.key
+        is_free = before is None or is_same or before.key in self._gone
+        is_later = token > self.token or (is_same and token == self.token)
+        if not is_free or not is_later:
             return Refused(self._manages())
         self.manager, self.token = claim.manager, token
         return Accepted()
