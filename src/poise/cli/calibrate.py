@@ -9,6 +9,7 @@ import msgspec
 import typer
 from rich.table import Table
 
+from poise.cli.interrupts import interrupts
 from poise.cli.options import RobotFile, parse_option
 from poise.errors import RunError
 from poise.model.robot import Robot
@@ -48,7 +49,14 @@ def calibrate_command(
     robot = load_bare(file)
     seconds = parse_option("--for", for_, SECONDS)
     console.print(f"calibrating for {2 * seconds:g} s")
-    result = calibrate(robot, reference=reference, seconds=seconds, force=force)
+    with interrupts:
+        result = calibrate(
+            robot,
+            reference=reference,
+            seconds=seconds,
+            force=force,
+            check=interrupts.check,
+        )
     if as_json:
         sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
     else:

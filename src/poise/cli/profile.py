@@ -13,6 +13,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from poise.cli.interrupts import interrupts
 from poise.cli.options import RobotFile, parse_option
 from poise.cli.render.profile import history_table, show_profile
 from poise.errors import RobotError
@@ -63,16 +64,18 @@ def profile_command(
     """
     console = console_to(stderr=as_json)
     robot = load_bare(file)
-    measured = profile(
-        robot,
-        architectures=architecture or (),
-        computer=on,
-        seconds=parse_option("--for", for_, SECONDS),
-        warm_up=parse_option("--warm-up", warm_up, SECONDS),
-        repeat=repeat,
-        say=lambda sentence: console.print(f"[yellow]{sentence}[/]"),
-        progress=_Bars(console).progress,
-    )
+    with interrupts:
+        measured = profile(
+            robot,
+            architectures=architecture or (),
+            computer=on,
+            seconds=parse_option("--for", for_, SECONDS),
+            warm_up=parse_option("--warm-up", warm_up, SECONDS),
+            repeat=repeat,
+            say=lambda sentence: console.print(f"[yellow]{sentence}[/]"),
+            progress=_Bars(console).progress,
+            check=interrupts.check,
+        )
     _print(robot, measured.profile, console, as_json=as_json)
     if measured.file:
         console.print(f"written to {measured.file}")

@@ -18,6 +18,7 @@ from poise.model.robot import Robot
 from poise.session.calibration_costs import costs_of
 from poise.session.calibration_robots import pairs, yardsticks
 from poise.session.profiles import check_keepable, read_profile, store_of
+from poise.session.say import Check, nothing
 from poise.session.start import Sampling, Started, started
 from poise.wire.records.deployment import AgentStatus, Summary
 
@@ -72,6 +73,7 @@ def calibrate(
     reference: str | None = None,
     seconds: float = 8.0,
     force: bool = False,
+    check: Check = nothing,
 ) -> Calibration:
     """Measure how fast the robot's computers are, and what its connectors cost.
 
@@ -83,6 +85,8 @@ def calibrate(
         Duration of each of the two measurements [s].
     force
         Whether to keep the result of a busy machine, too.
+    check
+        Called several times a second; may raise to end the measurement.
 
     Raises
     ------
@@ -96,8 +100,8 @@ def calibrate(
     if chosen not in names:
         raise UsageError(f"--reference {chosen}: the computers are {', '.join(names)}")
     check_keepable(robot)
-    computers, busy = _speeds(robot, chosen, seconds)
-    costs, more = _costs(robot, seconds)
+    computers, busy = _speeds(robot, chosen, seconds, check)
+    costs, more = _costs(robot, seconds, check)
     doubts = dict.fromkeys(doubt for doubt in (*busy, more) if doubt)
     is_kept = force or not doubts
     if is_kept:
@@ -123,11 +127,12 @@ def _keep(robot: Robot, costs: Mapping[str, KindCosts]) -> None:
 
 
 def _speeds(
-    robot: Robot, reference: str, seconds: float
+    robot: Robot, reference: str, seconds: float, check: Check
 ) -> tuple[dict[str, ComputerSpeed], list[str]]:
     """Return the speeds, and why they are not believed."""
     bare, placement = yardsticks(robot)
-    with started(bare, placement, Journal(":memory:"), _silent) as up:
+    journal = Journal(":memory:")
+    with started(bare, placement, journal, _silent, check=check) as up:
         _watch(up, _WARM_UP)
         up.computers.begin(strictly=True)
         _watch(up, seconds)
@@ -174,12 +179,14 @@ def _waiting(computer: str, measures: Mapping[str, Summary]) -> str:
     )
 
 
-def _costs(robot: Robot, seconds: float) -> tuple[dict[str, KindCosts], str]:
+def _costs(
+    robot: Robot, seconds: float, check: Check
+) -> tuple[dict[str, KindCosts], str]:
     """Return the costs of connectors on the first and last computer, and a doubt."""
     bare, placement = pairs(robot, robot.computers[0].name, robot.computers[-1].name)
     recording = Recording()
     with started(
-        bare, placement, Journal(":memory:"), _silent, Sampling(recording.add)
+        bare, placement, Journal(":memory:"), _silent, Sampling(recording.add), check
     ) as up:
         _watch(up, _WARM_UP)
         up.computers.begin(strictly=True)

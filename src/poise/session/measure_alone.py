@@ -13,7 +13,7 @@ from poise.manage.observe.profiling import Observed
 from poise.manage.observe.recording import Recording
 from poise.manage.run import ACTIVE_LIMIT
 from poise.session.profiling_rig import ProfilingRig
-from poise.session.say import Say
+from poise.session.say import Check, Say, nothing
 from poise.session.start import Sampling, Started, started
 
 Tick = Callable[[float], None]
@@ -21,7 +21,12 @@ _STEP = 0.2
 
 
 def measure_alone(
-    stand: ProfilingRig, seconds: float, warm_up: float, say: Say, tick: Tick
+    stand: ProfilingRig,
+    seconds: float,
+    warm_up: float,
+    say: Say,
+    tick: Tick,
+    check: Check = nothing,
 ) -> Observed:
     """Return what a stand used.
 
@@ -35,6 +40,8 @@ def measure_alone(
         Takes sentences.
     tick
         Told how much time passed [s].
+    check
+        Called several times a second; may raise to end the measurement.
 
     Raises
     ------
@@ -45,7 +52,7 @@ def measure_alone(
     sampling = Sampling(recording.add, WINDOW, weigh=True)
     journal = Journal(":memory:")
     try:
-        with started(stand.robot, stand.placement, journal, say, sampling) as up:
+        with started(stand.robot, stand.placement, journal, say, sampling, check) as up:
             _watch(up, warm_up, tick)
             recording.take()
             up.computers.begin()

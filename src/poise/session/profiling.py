@@ -30,7 +30,7 @@ from poise.runtime.component.ports import ports_of
 from poise.session.measure_alone import Tick, measure_alone
 from poise.session.profiles import check_keepable, read_profile, store_of
 from poise.session.profiling_rig import EMPTY, ProfilingRig, rig_of
-from poise.session.say import Say, log
+from poise.session.say import Check, Say, log, nothing
 
 Progress = Callable[[str, float], AbstractContextManager[Tick]]
 """Takes an architecture and the time that its measurement takes [s]; gives a function
@@ -75,6 +75,7 @@ def profile(  # noqa: PLR0913 - each is a choice of the user
     repeat: int = 2,
     say: Say = log.info,
     progress: Progress = _no_progress,
+    check: Check = nothing,
 ) -> Profiling:
     """Measure what each component needs, every architecture alone on one computer.
 
@@ -94,6 +95,8 @@ def profile(  # noqa: PLR0913 - each is a choice of the user
         Called with a sentence for each doubt about a measurement.
     progress
         Called for each architecture.
+    check
+        Called several times a second; may raise to end the measurement.
 
     Raises
     ------
@@ -107,7 +110,7 @@ def profile(  # noqa: PLR0913 - each is a choice of the user
     names = _chosen(robot, architectures)
     check_keepable(robot)
     measuring = _Measuring(
-        robot, computer or robot.computers[0].name, seconds, warm_up, repeat, say
+        robot, computer or robot.computers[0].name, seconds, warm_up, repeat, say, check
     )
     found = []
     for name in names:
@@ -148,6 +151,7 @@ class _Measuring(Struct, frozen=True):
     warm_up: float
     repeat: int
     say: Say
+    check: Check
 
     def measure(self, architecture: str, tick: Tick) -> _Found:
         """Measure one architecture: as it is used, and with its components apart."""
@@ -201,7 +205,9 @@ class _Measuring(Struct, frozen=True):
         return runs
 
     def _run(self, rig: ProfilingRig, tick: Tick) -> Observed:
-        run = measure_alone(rig, self.seconds, self.warm_up, lambda _: None, tick)
+        run = measure_alone(
+            rig, self.seconds, self.warm_up, lambda _: None, tick, self.check
+        )
         if run.invalid:
             self.say(run.invalid)
         return run

@@ -81,19 +81,17 @@ def run(  # noqa: PLR0913 - each is a choice of the user
             started(kept.robot, kept.placement, book, say, sampling, check)
         )
         say(f"running task '{chosen}' for up to {seconds:g} s")
-        seen = _measure(up, seconds, meanwhile, check)
+        seen = _measure(up, seconds, meanwhile)
         drain(up.run)
         return reported(up, placed, chosen, seen)
 
 
-def _measure(
-    up: Started, seconds: float, meanwhile: Meanwhile | None, check: Check
-) -> Measured:
+def _measure(up: Started, seconds: float, meanwhile: Meanwhile | None) -> Measured:
     up.computers.begin()
     begin, began = up.run.agents.statuses(), time.monotonic()
     interrupted = False
     try:
-        _watch(up, began, seconds, meanwhile, check)
+        _watch(up, began, seconds, meanwhile)
     except KeyboardInterrupt:
         interrupted = True
     return Measured(
@@ -106,14 +104,9 @@ def _measure(
 
 
 def _watch(
-    up: Started,
-    began: float,
-    seconds: float,
-    meanwhile: Meanwhile | None,
-    check: Check,
+    up: Started, began: float, seconds: float, meanwhile: Meanwhile | None
 ) -> None:
     while (left := began + seconds - time.monotonic()) > 0:
-        check()
         up.run.watch(min(left, _STEP))
         up.computers.look()
         if meanwhile is not None:

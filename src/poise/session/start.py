@@ -63,7 +63,8 @@ def started(
     sampling
         Who takes the agents' samples; None: nobody.
     check
-        Called several times a second until all is up; may raise to end that.
+        Called several times a second while all starts and is watched; may raise to end
+        that.
 
     Raises
     ------
@@ -141,7 +142,6 @@ def _running(run: Run, check: Check) -> Iterator[None]:
     try:
         run.check = check
         run.start()
-        run.check = nothing
         yield
     except BaseException:
         # what is left is ended with its computer; the first error is the one to tell
