@@ -20,7 +20,8 @@ from poise.estimate.profile.store import Store
 from poise.session import calibration
 from poise.session.calibration import ComputerSpeed
 from poise.session.profiles import STORE
-from tests.command import LIMIT, POISE, Poise
+from tests.command import POISE, Poise
+from tests.waiting import LONG
 
 HELLO = Path(__file__).parents[2] / "examples" / "hello"
 
@@ -131,7 +132,7 @@ def test_a_busy_machine_is_said(tmp_path: Path) -> None:
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        timeout=LIMIT,
+        timeout=LONG,
         check=False,
     )
     assert done.returncode == 1
