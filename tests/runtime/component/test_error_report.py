@@ -9,7 +9,7 @@ import pytest
 
 import poise
 from poise.errors import CalleeError, RobotError
-from poise.runtime.component.error_report import AGAIN, Errors, told
+from poise.runtime.component.error_report import AGAIN, MOST_DISTINCT, Errors, told
 from poise.runtime.connectors.direct import raise_callee_error
 
 ROBOT = "/robot/code.py"
@@ -81,3 +81,15 @@ def test_what_comes_again_and_again_is_logged_now_and_then(
     assert {record.name for record in caplog.records} == {"poise.component.camera"}
     assert errors.count == 1003
     assert errors.last.endswith("ZeroDivisionError: division by zero")
+
+
+def test_errors_of_one_line_are_counted_together_and_not_without_end() -> None:
+    errors = Errors("camera")
+    for _ in range(3):
+        errors.note("tick", raised("1 / 0"), 0.0)
+    errors.note("tock", raised("1 / 0"), 0.0)
+    assert [(e.where, e.count) for e in errors.counts()] == [("tick", 3), ("tock", 1)]
+    for number in range(2 * MOST_DISTINCT):
+        errors.note(f"timer_{number}", raised("1 / 0"), 0.0)
+    assert len(errors.counts()) == MOST_DISTINCT
+    assert sum(e.count for e in errors.counts()) == errors.count
