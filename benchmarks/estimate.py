@@ -40,10 +40,10 @@ from poise.manage.observe.profiling import Subject, figures
 from poise.manage.observe.recording import Recording
 from poise.model.robot import Robot
 from poise.runtime._calls import ComponentCounters
-from poise.session.measure_alone import measure_alone
 from poise.session.placement import place
 from poise.session.profiles import read_profile
-from poise.session.profiling_rig import EMPTY, rig_of
+from poise.session.profiling.measurement import measure_alone
+from poise.session.profiling.rig import EMPTY, rig_of
 from poise.session.robot_file import load
 from poise.session.start import Sampling, started
 from poise.wire.records.deployment import AgentStatus

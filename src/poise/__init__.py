@@ -29,12 +29,12 @@ if TYPE_CHECKING:
     from poise.runtime.component.ports import every as every
     from poise.runtime.component.ports import oneway as oneway
     from poise.runtime.component.ports import subscribed as subscribed
-    from poise.session.calibration import Calibration as Calibration
-    from poise.session.calibration import calibrate as calibrate
+    from poise.session.calibration.calibrate import Calibration as Calibration
+    from poise.session.calibration.calibrate import calibrate as calibrate
     from poise.session.placement import Placement as Placement
     from poise.session.placement import place as place
-    from poise.session.profiling import Profiling as Profiling
-    from poise.session.profiling import profile as profile
+    from poise.session.profiling.profile import Profiling as Profiling
+    from poise.session.profiling.profile import profile as profile
     from poise.session.recordings.recorded_run import RecordedRun as RecordedRun
     from poise.session.report import RunReport as RunReport
     from poise.session.robot_file import check as check
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from poise.wire.connections.loans import loan as loan
 else:
     _HOMES = {
-        "Calibration": "session.calibration",
+        "Calibration": "session.calibration.calibrate",
         "CallError": "errors",
         "CalleeError": "errors",
         "Component": "runtime.component.component",
@@ -55,7 +55,7 @@ else:
         "Placement": "session.placement",
         "PoiseError": "errors",
         "Problem": "errors",
-        "Profiling": "session.profiling",
+        "Profiling": "session.profiling.profile",
         "Provided": "runtime.component.ports",
         "Published": "runtime.component.ports",
         "RecordedRun": "session.recordings.recorded_run",
@@ -69,7 +69,7 @@ else:
         "Timeout": "errors",
         "Unavailable": "errors",
         "UsageError": "errors",
-        "calibrate": "session.calibration",
+        "calibrate": "session.calibration.calibrate",
         "check": "session.robot_file",
         "connect": "session.running",
         "every": "runtime.component.ports",
@@ -77,7 +77,7 @@ else:
         "loan": "wire.connections.loans",
         "oneway": "runtime.component.ports",
         "place": "session.placement",
-        "profile": "session.profiling",
+        "profile": "session.profiling.profile",
         "run": "session.run",
         "stop_without_manager": "session.stop",
         "subscribed": "runtime.component.ports",

@@ -17,8 +17,8 @@ from poise.cli.commands import build
 from poise.errors import RunError
 from poise.estimate.profile import Costs, KindCosts
 from poise.estimate.profile.store import Store
-from poise.session import calibration
-from poise.session.calibration import ComputerSpeed
+from poise.session.calibration import calibrate as calibration
+from poise.session.calibration.calibrate import ComputerSpeed
 from poise.session.profiles import STORE
 from tests.command import POISE, Poise
 from tests.waiting import LONG

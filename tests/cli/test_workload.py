@@ -14,10 +14,10 @@ from poise.manage.observe.recording import load as load_recording
 from poise.manage.observe.recording import save
 from poise.model import load
 from poise.model.robot import Generated, Robot, Workload
-from poise.session.profiling_rig import OTHERS, rig_of
+from poise.session.profiling.rig import OTHERS, rig_of
+from poise.session.profiling.workload_replay import PLAYER, played
 from poise.session.recordings.tapped_robot import RECORDER, tapped
 from poise.session.robot_file import check
-from poise.session.workload_replay import PLAYER, played
 from poise.wire.records.recorded import Input, Recorded
 from tests.command import Poise
 

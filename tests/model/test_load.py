@@ -12,11 +12,11 @@ from poise.model.load import load_source
 from poise.model.robot import (
     Computer,
     Connector,
+    DeclaredPort,
     Device,
     End,
     Link,
     Objective,
-    Port,
     Simulator,
 )
 
@@ -113,7 +113,7 @@ def test_reads_components(robot_file: Path) -> None:
     assert recorder.command == ("rosbag", "record", "two words")
     assert recorder.demand["gpu"] == 0.5
     assert recorder.ports == (
-        Port(name="scan", kind="subscribes", type="trot.messages:Scan"),
+        DeclaredPort(name="scan", kind="subscribes", type="trot.messages:Scan"),
     )
 
 

@@ -11,7 +11,7 @@ from poise.estimate.profile.version import version_of
 from poise.model import load
 from poise.model.robot import Robot
 from poise.session.profiles import profiled, stale
-from poise.session.write_demands import write_demands
+from poise.session.profiling.write_demands import write_demands
 
 TEXT = """\
 robot: r
@@ -63,7 +63,7 @@ def test_says_where_demands_are_from_and_what_is_missing(robot: Robot) -> None:
     found = profiled(robot)
     assert found.says == (
         "demands from profile.yaml, measured by `poise profile` on 'a', today",
-        "overheads are MB/s: `poise calibrate` measures what connectors cost",
+        "overheads are MB/s: `poise calibrate` measures the costs of connectors",
         "no demand is known of: ear",
     )
     eye, ear = found.robot.components()
@@ -78,7 +78,7 @@ def test_says_that_the_robot_files_own_demands_go_first(robot: Robot) -> None:
     robot = load(folder / "robot.yaml")
     write(robot, measured(robot))
     found = profiled(robot)
-    assert "but from the robot file, which goes first: eye" in found.says
+    assert "demands from the robot file, which win: eye" in found.says
     assert next(found.robot.components()).demand == {"cpu": 0.3, "memory": 20e6}
 
 
@@ -92,7 +92,7 @@ def test_says_that_a_profile_is_stale(robot: Robot) -> None:
 def test_says_what_measures_a_profile_that_is_not_there(robot: Robot) -> None:
     found = profiled(robot)
     assert found.robot == robot
-    assert found.says == ("profile.yaml is not there: `poise profile` measures it",)
+    assert found.says == ("profile.yaml does not exist: `poise profile` measures it",)
     assert profiled(replace(robot, profile="")).says == ()
 
 

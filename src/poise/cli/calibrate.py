@@ -13,7 +13,7 @@ from poise.cli.interrupts import interrupts
 from poise.cli.options import RobotFile, parse_option
 from poise.errors import RunError
 from poise.model.robot import Robot
-from poise.session.calibration import Calibration, calibrate
+from poise.session.calibration.calibrate import Calibration, calibrate
 from poise.session.render.shown import console_to
 from poise.session.render.tables import table
 from poise.session.robot_file import load_bare

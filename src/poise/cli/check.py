@@ -27,8 +27,8 @@ def check_command(
 ) -> None:
     """Check a robot file and the code that it names.
 
-    Every problem is told at once, as file:line:column and what is wrong there. The
-    exit code is 0 when there is none.
+    It reports every problem as file:line:column and message. The exit code is 0 when
+    there is none.
 
     Example: poise check robot.yaml
     """

@@ -20,13 +20,13 @@ from poise.errors import RobotError
 from poise.estimate.predict import overheads
 from poise.estimate.profile import Profile
 from poise.model.robot import Robot
-from poise.session.measure_alone import Tick
 from poise.session.profiles import read_profile, stale, store_of
-from poise.session.profiling import Profiling, profile
+from poise.session.profiling.measurement import Tick
+from poise.session.profiling.profile import Profiling, profile
+from poise.session.profiling.write_demands import write_demands
 from poise.session.render.shown import console_to
 from poise.session.robot_file import load_bare
 from poise.session.writable import to_write
-from poise.session.write_demands import write_demands
 from poise.units import SECONDS
 
 Write = Annotated[

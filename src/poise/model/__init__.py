@@ -1,4 +1,4 @@
-"""What a robot is, and the file that describes it."""
+"""The records of a robot, and the file that describes it."""
 
 from poise.model.load import load
 from poise.model.robot import (
@@ -8,12 +8,12 @@ from poise.model.robot import (
     Component,
     Computer,
     Connector,
+    DeclaredPort,
     Device,
     End,
     Generated,
     Link,
     Objective,
-    Port,
     Robot,
     Simulator,
     Task,
@@ -27,12 +27,12 @@ __all__ = [
     "Component",
     "Computer",
     "Connector",
+    "DeclaredPort",
     "Device",
     "End",
     "Generated",
     "Link",
     "Objective",
-    "Port",
     "Robot",
     "Simulator",
     "Task",

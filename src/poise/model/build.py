@@ -90,7 +90,7 @@ def _component(name: str, source: sections.ComponentSection) -> robot.Component:
         isolated=source.isolated,
         state=source.state,
         ports=tuple(
-            robot.Port(name=n, kind=kind, type=reference)
+            robot.DeclaredPort(name=n, kind=kind, type=reference)
             for n, port in source.ports.items()
             for kind, reference in port.items()
         ),

@@ -84,7 +84,7 @@ class Link(Struct, frozen=True, kw_only=True):
     distance: float = 1.0
 
 
-class Port(Struct, frozen=True, kw_only=True):
+class DeclaredPort(Struct, frozen=True, kw_only=True):
     """A port as the robot file declares it, for components whose code cannot be read.
 
     `type` is ``package.module:Class`` of the message or interface.
@@ -130,7 +130,7 @@ class Component(Struct, frozen=True, kw_only=True):
     movable: bool = True
     isolated: bool = False
     state: float = 0.0
-    ports: tuple[Port, ...] = ()
+    ports: tuple[DeclaredPort, ...] = ()
     parameters: Mapping[str, Any] = {}
 
 

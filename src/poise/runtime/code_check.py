@@ -1,4 +1,4 @@
-"""What can be wrong between a robot file and the code that it names.
+"""Checks the code that a robot file names, and its fit to the file.
 
 The code is imported, so this is a second step after `poise.model.load`.
 """
@@ -39,7 +39,7 @@ def check_code(
     skipped: AbstractSet[str] = frozenset(),
     begin: Callable[[str], None] = lambda _: None,
 ) -> list[Finding]:
-    """Return everything that does not fit between `robot` and its code.
+    """Return every problem between `robot` and its code.
 
     Imports every implementation, in this process (see `check_code_isolated`). Faulty
     code of a component gives one finding, and its connectors are not checked.
@@ -88,7 +88,7 @@ class _WrongCode(Exception):
 def _ports(
     path: Path, component: Component, folder: str
 ) -> Iterator[tuple[str, KnownPort]]:
-    """Yield the ports that the class declares, or else the robot file."""
+    """Yield the ports that the class or, without one, the robot file declares."""
     if component.implementation:
         yield from _coded_ports((*path, "implementation"), component, folder)
     for port in component.ports:
@@ -113,7 +113,7 @@ def _coded_ports(
         check_state(code)
     except PoiseError as error:
         raise _WrongCode(path, str(error)) from None
-    # Reading annotations runs the user's code, and may raise whatever that raises.
+    # Reading annotations runs the user's code, which may raise anything.
     except Exception as error:
         message = (
             f"the ports of '{component.implementation}' cannot be read: "
@@ -124,7 +124,7 @@ def _coded_ports(
 
 
 def _check_type(port: Port) -> None:
-    """Raise when what crosses at a port has no type that a wire can carry."""
+    """Raise when the type of a port cannot be encoded."""
     if port.kind in {"provides", "requires"}:
         methods(port.type)
     else:

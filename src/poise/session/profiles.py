@@ -1,4 +1,4 @@
-"""Where a robot's profiles are, and what they say about the robot."""
+"""Finds a robot's profiles and fills in its demands."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ STORE = Path(".poise") / "profiles.sqlite"
 
 
 class Profiled(Struct, frozen=True):
-    """A robot with its demands filled in, and sentences about where they are from."""
+    """A robot with its demands filled in, and sentences about their sources."""
 
     robot: Robot
     says: tuple[str, ...] = ()
 
 
 def read_profile(robot: Robot) -> Profile | None:
-    """Return the profile that the robot file names, if it is there.
+    """Return the profile that the robot file names; None if it does not exist.
 
     Raises
     ------
     RobotError
-        It is there and is no profile.
+        The file is not a profile.
     """
     path = Path(robot.folder) / robot.profile
     if not robot.profile or not path.exists():
@@ -46,28 +46,28 @@ def store_of(robot: Robot) -> Store:
     Raises
     ------
     UsageError
-        It cannot be had there.
+        It cannot be created.
     """
     return Store(Path(robot.folder) / STORE)
 
 
 def check_keepable(robot: Robot) -> None:
-    """Raise UsageError when what is measured could not be kept afterwards."""
+    """Raise UsageError when a result could not be written."""
     with store_of(robot):
         to_write(Path(robot.folder) / robot.profile if robot.profile else None)
 
 
 def profiled(robot: Robot) -> Profiled:
-    """Return the robot with the demands that its file leaves to its profile.
+    """Return the robot with measured demands where its file has none.
 
     Raises
     ------
     RobotError
-        The profile is there and is no profile.
+        The file is not a profile of this robot.
     """
     profile = read_profile(robot)
     if profile is None:
-        asked = f"{robot.profile} is not there: `poise profile` measures it"
+        asked = f"{robot.profile} does not exist: `poise profile` measures it"
         return Profiled(robot, (asked,) if robot.profile else ())
     if profile.robot != robot.name:
         raise RobotError(
@@ -77,9 +77,9 @@ def profiled(robot: Robot) -> Profiled:
     source = f"{robot.profile}, measured by `poise profile` on '{profile.computer}'"
     says = [f"demands from {source}, {profile.at}"]
     says.append(
-        "overheads from what connectors cost here"
+        "overheads from measured costs of connectors"
         if profile.costs
-        else "overheads are MB/s: `poise calibrate` measures what connectors cost"
+        else "overheads are MB/s: `poise calibrate` measures the costs of connectors"
     )
     own = [
         component.name
@@ -88,7 +88,7 @@ def profiled(robot: Robot) -> Profiled:
         and {"cpu", "memory"} <= component.demand.keys()
     ]
     if own:
-        says.append(f"but from the robot file, which goes first: {_some(own)}")
+        says.append(f"demands from the robot file, which win: {_some(own)}")
     gaps = missing(robot, profile)
     if gaps:
         says.append(f"no demand is known of: {_some(gaps)}")
@@ -99,7 +99,7 @@ def profiled(robot: Robot) -> Profiled:
 
 
 def _some(names: list[str]) -> str:
-    """Return the names, or the first few when they would fill the screen."""
+    """Return the names, or the first few of many."""
     if len(names) <= _MOST_NAMED:
         return ", ".join(names)
     return f"{', '.join(names[:_MOST_NAMED])} and {len(names) - _MOST_NAMED} more"

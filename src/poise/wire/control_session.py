@@ -1,4 +1,4 @@
-"""Sessions of zenoh: how the manager and the agents find and hear each other."""
+"""Zenoh sessions, over which the manager and the agents communicate."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ def open_session(
     gossip: bool = True,
     lease: float = 10.0,
 ) -> zenoh.Session:
-    """Open a zenoh session as a peer that knows nobody but whom it is told.
+    """Open a zenoh session as a peer that connects only to given peers.
 
     Parameters
     ----------
     listen, connect
         zenoh endpoints, such as ``tcp/10.0.0.2:7447``.
     gossip
-        Whether it also links to the peers that its peers know.
+        Whether it also connects to the peers of its peers.
     lease
-        After this time without a sign of life a link counts as lost [s].
+        A link without traffic for this time is lost [s].
 
     Raises
     ------
     RunError
-        An address cannot be listened on: it is not this computer's, or in use.
+        It cannot listen on an address: not this computer's, or in use.
     """
     settings = {
         "mode": "peer",
         "listen/endpoints": list(listen),
         "connect/endpoints": list(connect),
-        # never give up: a peer that restarts is found again
+        # retry for ever, to find a peer again that restarts
         "connect/timeout_ms": -1,
         "connect/exit_on_failure": False,
         "connect/retry": {
@@ -53,8 +53,8 @@ def open_session(
         },
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": gossip,
-        # with more, every new peer makes all tell all others of it (measured with 11
-        # peers: 10 ms of CPU on each instead of 2)
+        # with it, all peers announce each new peer to all others (with 11 peers: 10 ms
+        # of CPU on each instead of 2)
         "scouting/gossip/multihop": False,
         "scouting/gossip/autoconnect_strategy": {
             "peer": {"to_router": "always", "to_peer": "greater-zid"}
@@ -71,7 +71,7 @@ def open_session(
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        # zenoh tells where in its sources; what the system said is enough
+        # without zenoh's source location
         said = re.search(r"[^:\[]+\(os error \d+\)", str(error))
         why = said.group().strip() if said else str(error)
         raise RunError(f"cannot listen on {', '.join(listen)}: {why}") from None

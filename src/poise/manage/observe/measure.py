@@ -1,4 +1,4 @@
-"""From samples to figures: what components and connectors used in a stretch of time."""
+"""Turns samples into figures of components and connectors over a time."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from poise.wire.records.samples import AgentSample, ConnectorSample, ContainerSa
 
 
 class Measured(Struct, frozen=True, kw_only=True):
-    """What was used in a stretch of time, in CPU of the computers themselves.
+    """Usage over a time, in CPU of the computers themselves.
 
     Parameters
     ----------
     cpu
         Component -> its own CPU [cores].
     rest
-        Container -> what it used beyond its components [cores].
+        Container -> its own CPU beyond that of its components [cores].
     members
         Container -> its components.
     memory
-        Container -> the most it held [bytes].
+        Container -> peak of its memory [bytes].
     agents
-        Computer -> what its agent used [cores].
+        Computer -> CPU of its agent [cores].
     connectors
-        What went over connectors, by the names they have at run time.
+        Traffic of connectors, by their run-time names.
     undone
-        Component -> jobs that came and were not done, as a share of those that came.
+        Component -> share of the arrived jobs that were not done.
     """
 
     cpu: Mapping[str, Spread]
@@ -45,7 +45,7 @@ class Measured(Struct, frozen=True, kw_only=True):
 
 
 def measure(samples: Iterable[AgentSample]) -> Measured:
-    """Return what was used from the first to the last of `samples`."""
+    """Return the usage from the first to the last of `samples`."""
     by_agent: dict[str, list[AgentSample]] = defaultdict(list)
     by_container: dict[str, list[ContainerSample]] = defaultdict(list)
     for sample in samples:
@@ -96,7 +96,7 @@ def _spread(readings: list[Reading]) -> Spread:
         return Spread()
     length = sum(w.seconds for w in kept) / len(kept)
     spread = spread_of([w.cpu / w.seconds for w in kept], length)
-    # windows are not all of one length, which the mean need not suffer from
+    # the mean of all windows is exact although their lengths differ
     mean = sum(w.cpu for w in kept) / sum(w.seconds for w in kept)
     return structs.replace(spread, mean=mean)
 
@@ -109,7 +109,7 @@ def _undone(readings: list[Reading]) -> float:
 
 
 def _rate(points: list[tuple[float, float]]) -> float:
-    """Return how fast a counter grew [1/s], from (time [s], count) first to last."""
+    """Return the growth of a counter [1/s], from (time [s], count) first to last."""
     (began, first), (ended, last) = points[0], points[-1]
     return (last - first) / (ended - began) if ended > began else 0.0
 
@@ -127,7 +127,7 @@ def _connectors(seen: list[ContainerSample]) -> dict[str, ConnectorProfile]:
 def traffic_between(
     before: ConnectorSample, after: ConnectorSample, seconds: float
 ) -> ConnectorProfile:
-    """Return what went over one end of a connector between two samples."""
+    """Return the traffic of one end of a connector between two samples."""
     calls, messages = after.calls - before.calls, after.messages - before.messages
     if seconds <= 0 or min(calls, messages) < 0 or not calls + messages:
         return ConnectorProfile()
@@ -139,12 +139,12 @@ def traffic_between(
 
 
 def _bytes(end: ConnectorSample) -> int:
-    """Return what crossed a wire both ways [bytes]."""
+    """Return the traffic in both directions [bytes]."""
     return end.bytes_out + end.bytes_in
 
 
 def _busier(one: ConnectorProfile | None, other: ConnectorProfile) -> ConnectorProfile:
-    """Return what both ends say together: each counts both ways."""
+    """Combine the counts of both ends: each counts both directions."""
     if one is None:
         return other
     return ConnectorProfile(

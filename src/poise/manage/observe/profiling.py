@@ -1,4 +1,4 @@
-"""From repeated measurements of architectures, alone, to a profile. Pure."""
+"""Turns repeated measurements of single architectures into a profile. Pure."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from poise.wire.records.deployment import AgentStatus, ComponentStatus, Summary
 
 AGREE_SHARE = 0.05
 AGREE_CORES = 0.01
-"""Repeated means agree within the larger of a share and so many cores."""
+"""Repeated means agree if they differ by less than either of these."""
 _UNDONE = 0.02
 
 
@@ -30,11 +30,11 @@ class Observed(Struct, frozen=True, kw_only=True):
     Parameters
     ----------
     statuses
-        What the agents said last, when everything was deactivated.
+        The agents' last statuses, after deactivation.
     working
-        What they said last before that: a command that is deactivated has ended.
+        Their last statuses before deactivation, which ends commands.
     invalid
-        Why it says nothing; empty when it does.
+        Why the measurement is invalid; empty: it is valid.
     """
 
     measured: Measured
@@ -44,20 +44,20 @@ class Observed(Struct, frozen=True, kw_only=True):
 
 
 class Subject(Struct, frozen=True, kw_only=True):
-    """What was measured.
+    """The measured components.
 
     Parameters
     ----------
     names
         The architecture's components.
     empty
-        Name of the component that does nothing, measured apart.
+        Name of the empty component, measured apart.
     versions
-        Component -> fingerprint of what it is made of.
+        Component -> fingerprint of its code.
     speed
-        What turns the computer's CPU time into the reference computer's.
+        Factor from the computer's CPU time to the reference computer's.
     played
-        Connectors of the robot -> those that took their places.
+        Connectors of the robot -> their replacements.
     """
 
     robot: Robot
@@ -70,7 +70,7 @@ class Subject(Struct, frozen=True, kw_only=True):
 
 
 class Figures(Struct, frozen=True, kw_only=True):
-    """What was found of one architecture; see `Profile` for the fields."""
+    """The figures of one architecture; see `Profile` for the fields."""
 
     components: Mapping[str, ComponentProfile]
     connectors: Mapping[str, ConnectorProfile]
@@ -83,14 +83,14 @@ def disagreeing(runs: Sequence[Observed], names: Iterable[str]) -> list[str]:
 
 
 def figures(subject: Subject, runs: Sequence[Observed], apart: Observed) -> Figures:
-    """Return what was found of an architecture.
+    """Return the figures of an architecture.
 
     Parameters
     ----------
     runs
         Measurements with its containers as they are used; at least one.
     apart
-        A measurement with a container for every component, and an empty one.
+        A measurement with its own container for every component, and an empty one.
     """
     names, speed = subject.names, subject.speed
     typical = sorted(runs, key=lambda run: _total(run, names))[(len(runs) - 1) // 2]
@@ -171,7 +171,7 @@ def _scaled(spread: Spread, speed: float) -> Spread:
 
 
 def _share(measured: Measured, name: str) -> float:
-    """Return a component's part of what its container used beyond its components."""
+    """Return a component's equal part of its container's own CPU."""
     for container, members in measured.members.items():
         if name in members:
             return max(0.0, measured.rest[container]) / len(members)
@@ -181,10 +181,10 @@ def _share(measured: Measured, name: str) -> float:
 def _memory(
     typical: Observed, apart: Observed, names: Sequence[str], empty: str
 ) -> dict[str, tuple[float, float]]:
-    """Return what each component adds to a container, and its part of the rest.
+    """Return the memory that each component adds, and its part of the container's.
 
-    Alone, each brings along the libraries that all of them share in one container. How
-    large those are shows in how much smaller the shared container is than the sum.
+    Apart, each component also has the libraries that a shared container has once. Their
+    size is the difference between the sum and the shared container.
     """
     alone = _by_component(apart.measured)
     floor = alone.get(empty, 0.0)
@@ -264,7 +264,7 @@ def _key(subject: Subject, connector: Connector) -> str:
 
 
 def _sizes(statuses: Mapping[str, AgentStatus]) -> dict[str, Summary]:
-    """Return the sizes of what went over connectors, from the end that saw the most."""
+    """Return the sizes of connectors' traffic, from the end that counted the most."""
     found: dict[str, Summary] = {}
     for status in statuses.values():
         for container in status.containers:

@@ -15,7 +15,7 @@ from poise.runtime.component.ports import (
 )
 
 RATE = 50.0
-"""Those who talk do so in steps, so many a second [1/s]."""
+"""Rate of calls and messages [1/s]."""
 _PIECE = 0.05
 _LOOP = 2_000
 
@@ -27,7 +27,7 @@ class Packet(Message, frozen=True):
 
 
 class Echo:
-    """A call that goes there and back."""
+    """A call with an answer."""
 
     def echo(self, packet: Packet) -> int:
         """Return the packet's size [bytes]."""
@@ -35,7 +35,7 @@ class Echo:
 
 
 class Yardstick(Component):
-    """Does a fixed kind of work for a while, and counts how much a CPU second does."""
+    """Does a fixed kind of work, and counts how much a CPU second does."""
 
     @every(4 * _PIECE)
     def work(self) -> None:
@@ -65,7 +65,7 @@ class Echoer(Component):
 
 
 class Ticker(Component):
-    """Does nothing in its steps: what a step costs by itself."""
+    """Has an empty timer, to measure the cost of a timer."""
 
     @every(1 / RATE)
     def tick(self) -> None:
@@ -78,7 +78,7 @@ class Asker(Component):
     port: Required[Echo]
 
     def configure(self) -> None:
-        """Make what is sent."""
+        """Make the packet."""
         self._packet = Packet(bytes(int(self.parameters["size"])))
 
     @every(1 / RATE)
@@ -93,7 +93,7 @@ class Talker(Component):
     port: Published[Packet]
 
     def configure(self) -> None:
-        """Make what is sent."""
+        """Make the packet."""
         self._packet = Packet(bytes(int(self.parameters["size"])))
 
     @every(1 / RATE)
@@ -103,14 +103,14 @@ class Talker(Component):
 
 
 class Listener(Component):
-    """Takes messages."""
+    """Receives messages."""
 
     @subscribed(keep=4)
     def port(self, message: Packet) -> None:
-        """Take one."""
+        """Ignore it."""
 
 
 def _loop() -> int:
-    """Do what robots' Python does: arithmetic, calls, and memory here and there."""
+    """Do typical work of Python: arithmetic, calls, and memory accesses."""
     table = list(range(_LOOP))
     return sum(table[(7 * i) % _LOOP] ^ i for i in table)

@@ -18,25 +18,25 @@ PLAYER = "player-of-workload"
 
 
 class Played(Struct, frozen=True):
-    """What comes from the player instead of from others.
+    """The inputs that come from a replay component instead of their sources.
 
     Parameters
     ----------
     parts
-        Input, as component.port -> what comes there.
+        Input as component.port -> its messages or calls.
     recording
-        The file that is played; empty: there is none.
+        The recording's file; empty: none.
     """
 
     parts: Mapping[str, Part] = {}
     recording: str = ""
 
     def covers(self, connector: Connector) -> bool:
-        """Return whether the player takes a connector's place."""
+        """Return whether the replay component replaces a connector."""
         return str(connector.between[1]) in self.parts
 
     def player(self) -> Architecture:
-        """Return the player, with a container of its own."""
+        """Return the replay component, with its own container."""
         parameters = {
             "recording": self.recording,
             "ports": {
@@ -53,16 +53,16 @@ class Played(Struct, frozen=True):
         return Architecture(name=PLAYER, function=PLAYER, components=(component,))
 
     def ports(self) -> dict[str, str]:
-        """Return input -> the player's port for it."""
+        """Return input -> the replay component's port for it."""
         return {input_: f"output_{i}" for i, input_ in enumerate(self.parts)}
 
     def connectors(self, robot: Robot) -> tuple[Connector, ...]:
-        """Return the robot's connectors with the player in its place."""
+        """Return the robot's connectors with the replaced ones."""
         kept = tuple(c for c in robot.connectors if not self.covers(c))
         return (*kept, *(self._connector(*each) for each in self.ports().items()))
 
     def names(self, robot: Robot) -> dict[str, str]:
-        """Return the robot's connectors -> those that take their places."""
+        """Return replaced connectors of the robot -> their replacements."""
         ports = self.ports()
         return {
             str(c): str(self._connector(str(c.between[1]), ports[str(c.between[1])]))
@@ -77,12 +77,12 @@ class Played(Struct, frozen=True):
 
 
 def played(robot: Robot) -> Played:
-    """Return what the robot's workload plays.
+    """Return the inputs that the robot's workload replays.
 
     Raises
     ------
     UsageError
-        The recording cannot be read, or holds nothing that this robot takes.
+        The recording cannot be read, or has no input of this robot.
     """
     workload = robot.workload
     if workload is None:
@@ -92,7 +92,7 @@ def played(robot: Robot) -> Played:
     if workload.recording:
         recording = str((Path(robot.folder) / workload.recording).absolute())
         parts |= _recorded(robot, recording)
-    for each in workload.generate:  # made up wins over recorded
+    for each in workload.generate:  # generated ones replace recorded ones
         parts[str(each.port)] = Part(
             type=message_type(robot, each.port),
             rate=each.rate,
@@ -110,20 +110,20 @@ def _recorded(robot: Robot, recording: str) -> dict[str, Part]:
         inputs = read_recorded(Path(recording))
     except (OSError, msgspec.DecodeError) as error:
         raise UsageError(
-            f"workload: recording {recording} cannot be played: {error}. "
+            f"workload: recording {recording} cannot be replayed: {error}. "
             "`poise run --record` writes one"
         ) from error
     found = _parts(robot, {each.source for each in inputs})
     if not found:
         raise UsageError(
-            f"workload: recording {recording} holds nothing that goes from one "
+            f"workload: recording {recording} has no messages from one "
             f"architecture of '{robot.name}' to another"
         )
     return found
 
 
 def _parts(robot: Robot, known: AbstractSet[str]) -> dict[str, Part]:
-    """Return input -> what comes there of all sources that were recorded."""
+    """Return input -> its recorded sources."""
     parts: dict[str, Part] = {}
     for connector in robot.connectors:
         source, target = connector.between

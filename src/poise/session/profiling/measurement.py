@@ -1,4 +1,4 @@
-"""Runs one architecture on its stand and measures it."""
+"""Runs one architecture on its rig and measures it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from poise.manage.observe.measure import measure
 from poise.manage.observe.profiling import Observed
 from poise.manage.observe.recording import Recording
 from poise.manage.run import ACTIVE_LIMIT
-from poise.session.profiling_rig import ProfilingRig
+from poise.session.profiling.rig import ProfilingRig
 from poise.session.say import Check, Say, nothing
 from poise.session.start import Sampling, Started, started
 
@@ -21,25 +21,25 @@ _STEP = 0.2
 
 
 def measure_alone(
-    stand: ProfilingRig,
+    rig: ProfilingRig,
     seconds: float,
     warm_up: float,
     say: Say,
     tick: Tick,
     check: Check = nothing,
 ) -> Observed:
-    """Return what a stand used.
+    """Return one measurement of a rig.
 
     Parameters
     ----------
     seconds
-        How long to measure [s]; > 0.
+        Duration of the measurement [s]; > 0.
     warm_up
-        How long to let it run before [s].
+        Duration of the time before it [s].
     say
-        Takes sentences.
+        Called with sentences.
     tick
-        Told how much time passed [s].
+        Called with the time that has passed [s].
     check
         Called several times a second; may raise to end the measurement.
 
@@ -52,13 +52,13 @@ def measure_alone(
     sampling = Sampling(recording.add, WINDOW, weigh=True)
     journal = Journal(":memory:")
     try:
-        with started(stand.robot, stand.placement, journal, say, sampling, check) as up:
+        with started(rig.robot, rig.placement, journal, say, sampling, check) as up:
             _watch(up, warm_up, tick)
             recording.take()
             up.computers.begin()
             _watch(up, seconds, tick)
             samples = recording.take()
-            invalid = up.computers.end(stand.computer)
+            invalid = up.computers.end(rig.computer)
             working = up.run.agents.statuses()
             up.run.reach("inactive", ACTIVE_LIMIT)
             return Observed(
@@ -78,8 +78,8 @@ def _watch(up: Started, seconds: float, tick: Tick) -> None:
         up.computers.look()
         if up.world is not None and up.world.has_ended():
             raise RunError(
-                "the simulator ended while components were measured: name one that "
-                "goes on as `workload` in the robot file, or measure for a shorter time"
+                "the simulator ended during the measurement: name an endless one as "
+                "`workload` in the robot file, or measure for a shorter time"
             )
         now = time.monotonic()
         tick(now - last)

@@ -15,8 +15,8 @@ from poise.estimate.profile import file as profile_file
 from poise.manage.journal import Journal
 from poise.manage.observe.recording import Recording
 from poise.model.robot import Robot
-from poise.session.calibration_costs import costs_of
-from poise.session.calibration_robots import pairs, yardsticks
+from poise.session.calibration.costs import costs_of
+from poise.session.calibration.robots import pairs, yardsticks
 from poise.session.profiles import check_keepable, read_profile, store_of
 from poise.session.say import Check, nothing
 from poise.session.start import Sampling, Started, started

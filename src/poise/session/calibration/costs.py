@@ -1,12 +1,12 @@
-"""From what pairs that talk used to what a kind of connector costs. Pure.
+"""Derives the costs of connectors from the CPU of pairs that communicate. Pure.
 
-A call costs what its pair uses more than two containers of the same kind that are
-silent: the source's has the same steps, the target's does nothing. So the steps and
-what containers use anyway cancel out, and what is left is the call: encoding it, waking
-the other end, and all that is cold by then, for whoever talks in steps talks so.
+The cost of a call is the CPU of its pair minus that of two containers that do not
+communicate: one with the same timer, and an empty one. So timers and containers cancel
+out. What remains is the call: encoding, waking the other end, and cold caches, as in a
+component that calls once in each step.
 
-What a container uses is the median over the samples' intervals, all alike in what they
-hold: what only some hold, as the last of its start, does not count.
+The CPU of a container is the median over the samples' intervals, so that the rest of
+its start does not count.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from msgspec import Struct
 
 from poise.errors import RunError
 from poise.estimate.profile import Costs, KindCosts
-from poise.session.calibration_robots import EMPTY, KINDS, PAIRS, SIZES, TICKING, Pair
+from poise.session.calibration.robots import EMPTY, KINDS, PAIRS, SIZES, TICKING, Pair
 from poise.wire.records.samples import AgentSample, ContainerSample
 
 
@@ -34,19 +34,19 @@ class Use(Struct, frozen=True):
 def costs_of(
     samples: Iterable[AgentSample], speeds: Mapping[str, float]
 ) -> dict[str, KindCosts]:
-    """Return what connectors cost, by kind; remote only when two computers took part.
+    """Return the costs of connectors by kind; remote only with two computers.
 
     Parameters
     ----------
     samples
-        Of the robot that `calibration_robots.pairs` makes, from first to last.
+        Samples of the robot of `robots.pairs`, first to last.
     speeds
-        Computer -> what turns its CPU time into the reference computer's.
+        Computer -> factor from its CPU time to the reference computer's.
 
     Raises
     ------
     RunError
-        A container told nothing, or a connector seems to cost nothing.
+        A container sent no samples, or a connector seems to cost nothing.
     """
     uses, computers = _uses(samples, speeds)
     kinds = KINDS if len(computers) > 1 else KINDS[:-1]
@@ -54,8 +54,8 @@ def costs_of(
     for kind, both in costs.items():
         if kind != "direct" and not both.source.call * both.source.message:
             raise RunError(
-                f"calls and messages of a {kind} connector drown in what else goes on"
-                " here; try again when less does, or with a longer --for"
+                f"the cost of a {kind} connector cannot be series from other load; try "
+                "again on a less busy machine, or with a longer --for"
             )
     return costs
 
@@ -63,23 +63,23 @@ def costs_of(
 def _uses(
     samples: Iterable[AgentSample], speeds: Mapping[str, float]
 ) -> tuple[dict[Pair, Use], set[str]]:
-    told: dict[str, list[ContainerSample]] = defaultdict(list)
+    series: dict[str, list[ContainerSample]] = defaultdict(list)
     where: dict[str, str] = {}
     for sample in samples:
         for container in sample.containers:
-            told[container.name].append(container)
+            series[container.name].append(container)
             where[container.name] = sample.computer
     for name in (EMPTY, TICKING, *(name for pair in PAIRS for name in pair.containers)):
-        if name not in told or told[name][-1].at <= told[name][0].at:
-            raise RunError(f"container '{name}' told nothing; try again")
-    used = {name: _cores(each) for name, each in told.items()}
+        if name not in series or series[name][-1].at <= series[name][0].at:
+            raise RunError(f"container '{name}' sent no samples; try again")
+    used = {name: _cores(each) for name, each in series.items()}
     found = {}
     for pair in PAIRS:
-        source = told[pair.containers[0]]
+        source = series[pair.containers[0]]
         seconds = source[-1].at - source[0].at
         count = _count(source[-1]) - _count(source[0])
         if count <= 0:
-            raise RunError(f"the pair '{pair.name}' did not talk; try again")
+            raise RunError(f"the pair '{pair.name}' did not communicate; try again")
         spent = [
             max(0.0, used[name] - used[silent]) * seconds / count * speeds[where[name]]
             for name, silent in zip(pair.containers, (TICKING, EMPTY), strict=False)
@@ -89,7 +89,7 @@ def _uses(
 
 
 def _cores(samples: Sequence[ContainerSample]) -> float:
-    """Return the CPU time a container uses [cores]."""
+    """Return the CPU of a container [cores]."""
     return statistics.median(
         (b.cpu - a.cpu) / (b.at - a.at) for a, b in pairwise(samples) if b.at > a.at
     )
@@ -107,7 +107,7 @@ def _fitted(uses: Mapping[Pair, Use], kind: str) -> KindCosts:
 
 
 def _end(uses: Mapping[Pair, float], kind: str) -> Costs:
-    """Return the line through small and large ones; bytes cost alike in both."""
+    """Fit a line through small and large sizes; calls and messages share its slope."""
     small, large = SIZES
     calls = [uses[Pair(kind, "call", size)] for size in SIZES]
     messages = [uses[Pair(kind, "message", size)] for size in SIZES]

@@ -1,4 +1,4 @@
-"""Puts a profile's demands into the robot file itself."""
+"""Writes a profile's demands into the robot file."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _MIB = 2**20
 
 
 def write_demands(file: Path, profile: Profile) -> list[Path]:
-    """Write what the rule makes of `profile` under the components of a robot file.
+    """Write the demands of `profile` under the components of a robot file.
 
-    All else in the file, and in those that it includes, stays as it is written.
+    Comments and layout of the file, and of included files, are kept.
 
     Returns
     -------
@@ -36,7 +36,7 @@ def write_demands(file: Path, profile: Profile) -> list[Path]:
     places = {path: source.positions.at(path) for path in paths}
     before = {p.file: Path(p.file).read_text("utf-8") for p in places.values()}
     texts = before
-    # from the last to the first: lines that are added move only what is done
+    # from last to first: added lines move only what is done
     for path in sorted(paths, key=lambda path: -places[path].line):
         values = _values(profile.components[path[-1]])
         texts = with_values(texts, source.positions, path, values)

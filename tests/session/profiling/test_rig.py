@@ -8,14 +8,14 @@ from poise.model.robot import (
     Component,
     Computer,
     Connector,
+    DeclaredPort,
     Device,
     End,
-    Port,
     Robot,
     Simulator,
     Workload,
 )
-from poise.session.profiling_rig import EMPTY, OTHERS, rig_of
+from poise.session.profiling.rig import EMPTY, OTHERS, rig_of
 
 
 def architecture(name: str, *components: Component) -> Architecture:
@@ -28,7 +28,7 @@ def computer(name: str, address: str | None = None) -> Computer:
     )
 
 
-ASKS = Port(name="map", kind="requires", type="p:Map")
+ASKS = DeclaredPort(name="map", kind="requires", type="p:Map")
 ROBOT = Robot(
     name="r",
     computers=(computer("main"), computer("vision")),

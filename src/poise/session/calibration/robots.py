@@ -1,4 +1,4 @@
-"""The robots that `poise calibrate` runs: yardsticks, and pairs that talk."""
+"""The robots that `poise calibrate` runs: yardsticks, and pairs that communicate."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from msgspec import Struct
 from poise.model.robot import Architecture, Component, Connector, End, Robot
 
 SIZES = (100, 65_536)
-"""[bytes] Small and large; what a byte costs is the slope between them."""
+"""[bytes] Small and large; the cost of a byte is the slope between them."""
 KINDS = ("direct", "local", "remote")
 _MODULE = "poise.runtime.workload.calibration"
 
 
 class Pair(Struct, frozen=True):
-    """Two components that talk, and how."""
+    """Two components that communicate, and how."""
 
     kind: str
     how: str
@@ -42,13 +42,13 @@ PAIRS = tuple(
     for size in SIZES
 )
 EMPTY = "empty"
-"""A container that does nothing, as that of a target to which nobody talks."""
+"""A container that does nothing, like a target without traffic."""
 TICKING = "ticking"
-"""One whose component does nothing in its steps, as a source that is silent."""
+"""A container whose component has an empty timer, like a silent source."""
 
 
 def yardsticks(robot: Robot) -> tuple[Robot, dict[str, str]]:
-    """Return a robot with a yardstick on each of `robot`'s computers, and where."""
+    """Return a robot with a yardstick on each of `robot`'s computers; its placement."""
     components = {f"yardstick-{c.name}": c.name for c in robot.computers}
     architecture = Architecture(
         name="yardsticks",
@@ -62,7 +62,7 @@ def yardsticks(robot: Robot) -> tuple[Robot, dict[str, str]]:
 
 
 def pairs(robot: Robot, here: str, there: str) -> tuple[Robot, dict[str, str]]:
-    """Return a robot whose pairs talk on and between two of `robot`'s computers."""
+    """Return a robot with pairs on and between two of `robot`'s computers."""
     placement = {}
     architectures = list(_architectures())
     for pair in PAIRS:

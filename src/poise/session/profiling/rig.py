@@ -24,7 +24,7 @@ from poise.model.robot import (
 )
 from poise.runtime.component.implementation import find
 from poise.runtime.component.ports import ports_of
-from poise.session.workload_replay import Played, played
+from poise.session.profiling.workload_replay import Played, played
 
 OTHERS = "others"
 EMPTY = "empty-container"

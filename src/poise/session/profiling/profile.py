@@ -27,9 +27,9 @@ from poise.manage.observe.profiling import (
 from poise.model.robot import Robot
 from poise.runtime.component.implementation import find
 from poise.runtime.component.ports import ports_of
-from poise.session.measure_alone import Tick, measure_alone
 from poise.session.profiles import check_keepable, read_profile, store_of
-from poise.session.profiling_rig import EMPTY, ProfilingRig, rig_of
+from poise.session.profiling.measurement import Tick, measure_alone
+from poise.session.profiling.rig import EMPTY, ProfilingRig, rig_of
 from poise.session.say import Check, Say, log, nothing
 
 Progress = Callable[[str, float], AbstractContextManager[Tick]]

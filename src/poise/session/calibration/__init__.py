@@ -1,0 +1,1 @@
+"""Measures how fast computers are, and what connectors cost."""

@@ -1,0 +1,1 @@
+"""Measures what components need, each architecture alone."""
