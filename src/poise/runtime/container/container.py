@@ -246,6 +246,8 @@ class Container:
 
     def _settle(self) -> bool:
         """Go on with components that are prepared or have ended; whether any are."""
+        if not self._preparing and not self._ending:
+            return False
         with as_usual():
             has_changed = self._take_prepared() | self._end_removed()
             if has_changed and self._wanted is not None:

@@ -1,0 +1,109 @@
+"""Which containers do not respond, and why, with the kernel's counters made up."""
+
+from __future__ import annotations
+
+from poise.runtime.agent.watchdog import LOOK_EVERY, Processes, Silence, Watchdog
+
+PID = 7
+
+
+class World(Processes):
+    """One container; each step of time it runs, waits for a CPU, or does neither."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+        self.beats = 1
+        self.stopped = False
+        self.used = 0.0
+        self.waited = 0.0
+        self.dog = Watchdog(self, lambda: self.now)
+
+    def is_stopped(self, pid: int) -> bool:
+        assert pid == PID
+        return self.stopped
+
+    def cpu(self, pid: int) -> float:
+        assert pid == PID
+        return self.used
+
+    def delays(self, pid: int) -> dict[int, float]:
+        return {pid: self.waited}
+
+    def heartbeat(self) -> int:
+        return self.beats
+
+    def go_on(
+        self, seconds: float, *, beats: bool = False, cpu: float = 0, wait: float = 0
+    ) -> list[Silence]:
+        """Let time pass; `cpu` and `wait` are shares of it."""
+        found: list[Silence] = []
+        for _ in range(round(seconds / LOOK_EVERY)):
+            self.now += LOOK_EVERY
+            self.beats += beats
+            self.used += cpu * LOOK_EVERY
+            self.waited += wait * LOOK_EVERY
+            found += self.dog.look([("c", PID, self)])
+        return found
+
+
+def test_one_that_responds_is_not_mentioned() -> None:
+    assert World().go_on(60.0, beats=True, cpu=0.1) == []
+
+
+def test_a_stopped_process_is_noticed_within_a_second_and_once() -> None:
+    world = World()
+    world.go_on(1.0, beats=True)
+    world.stopped = True
+    (found,) = world.go_on(0.8)
+    assert found.is_stopped
+    assert "SIGSTOP" in found.reason
+    assert str(PID) in found.remedy
+    assert world.go_on(60.0) == []
+    world.stopped = False
+    (over,) = world.go_on(1.0, beats=True)
+    assert over.reason == ""
+    assert over.seconds > 60.0
+
+
+def test_an_interpreter_that_is_held_is_noticed_within_a_second() -> None:
+    for cpu, how in ((1.0, "a thread holds"), (0.0, "a thread waits while it holds")):
+        world = World()
+        world.go_on(1.0, beats=True)
+        (found,) = world.go_on(0.8, cpu=cpu)
+        assert found.reason.startswith(how)
+
+
+def test_a_container_that_gets_no_cpu_for_a_while_is_only_slow() -> None:
+    world = World()
+    world.go_on(1.0, beats=True)
+    assert world.go_on(4.0, wait=0.9, cpu=0.1) == []
+    assert world.go_on(1.0, beats=True) == []
+
+
+def test_a_container_that_gets_no_cpu_for_long_does_not_respond() -> None:
+    world = World()
+    world.go_on(1.0, beats=True)
+    (found,) = world.go_on(6.0, wait=1.0)
+    assert found.reason == "it gets no CPU"
+
+
+def test_an_interpreter_that_is_held_on_a_busy_machine_is_noticed_later() -> None:
+    world = World()
+    world.go_on(1.0, beats=True)
+    (found,) = world.go_on(3.0, wait=0.5, cpu=0.5)
+    assert "GIL" in found.reason
+    assert found.seconds > 1.0
+
+
+def test_a_watchdog_that_got_no_cpu_blames_nobody() -> None:
+    world = World()
+    world.go_on(1.0, beats=True)
+    world.now += 10.0
+    assert world.go_on(LOOK_EVERY) == []
+    assert world.go_on(1.0, beats=True) == []
+
+
+def test_a_container_that_only_starts_is_not_watched() -> None:
+    world = World()
+    world.beats = 0
+    assert world.go_on(60.0) == []
