@@ -15,8 +15,7 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from poise.errors import CallError, RunError, Timeout, Unavailable
@@ -78,13 +77,14 @@ class Sender:
         self._buffer: deque[tuple[Method | None, object, float]] | None = None
         self._source_is_inactive = self._target_moves = False
         self._is_claimed = self._is_draining = False
-        self._changed = threading.Condition()
+        self._lock = threading.Lock()
+        self._changed = threading.Condition(self._lock)
         self._num_waiting = 0
         self._disconnect()
 
     def add(self, key: str, route: Route) -> None:
         """Add a route; the first is used at once."""
-        with self._changed:
+        with self._lock:
             self._routes[key] = route
             if self._current is None:
                 self._use(route)
@@ -95,7 +95,7 @@ class Sender:
         The move for which there were two is over, and buffered messages are sent: so
         none of them waits for ever for a lost order to `switch`.
         """
-        with self._changed:
+        with self._lock:
             route = self._routes.pop(key)
             if route is self._current:
                 self._use(next(iter(self._routes.values()), None))
@@ -126,7 +126,7 @@ class Sender:
         RunError
             There is only one route: no move is going on.
         """
-        with self._changed:
+        with self._lock:
             if len(self._routes) < _WHILE_MOVING:
                 raise RunError(f"connector {self.name}: its target does not move")
             self._target_moves = True
@@ -134,13 +134,13 @@ class Sender:
 
     def buffer_until_active(self) -> None:
         """Buffer messages until `send_buffered`: the source is not active yet."""
-        with self._changed:
+        with self._lock:
             self._source_is_inactive = True
             self._begin_to_buffer()
 
     def send_buffered(self) -> None:
         """Send what was buffered, and buffer no more; harmless when repeated."""
-        with self._changed:
+        with self._lock:
             self._source_is_inactive = False
             self._drain()
 
@@ -152,7 +152,7 @@ class Sender:
         Unavailable
             There is no such route; nothing has changed.
         """
-        with self._changed:
+        with self._lock:
             if key not in self._routes:
                 raise Unavailable(f"connector {self.name} has no route {key}")
             self._use(self._routes[key])
@@ -167,14 +167,16 @@ class Sender:
         CallError
             It did not go out: nobody is there, or others sent for all of the limit.
         """
-        with self._changed:
+        with self._lock:
             if not self._wait(self._is_quiet, self._limit):
                 raise Timeout(f"connector {self.name} sends since {self._limit:g} s")
             route = self._claim()
-        with self._claimed():
+        try:
             if route is None:
                 raise Unavailable(f"connector {self.name} has nobody at its other end")
             route.send_marker(number)
+        finally:
+            self._release()
 
     def again(
         self,
@@ -191,7 +193,7 @@ class Sender:
         Timeout
             None was until `deadline` [s, of the monotonic clock].
         """
-        with self._changed:
+        with self._lock:
             left = deadline - time.monotonic()
             if not self._wait(lambda: self._current is not route, left):
                 raise Timeout(f"connector {self.name}: its target did not come back")
@@ -204,16 +206,33 @@ class Sender:
 
     def room(self) -> None:
         """Wake senders that wait for room: the target may have some."""
-        with self._changed:
+        with self._lock:
             self._changed.notify_all()
 
     def _send(self, value: object, method: Method | None) -> None:
         began = time.monotonic()
+        with self._lock:  # every message comes this way: no call more than needed
+            is_free = self._is_free()
+            if is_free:
+                if self._buffer is not None:
+                    self._buffer.append((method, value, began))
+                    return
+                route = self._claim()
+        if not is_free:
+            self._send_late(value, method, began)
+            return
+        try:
+            self._push(route, method, value, began)
+        finally:
+            self._release()
+
+    def _send_late(self, value: object, method: Method | None, began: float) -> None:
+        """Send or buffer a message as soon as it may go; drop it after the limit."""
         deadline, pause = began + self._limit, _ASK_FIRST
         while True:
-            with self._changed:
-                left = deadline - time.monotonic()
-                if self._is_free() or self._wait(self._is_free, min(pause, left)):
+            left = deadline - time.monotonic()
+            with self._lock:
+                if self._wait(self._is_free, min(pause, left)):
                     if self._buffer is not None:
                         self._buffer.append((method, value, began))
                         return
@@ -226,8 +245,10 @@ class Sender:
                 self.counts.drops += 1
                 return
             pause = min(2 * pause, _ASK_LAST)
-        with self._claimed():
+        try:
             self._push(route, method, value, began)
+        finally:
+            self._release()
 
     def _is_free(self) -> bool:
         """Return whether a message may be sent or buffered now."""
@@ -251,29 +272,26 @@ class Sender:
         self._is_claimed = True
         return self._current
 
-    @contextmanager
-    def _claimed(self) -> Iterator[None]:
-        try:
-            yield
-        finally:
-            with self._changed:
-                self._is_claimed = False
-                if self._num_waiting:
-                    self._changed.notify_all()
+    def _release(self) -> None:
+        with self._lock:
+            self._is_claimed = False
+            if self._num_waiting:
+                self._changed.notify_all()
 
     def _ask_for_room(self) -> bool:
         """Ask the target for room, unless another thread sends; whether it is there."""
-        with self._changed:
+        with self._lock:
             if self._is_claimed or self._buffer is not None or self._current is None:
                 return True
             route = self._claim()
-        with self._claimed():
-            try:
-                if route is not None:
-                    route.ask()
-            except CallError as error:
-                log.debug("connector %s: %s", self.name, error)
-                return False
+        try:
+            if route is not None:
+                route.ask()
+        except CallError as error:
+            log.debug("connector %s: %s", self.name, error)
+            return False
+        finally:
+            self._release()
         return True
 
     def _note_no_room(self) -> None:
@@ -305,7 +323,7 @@ class Sender:
 
     def _send_all(self) -> None:
         while True:
-            with self._changed:
+            with self._lock:
                 self._wait(lambda: not self._is_claimed, self._limit)
                 if not self._buffer or not self._may_drain():
                     self._is_draining = False
@@ -316,13 +334,14 @@ class Sender:
                     continue
                 route = self._claim()
                 method, value, began = self._buffer.popleft()
-            with self._claimed():
-                try:
-                    self._push(route, method, value, began)
-                except WireError as error:  # its publisher has gone on
-                    self.counts.drops += 1
-                    text = "connector %s: a message is dropped: %s"
-                    log.warning(text, self.name, error)
+            try:
+                self._push(route, method, value, began)
+            except WireError as error:  # its publisher has gone on
+                self.counts.drops += 1
+                text = "connector %s: a message is dropped: %s"
+                log.warning(text, self.name, error)
+            finally:
+                self._release()
 
     def _push(
         self, route: Route | None, method: Method | None, value: object, began: float
