@@ -26,7 +26,8 @@ from poise.clock import SystemClock
 from poise.manage.agents import Agents
 from poise.manage.journal import Journal
 from poise.manage.migration.move import MoveReport, move
-from poise.manage.run import Run, components_of
+from poise.manage.run import Run
+from poise.manage.statuses import components_of
 from poise.model import load
 from poise.session.computers import computers_of
 

@@ -13,7 +13,8 @@ from poise.cli.interrupts import interrupts
 from poise.cli.render.progress import progress
 from poise.errors import RunError
 from poise.manage.migration.move import MoveReport, move
-from poise.manage.run import Run, components_of
+from poise.manage.run import Run
+from poise.manage.statuses import components_of
 from poise.model.robot import Robot
 from poise.session.placement import Placement, place
 from poise.session.report import RunReport

@@ -6,7 +6,8 @@ from collections.abc import Collection, Iterable
 from functools import partial
 
 from poise.manage.deployment import name_of
-from poise.manage.run import REST_LIMIT, Run, components_of, connectors_of
+from poise.manage.run import REST_LIMIT, Run
+from poise.manage.statuses import components_of, connectors_of
 from poise.manage.topological_order import levels
 from poise.wire.records.deployment import ConnectorStatus
 

@@ -100,7 +100,7 @@ class Manager:
         self._stopping = threading.Event()
         self._deviations: tuple[Deviation, ...] = ()
         self._retry_at: dict[str, float] = {}
-        self._refusals: dict[str, str] = {}
+        self._refusals: dict[str, Deviation] = {}
         self._faults = run.faults_before
         self._reached = set(run.computers())
 
@@ -214,10 +214,12 @@ class Manager:
     def _synchronise(self) -> None:
         """Excuse computers that are out of reach, and bring those back that return."""
         run, now = self._run, time.monotonic()
-        for computer in self._reached - run.computers():
+        obeying = {c for c in run.computers() if run.agents.obey(c)}
+        for computer in self._reached - obeying:
             self._reached.discard(computer)
             run.excused.add(computer)
-            run.journal.note("wrong", run.unreached().get(computer, ""))
+            restarted = f"the agent of '{computer}' ended, and was started again"
+            run.journal.note("wrong", run.unreached().get(computer, restarted))
         for computer in run.computers() - self._reached:
             is_there = computer in run.agents.statuses()
             if is_there and self._retry_at.get(computer, 0.0) <= now:
@@ -230,10 +232,13 @@ class Manager:
             run.synchronise(computer)
         except RunError as error:
             self._retry_at[computer] = now + _RETRY_AFTER
-            refusal = f"computer '{computer}' is reached again, but: {error}"
-            if self._refusals.get(computer) != refusal:
-                self._refusals[computer] = refusal
-                run.journal.note("failed", refusal)
+            what = f"computer '{computer}' is reached again, but: {error}"
+            before = self._refusals.get(computer)
+            if before is None or before.what != what:
+                self._refusals[computer] = Deviation(
+                    what=what, computer=computer, since=time.time()
+                )
+                run.journal.note("failed", what)
             return
         self._refusals.pop(computer, None)
         self._reached.add(computer)
@@ -261,7 +266,8 @@ class Manager:
 
     def _unreached(self) -> list[Deviation]:
         since = self._run.agents.out_of_reach()
-        return [
+        refusals = [r for c, r in list(self._refusals.items()) if c not in since]
+        return refusals + [
             Deviation(what=what, computer=computer, since=since[computer])
             for computer, what in self._run.unreached().items()
             if computer in since

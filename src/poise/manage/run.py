@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable
 from functools import partial
 
 from poise.errors import RunError
@@ -21,12 +20,11 @@ from poise.manage.deployment import (
 )
 from poise.manage.journal import Journal
 from poise.manage.observe.faults import fault_sentence, faults_after, last_numbers
+from poise.manage.statuses import components_of, containers_left, missing, unreached
 from poise.manage.topological_order import levels
 from poise.model.robot import Robot
 from poise.wire.records.deployment import (
     AgentStatus,
-    ComponentStatus,
-    ConnectorStatus,
     Deployment,
     Goal,
 )
@@ -40,12 +38,6 @@ REST_LIMIT = 1.0
 for any longer."""
 RETURN_LIMIT = 3.0
 """A stop waits this long for computers that are out of reach [s]."""
-
-_WORKING = {
-    "unconfigured": " (do its import and `configure` end?)",
-    "inactive": " (does its `activate` end?)",
-}
-"""What may keep a component in a state."""
 
 
 class Run:
@@ -163,19 +155,7 @@ class Run:
 
     def unreached(self) -> dict[str, str]:
         """Return what is known of each computer that is out of reach, in words."""
-        sentences = {}
-        for computer, since in sorted(self.agents.out_of_reach().items()):
-            names = [
-                n for n, p in sorted(self.placed.items()) if p.computer == computer
-            ]
-            inside = ", ".join(names)
-            what = f"its components {inside} may run on without a manager"
-            began = time.strftime("%H:%M:%S", time.localtime(since))
-            sentences[computer] = (
-                f"computer '{computer}' is out of reach since {began}"
-                + (f"; {what}" if inside else "")
-            )
-        return sentences
+        return unreached(self.agents.out_of_reach(), self.placement())
 
     def cancel(self) -> None:
         """End what waits for agents: a change of the placement is rolled back."""
@@ -378,36 +358,13 @@ class Run:
         """Return what there is still to wait for, in words."""
         statuses = self.current()
         silent = self._told.keys() - statuses.keys() - self.excused
-        states = {(c.name, c.epoch): c.state for c in components_of(statuses)}
-        unreached = self._unreached_connectors()
-        missing = [f"computer '{name}' is silent" for name in sorted(silent)]
-        missing += [
-            f"component '{each.component}' on '{each.computer}' is {state}, not yet "
-            f"{each.goal}{_WORKING.get(state, '')}"
-            for each in wanted
-            if (state := states.get((each.component, each.epoch), "not there"))
-            != each.goal
-        ]
-        missing += [
-            f"connector '{connector.name}' is not joined"
-            for connector in connectors_of(statuses)
-            if not connector.ready and connector.name not in unreached
-        ]
-        if not missing:
-            return []
-        faults = faults_after(self._faults_before_tell, statuses)
-        return missing + [fault_sentence(computer, fault) for computer, fault in faults]
+        found = missing(wanted, statuses, silent, self._unreached_connectors())
+        faults = faults_after(self._faults_before_tell, statuses) if found else ()
+        return found + [fault_sentence(computer, fault) for computer, fault in faults]
 
     def _running(self, computers: set[str]) -> list[str]:
         """Return the containers that still run there, for all that is known."""
-        statuses = self.current()
-        left = sorted(computers - self.agents.out_of_reach().keys())
-        return [f"everything on '{each}'" for each in left if each not in statuses] + [
-            f"container '{container.name}' on '{each}'"
-            for each in left
-            if each in statuses
-            for container in statuses[each].containers
-        ]
+        return containers_left(self.current(), computers & self.computers())
 
     def _unreached_connectors(self) -> set[str]:
         """Return the connectors that have an end on an excused computer."""
@@ -441,17 +398,3 @@ class Run:
 
 def _go_on() -> None:
     """Raise nothing."""
-
-
-def components_of(statuses: Mapping[str, AgentStatus]) -> Iterator[ComponentStatus]:
-    """Yield the components in all statuses."""
-    for status in statuses.values():
-        for container in status.containers:
-            yield from container.components
-
-
-def connectors_of(statuses: Mapping[str, AgentStatus]) -> Iterator[ConnectorStatus]:
-    """Yield the connector ends in all statuses."""
-    for status in statuses.values():
-        for container in status.containers:
-            yield from container.connectors

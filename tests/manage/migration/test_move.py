@@ -27,7 +27,8 @@ from poise.manage.migration.coordinator import (
     RESUME_LIMIT,
 )
 from poise.manage.migration.move import MoveReport, move, replace
-from poise.manage.run import Run, components_of, connectors_of
+from poise.manage.run import Run
+from poise.manage.statuses import components_of, connectors_of
 from poise.model.robot import (
     Architecture,
     Component,

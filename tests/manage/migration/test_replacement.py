@@ -13,7 +13,8 @@ from poise.manage.agents import Agents
 from poise.manage.journal import Journal
 from poise.manage.migration.move import replace
 from poise.manage.migration.replacement import replace_architecture
-from poise.manage.run import Run, components_of
+from poise.manage.run import Run
+from poise.manage.statuses import components_of
 from poise.model.robot import (
     Architecture,
     Component,

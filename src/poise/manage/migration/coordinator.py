@@ -20,7 +20,8 @@ from poise.errors import RunError
 from poise.manage.deployment import Incarnation
 from poise.manage.migration.plan import MigrationPlan, MigrationRounds, PlacedStep
 from poise.manage.observe.deviations import explain
-from poise.manage.run import Run, components_of
+from poise.manage.run import Run
+from poise.manage.statuses import components_of
 from poise.priority import first
 from poise.wire.migration_phases import MigrationPhases
 from poise.wire.records.deployment import ComponentStatus

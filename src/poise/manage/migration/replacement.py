@@ -17,7 +17,8 @@ from poise.manage.migration.coordinator import (
     describe,
 )
 from poise.manage.migration.plan import MigrationPlan
-from poise.manage.run import Run, components_of
+from poise.manage.run import Run
+from poise.manage.statuses import components_of
 from poise.model.robot import Architecture, Robot
 
 

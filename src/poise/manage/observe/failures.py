@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from msgspec import Struct
 
-from poise.manage.run import components_of
+from poise.manage.statuses import components_of
 from poise.wire.records.deployment import AgentStatus, ErrorCount
 
 Statuses = Mapping[str, AgentStatus]

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from msgspec import Struct
 
 from poise.manage.deployment import name_of
-from poise.manage.run import components_of, connectors_of
+from poise.manage.statuses import components_of, connectors_of
 from poise.model.robot import Connector, Robot
 from poise.wire.records.deployment import AgentStatus
 

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from poise.manage.control_socket.records import RobotStatus
 from poise.manage.observe.estimates import DemandEstimate
-from poise.manage.run import connectors_of
+from poise.manage.statuses import connectors_of
 from poise.session.render.clocks import clock_table
 from poise.session.render.connectors import connector_tables
 from poise.session.render.tables import table
