@@ -1,4 +1,4 @@
-"""Where `poise` begins: first with what Ctrl-C does, then with all that takes time."""
+"""The entry of `poise`: installs signal handlers first, then imports the rest."""
 
 from __future__ import annotations
 

@@ -1,1 +1,4 @@
-"""The application as a library: load, decide, run, profile, calibrate."""
+"""The application as a library: `poise.load`, `place`, `run`, `up`, `profile` ...
+
+Here the parts are wired together; `poise.cli` only parses arguments and prints.
+"""

@@ -46,15 +46,17 @@ def keeping(
         recorded = Recorded(robot=robot.name, samples=samples.take(), inputs=there)
         save(recorded, file)
         inputs.unlink(missing_ok=True)
-        say(_said(recorded, tap, file))
+        say(_summary(recorded, tap, file))
 
 
-def _said(recorded: Recorded, tap: Tapped, file: Path) -> str:
-    told = f"recorded {len(recorded.samples)} samples"
+def _summary(recorded: Recorded, tap: Tapped, file: Path) -> str:
+    samples = f"recorded {len(recorded.samples)} samples"
     if not tap.sources and not tap.callers:
-        return f"{told} to {file}; nothing goes between architectures"
+        return f"{samples} to {file}; nothing goes between architectures"
     if not recorded.inputs:
-        return f"{told} to {file}; what came is in {file}.inputs on the robot, if any"
+        return (
+            f"{samples} to {file}; what came is in {file}.inputs on the robot, if any"
+        )
     calls = sum(each.tag is not None for each in recorded.inputs)
     messages = len(recorded.inputs) - calls
     found = [
@@ -65,4 +67,4 @@ def _said(recorded: Recorded, tap: Tapped, file: Path) -> str:
         )
         if names
     ]
-    return f"{told}, {' and '.join(found)} to {file}"
+    return f"{samples}, {' and '.join(found)} to {file}"

@@ -38,7 +38,7 @@ def _fill(
     rows: NamedRows, grouped: dict[tuple[str, str], _Ends], cells: _Cells
 ) -> None:
     for (name, _), same in grouped.items():
-        # a source that has a path more tells the same numbers twice
+        # a source that has a path more reports the same numbers twice
         found = cells(same if same[0].end == "target" else same[:1])
         if found:
             rows.add_row(name, *found)
