@@ -1,9 +1,16 @@
 """Random problems of every kind, for the laws that hold for all of them."""
 
+from itertools import combinations, product
+from math import inf
+from random import Random
+
 from hypothesis import strategies as st
 
 from poise.model.robot import Computer, Objective
 from poise.plan import Edge, Item, LinkCapacity, Problem
+from poise.plan.reference import objective
+from poise.plan.reference.limits import violations
+from poise.plan.tables import tabulate
 
 AMOUNTS = st.sampled_from([0.0, 0.1, 0.25, 0.5, 1.0, 1.5, 3.0])
 SHARES = st.sampled_from([0.0, 0.5, 1.0, 2.0])
@@ -101,3 +108,68 @@ def _distances(draw: st.DrawFn, m: int) -> tuple[tuple[float, ...], ...]:
         for b in range(a):
             far[a][b] = far[b][a] = draw(st.sampled_from([0.5, 1.0, 2.0]))
     return tuple(tuple(row) for row in far)
+
+
+def small_robot(seed: int) -> Problem:
+    """Return a robot with memory in bytes, pins, links and sets; it may be too full."""
+    random = Random(seed)
+    components = [f"c{i}" for i in range(random.randint(3, 6))]
+    computers = [f"h{i}" for i in range(random.randint(2, 3))]
+    pairs = [*combinations(computers, 2)]
+    return Problem(
+        components=tuple(
+            Item(
+                name=name,
+                demand={
+                    "cpu": random.uniform(0.02, 1.2),
+                    "memory": random.lognormvariate(19.5, 1.2),
+                    **({"gpu": random.choice([0.25, 1.0])} if i % 4 == 3 else {}),
+                },
+                only=(random.choice(computers),) if random.random() < 0.2 else (),
+            )
+            for i, name in enumerate(components)
+        ),
+        computers=tuple(
+            Computer(
+                name=name,
+                capacity={
+                    "cpu": random.choice([1.0, 2.0, 4.0]),
+                    "memory": random.choice([1, 2, 4]) * 2.0**30,
+                    "gpu": float(i % 2),
+                },
+                speed=random.choice([1.0, 0.8, 1.5]),
+            )
+            for i, name in enumerate(computers)
+        ),
+        connectors=tuple(
+            Edge(
+                between=(a, b),
+                overhead=random.uniform(0.01, 3),
+                traffic=random.lognormvariate(13, 2),
+            )
+            for a, b in combinations(components, 2)
+            if random.random() < 0.5
+        ),
+        links=tuple(
+            LinkCapacity(between=pair, bandwidth=random.lognormvariate(14.5, 1.5))
+            for pair in pairs
+            if random.random() < 0.6
+        ),
+        objective=Objective(spread=random.choice(["range", "variance"])),
+        apart=((components[0], components[1]),) if random.random() < 0.3 else (),
+        together=((components[0], components[2]),) if random.random() < 0.3 else (),
+    )
+
+
+def least(problem: Problem) -> float:
+    """Return the least F of all placements that keep every limit, by trying all."""
+    tables = tabulate(problem)
+    every = map(list, product(range(tables.m), repeat=tables.n))
+    return min(
+        (
+            objective.terms(tables, placed).total
+            for placed in every
+            if not violations(tables, placed, objective.loads(tables, placed))
+        ),
+        default=inf,
+    )

@@ -1,5 +1,6 @@
 """No proof is wrong, and what is full to the last hundredth is found."""
 
+from math import inf
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ from poise import plan
 from poise.plan._core import Core
 from poise.plan.solvers import cpsat
 from poise.plan.tables import tabulate
+from tests.plan.plan_problems import least, small_robot
 
 ROBOTS = Path(__file__).parent / "robots"
 OPTIMA = {
@@ -84,3 +86,20 @@ def test_search_places_a_fleet_with_pins_and_load(seed: int) -> None:
     assert greedy is not None
     assert found.objective is not None
     assert found.objective.total < greedy.total / 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["auto", "exact", "cpsat"])
+def test_every_proof_is_that_of_brute_force(method: str) -> None:
+    if method == "cpsat":
+        pytest.importorskip("ortools")
+    for seed in range(25):
+        problem = small_robot(seed)
+        optimum = least(problem)
+        result = plan.solve(problem, 60.0, method, why=False)
+        assert result.proven
+        assert result.feasible == (optimum < inf)
+        if result.objective is not None:
+            assert result.objective.total == pytest.approx(optimum, abs=1e-4)
+            assert result.bound is not None
+            assert result.bound <= optimum + 1e-9

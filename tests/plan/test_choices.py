@@ -1,5 +1,7 @@
 """One alternative is in every placement, and what is not known is no result."""
 
+from typing import Any
+
 import pytest
 from msgspec.structs import replace
 
@@ -35,7 +37,7 @@ def detector(name: str, quality: float, layer: Layer = "sequencing") -> Architec
 @pytest.fixture
 def robot() -> Robot:
     """Return a camera on one computer and a GPU on the other, 5 MB/s of 125 between."""
-    images = {"message": 1e6, "rate": 5.0}
+    images: dict[str, Any] = {"message": 1e6, "rate": 5.0}
     return Robot(
         name="finder",
         computers=(

@@ -1,6 +1,7 @@
 """An infeasible problem names what cannot hold together, and the cheapest way out."""
 
 import itertools
+import math
 
 import pytest
 from hypothesis import given
@@ -13,8 +14,10 @@ from poise.plan import Edge, Item, LinkCapacity, Problem
 from poise.plan.reference import objective
 from poise.plan.reference.limits import violations
 from poise.plan.tables import tabulate
+from poise.plan.why.conflict import _at_least
+from poise.plan.why.relaxation import _usual as usual_of
 from poise.plan.why.relaxation import _with_capacity, limits_of
-from tests.plan.plan_problems import problems
+from tests.plan.plan_problems import least, problems, small_robot
 
 
 def computers(*sizes: float) -> tuple[Computer, ...]:
@@ -205,3 +208,64 @@ def test_the_greedy_says_where_it_came_to_a_dead_end() -> None:
     result = plan.solve(problem, method="greedy")
     assert not result.feasible
     assert "finds no computer for c2" in result.reason
+
+
+@pytest.mark.slow
+def test_a_conflict_is_irreducible_and_its_relaxation_the_least() -> None:
+    """Against brute force: of all capacities and links, none is enough with less."""
+    found = 0
+    for seed in range(40):
+        problem = small_robot(seed)
+        result = plan.solve(problem)
+        if result.feasible:
+            continue
+        found += 1
+        conflict = result.conflict
+        assert conflict is not None
+        assert conflict.irreducible
+        names = {*conflict.components}
+        assert not holds(plan.keep_components(problem, names))
+        for name in names:
+            assert holds(plan.keep_components(problem, names - {name}))
+        enough = [
+            (limit, limit.most)
+            for limit in limits_of(problem)
+            if limit.most > 0 and holds(limit.raised(problem, limit.most))
+        ]
+        if not enough:
+            continue
+        assert len(conflict.more) == 1
+        assert "letting" not in conflict.relaxation
+        (more,) = conflict.more
+        (share,) = (
+            more.amount / usual_of(problem, limit)
+            for limit, _ in enough
+            if limit.names in {more.on, (*more.on, more.resource)}
+        )
+        for limit, _ in enough:
+            # Amounts are rounded up to one digit where that is enough.
+            less = share * usual_of(problem, limit) / 1.5
+            assert not holds(limit.raised(problem, less))
+    assert found > 5
+
+
+def holds(problem: Problem) -> bool:
+    return least(problem) < math.inf
+
+
+def test_says_memory_in_its_unit_and_how_much_is_short() -> None:
+    """One GPU of 1 and one of 0.5: a demand of 1.25 is 0.25 short of the larger."""
+    problem = Problem(
+        components=(Item(name="net", demand={"gpu": 1.25, "memory": 2.0**32}),),
+        computers=(
+            Computer(name="h0", capacity={"gpu": 1.0, "memory": 2.0**30}),
+            Computer(name="h1", capacity={"gpu": 0.5, "memory": 2.0**33}),
+        ),
+    )
+    conflict = plan.solve(problem).conflict
+    assert conflict is not None
+    assert conflict.more
+    assert "e+" not in str(plan.solve(problem).reason)
+    tight = replace(problem, components=(Item(name="net", demand={"memory": 2.0**34}),))
+    assert "needs 16 GiB memory; h0, h1 together have 9 GiB" in plan.solve(tight).reason
+    assert _at_least(problem).startswith("at least 0.25 more gpu on ")

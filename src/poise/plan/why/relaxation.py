@@ -147,10 +147,10 @@ class Relaxation:
                 lifts.remove(limit)
                 chosen = others
         soft = sorted((k for k in chosen if not k.advice), key=lambda k: k.names)
-        if not soft:
+        base = _after(problem, [], lifts)
+        if not soft or self._holds(base):
             return Relaxed([], lifts)
         # All alike first, in shares of what is usual; then one by one.
-        base = _after(problem, [], lifts)
         usual = [_usual(problem, limit) for limit in soft]
         low, high = 0.0, max(k.most / u for k, u in zip(soft, usual, strict=True))
         while high - low > NEAR * high:
