@@ -1,4 +1,4 @@
-"""An infeasible problem names what cannot hold together, and the cheapest way out."""
+"""An infeasible problem names what cannot hold together, and what must give way."""
 
 import itertools
 import math
@@ -79,7 +79,7 @@ def can_hold(problem: Problem) -> bool:
 
 
 def relieved(problem: Problem, conflict: plan.Conflict, part: float = 1.0) -> Problem:
-    """Return the problem after what the way out says, or a part of each rise."""
+    """Return the problem after what the relaxation says, or a part of each rise."""
     for more in conflict.more:
         amount = part * more.amount
         if more.resource == "bandwidth":

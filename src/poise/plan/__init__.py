@@ -4,7 +4,7 @@ from poise.plan.from_robot import problem_of, static
 from poise.plan.load import load, schema
 from poise.plan.planner import Planner, evaluate, solve
 from poise.plan.problem import Bundle, Edge, Item, LinkCapacity, Problem
-from poise.plan.records import Conflict, More, Step, Terms, Tightest, Trial
+from poise.plan.records import Conflict, GreedyStep, More, Terms, Tightest, Trial
 from poise.plan.result import Result
 from poise.plan.what_if.change import add, keep_components, scale, without
 from poise.plan.what_if.smallest import Smallest, smallest
@@ -15,6 +15,7 @@ __all__ = [
     "Conflict",
     "Edge",
     "Explanation",
+    "GreedyStep",
     "Item",
     "LinkCapacity",
     "More",
@@ -24,7 +25,6 @@ __all__ = [
     "Rejection",
     "Result",
     "Smallest",
-    "Step",
     "Terms",
     "Tightest",
     "Trial",

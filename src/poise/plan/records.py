@@ -40,7 +40,7 @@ class Trial(Struct, frozen=True, kw_only=True):
     reason: str = ""
 
 
-class Step(Struct, frozen=True, kw_only=True):
+class GreedyStep(Struct, frozen=True, kw_only=True):
     """One step of the greedy: a component, what was tried, and what was chosen.
 
     Components that must share a computer are placed as one; their names are joined

@@ -12,7 +12,7 @@ import msgspec
 from poise.errors import UsageError
 from poise.plan import _core
 from poise.plan.problem import Problem
-from poise.plan.records import Ask, Conflict, Step, Stopped, Terms, Tightest
+from poise.plan.records import Ask, Conflict, GreedyStep, Stopped, Terms, Tightest
 from poise.plan.reference import objective
 from poise.plan.reference.greedy import dead_end, greedy
 from poise.plan.reference.limits import tightest, violations
@@ -245,7 +245,7 @@ class Result:
         return tightest(self._tables, objective.loads(self._tables, self._placed))
 
     @cached_property
-    def trace(self) -> tuple[Step, ...]:
+    def trace(self) -> tuple[GreedyStep, ...]:
         """What the greedy tries, step by step; empty beyond 2,000 trials."""
         if self._tables.n * self._tables.m > LONGEST_TRACE:
             return ()

@@ -9,7 +9,7 @@ formula.
 
 from __future__ import annotations
 
-from poise.plan.records import Step, Trial
+from poise.plan.records import GreedyStep, Trial
 from poise.plan.reference import objective
 from poise.plan.reference.limits import obstacle
 from poise.plan.tables import Placed, Tables
@@ -31,7 +31,7 @@ def _size(tables: Tables, unit: int) -> float:
     return sum(w * d for w, d in zip(tables.size_weight, need, strict=True))
 
 
-def greedy(tables: Tables) -> tuple[Placed, tuple[Step, ...]]:
+def greedy(tables: Tables) -> tuple[Placed, tuple[GreedyStep, ...]]:
     """Place every unit in turn; stop at the first that fits nowhere.
 
     Returns
@@ -43,13 +43,13 @@ def greedy(tables: Tables) -> tuple[Placed, tuple[Step, ...]]:
         greedy came to a dead end.
     """
     placed: Placed = [-1] * tables.n
-    trace: list[Step] = []
+    trace: list[GreedyStep] = []
     for unit in order(tables):
         trials = _trials(tables, placed, unit)
         best = _best(trials)
         name = "+".join(tables.problem.components[i].name for i in tables.members[unit])
         chosen = None if best is None else tables.problem.computers[best].name
-        trace.append(Step(component=name, trials=trials, chosen=chosen))
+        trace.append(GreedyStep(component=name, trials=trials, chosen=chosen))
         if best is None:
             break
         placed[unit] = best

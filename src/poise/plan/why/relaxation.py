@@ -22,7 +22,7 @@ MOST_TRIES = 64
 Change = Callable[[Problem], Problem]
 
 
-class Oracle(Protocol):
+class Asks(Protocol):
     """Says whether a problem can hold."""
 
     def ask(self, problem: Problem) -> bool | None:
@@ -87,7 +87,7 @@ class Relaxation:
 
     def __init__(
         self,
-        oracle: Oracle,
+        oracle: Asks,
         conflicts: Callable[[Problem], tuple[Problem, list[Limit], bool] | None],
     ) -> None:
         self._oracle = oracle
