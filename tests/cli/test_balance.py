@@ -28,4 +28,4 @@ def test_why_it_was_called_off_is_told_as_it_is(
     monkeypatch.setattr("poise.cli.balance.send_command", lambda *_: answer)
     with pytest.raises(typer.Exit):
         balance_command()
-    assert f"called off: {WHY}" in capsys.readouterr().out
+    assert f"rolled back: {WHY}" in capsys.readouterr().out

@@ -71,7 +71,7 @@ def _show_proposal(proposal: Proposal, console: Console) -> None:
 
 def _show_report(report: TransitionReport, console: Console) -> None:
     if not report.committed:
-        console.print(f"[red]called off:[/] {escape(report.reason)}")
+        console.print(f"[red]rolled back:[/] {escape(report.reason)}")
         return
     longest = max((move.downtime for move in report.moves), default=0.0)
     downtime = f"; the longest downtime was {format_seconds(longest)}"

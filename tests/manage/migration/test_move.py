@@ -12,6 +12,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -598,6 +599,34 @@ def test_a_missing_implementation_is_not_put_in(world: SimulatorProcess) -> None
     assert not report.committed
     assert "has no class 'Nowhere'" in report.reason
     assert report.downtime == 0.0
+    world.works()
+    assert world.told("sink")[1] == 0
+
+
+def test_a_slow_import_of_a_target_holds_up_nothing(world: SimulatorProcess) -> None:
+    """The container's control thread imported: it heard and reported nothing."""
+    run = world.start("Counter")
+    may_end = world.folder / world.name / "may-end"
+    (world.folder / "slowly.py").write_text(
+        "import pathlib, threading\n"
+        f"while not pathlib.Path({str(may_end)!r}).exists():\n"
+        "    threading.Event().wait(0.01)\n"
+        "from moved import Counter\n"
+    )
+
+    def is_importing() -> bool:
+        components = components_of(run.agents.statuses())
+        return any((c.name, c.state) == ("counter", "unconfigured") for c in components)
+
+    with ThreadPoolExecutor(1) as pool:
+        replacing = pool.submit(replace, run, "counter", "slowly:Counter")
+        try:
+            world.wait_for(is_importing)
+            world.works()
+            assert not replacing.done()
+        finally:
+            may_end.touch()
+        assert replacing.result(LIMIT).committed, replacing.result().reason
     world.works()
     assert world.told("sink")[1] == 0
 

@@ -1,4 +1,4 @@
-"""Takes the steps of a transition, and takes them back when one fails."""
+"""Takes the steps of a transition, and rolls them back when one fails."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class TransitionReport(Struct, frozen=True, kw_only=True):
     steps
         What was planned.
     committed
-        Whether the new placement stands; else the old one does again.
+        Whether the new placement holds; else the old one does again.
     reason
-        Why not; also when a step back failed.
+        Why not; also when the roll back failed.
     moves
         The moves that were made, in order, those back included.
     """
@@ -35,24 +35,27 @@ class TransitionReport(Struct, frozen=True, kw_only=True):
 
 
 def transit(run: Run, steps: tuple[Step, ...]) -> TransitionReport:
-    """Take the steps of a planned transition; when one fails, take all back."""
+    """Take the steps of a planned transition; roll all back when one fails."""
     run.journal.note("decided", f"transition of {len(steps)} steps", steps=steps)
-    way = _Way(run)
+    transition = _Transition(run)
     for number, step in enumerate(steps):
-        reason = way.take(step)
+        reason = transition.take(step)
         if reason:
             reason = f"step '{step}' failed: {reason}"
-            reason += way.go_back(steps[:number])
-            run.journal.note("failed", f"transition called off; {reason}")
+            reason += transition.roll_back(steps[:number])
+            run.journal.note("failed", f"transition rolled back; {reason}")
             return TransitionReport(
-                steps=steps, committed=False, reason=reason, moves=tuple(way.moves)
+                steps=steps,
+                committed=False,
+                reason=reason,
+                moves=tuple(transition.moves),
             )
     run.journal.note("done", "transition", placement=run.placement())
-    return TransitionReport(steps=steps, committed=True, moves=tuple(way.moves))
+    return TransitionReport(steps=steps, committed=True, moves=tuple(transition.moves))
 
 
-class _Way:
-    """The steps of one transition, there or back; one that fails changes nothing."""
+class _Transition:
+    """Takes the steps of one transition; a step that fails changes nothing."""
 
     def __init__(self, run: Run) -> None:
         self.moves: list[MoveReport] = []
@@ -76,13 +79,13 @@ class _Way:
             return str(error)
         return ""
 
-    def go_back(self, taken: Sequence[Step]) -> str:
+    def roll_back(self, taken: Sequence[Step]) -> str:
         """Undo the steps that were taken, last first; return what went wrong there."""
         troubles = ""
         for step in reversed(taken):
             reason = self.take(_inverse(step))
             if reason:
-                troubles += f"; taking back '{step}' failed: {reason}"
+                troubles += f"; rolling back '{step}' failed: {reason}"
         return troubles
 
     def _start(self, component: str, computer: str) -> None:

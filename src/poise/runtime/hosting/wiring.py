@@ -227,9 +227,9 @@ class Wiring:
         self._open.clear()
 
     def _buffer_amid_a_move(self, known: AbstractSet[Sender | None]) -> None:
-        """Let what begins while its target moves send nothing before that is over.
+        """Buffer over new connectors to a component that moves.
 
-        The container was started anew, and its first incarnation was told to hold.
+        The container was restarted, and its first incarnation was told to buffer.
         """
         for ends in self._open.values():
             sender = ends.sender

@@ -55,22 +55,6 @@ _PAUSE_SHARE = 0.8
 """A pause may take this share of that, so that targets learn why they get no state
 before they give up."""
 
-_ROLES: dict[type[ComponentStep], Role] = {
-    OfferState: "source",
-    AwaitIdle: "source",
-    Pause: "source",
-    DrainMailbox: "source",
-    SendState: "source",
-    Redirect: "source",
-    RollBack: "source",
-    PreCopy: "target",
-    RequestState: "target",
-    RestoreState: "target",
-    Activate: "target",
-    Resume: "target",
-}
-"""Whose phases a step changes; of the others' no phases are kept."""
-
 
 class Party:
     """One incarnation's part in one migration."""
@@ -202,7 +186,7 @@ class MigrationExecutor:
             markers = dict.fromkeys(step.connectors, migration)
             runner.endpoints.wait_markers(markers, _left(deadline))
             return
-        party = self._party(runner, _ROLES[type(step)], migration)
+        party = self._party(runner, step.role, migration)
         with party.phases.taking(name_of_step(step), step.phase):
             self._take_at(party, step, deadline)
 

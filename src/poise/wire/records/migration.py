@@ -11,18 +11,33 @@ from typing import ClassVar
 
 from msgspec import Struct
 
-from poise.wire.migration_phases import Phase
+from poise.wire.migration_phases import Phase, Role
 
 
-class OfferState(Struct, frozen=True, tag="offer state"):
-    """Source: serve the state to the targets of this migration."""
-
-    phase: ClassVar[Phase] = "prepare"
+class _Step(Struct, frozen=True):
     component: str
     epoch: int
 
 
-class PreCopy(Struct, frozen=True, tag="pre-copy"):
+class SourceStep(_Step, frozen=True):
+    """A step of a source."""
+
+    role: ClassVar[Role] = "source"
+
+
+class TargetStep(_Step, frozen=True):
+    """A step of a target."""
+
+    role: ClassVar[Role] = "target"
+
+
+class OfferState(SourceStep, frozen=True, tag="offer state"):
+    """Source: serve the state to the targets of this migration."""
+
+    phase: ClassVar[Phase] = "prepare"
+
+
+class PreCopy(TargetStep, frozen=True, tag="pre-copy"):
     """Target: connect to the sources, and fetch a large state while they still work.
 
     From a source of the same component it takes state, buffered messages and timers;
@@ -37,29 +52,23 @@ class PreCopy(Struct, frozen=True, tag="pre-copy"):
     """
 
     phase: ClassVar[Phase] = "prepare"
-    component: str
-    epoch: int
     sources: Mapping[str, int]
     addresses: Mapping[str, str]
 
 
-class RequestState(Struct, frozen=True, tag="request state"):
+class RequestState(TargetStep, frozen=True, tag="request state"):
     """Target: ask the sources for everything; they answer when they send it."""
 
     phase: ClassVar[Phase] = "prepare"
-    component: str
-    epoch: int
 
 
-class AwaitIdle(Struct, frozen=True, tag="await idle"):
+class AwaitIdle(SourceStep, frozen=True, tag="await idle"):
     """Source: wait until it has just finished its work, at most for `limit` [s].
 
     A pause that begins then delays nobody. The step succeeds without it, too.
     """
 
     phase: ClassVar[Phase] = "prepare"
-    component: str
-    epoch: int
     limit: float
 
 
@@ -70,77 +79,59 @@ class Buffer(Struct, frozen=True, tag="buffer"):
     connectors: tuple[str, ...]
 
 
-class Pause(Struct, frozen=True, tag="pause"):
+class Pause(SourceStep, frozen=True, tag="pause"):
     """Source: finish the calls in progress, start no more, and send markers."""
 
     phase: ClassVar[Phase] = "quiesce"
-    component: str
-    epoch: int
 
 
-class DrainChannels(Struct, frozen=True, tag="drain channels"):
+class DrainChannels(_Step, frozen=True, tag="drain channels"):
     """Wait until the markers have arrived at a component over these connectors."""
 
     phase: ClassVar[Phase] = "quiesce"
-    component: str
-    epoch: int
     connectors: tuple[str, ...]
 
 
-class DrainMailbox(Struct, frozen=True, tag="drain mailbox"):
+class DrainMailbox(SourceStep, frozen=True, tag="drain mailbox"):
     """Source, to which no message comes any more: handle all that wait."""
 
     phase: ClassVar[Phase] = "quiesce"
-    component: str
-    epoch: int
 
 
-class SendState(Struct, frozen=True, tag="send state"):
+class SendState(SourceStep, frozen=True, tag="send state"):
     """Source, paused and drained: send the state to the targets that asked for it."""
 
     phase: ClassVar[Phase] = "transfer"
-    component: str
-    epoch: int
 
 
-class RestoreState(Struct, frozen=True, tag="restore state"):
+class RestoreState(TargetStep, frozen=True, tag="restore state"):
     """Target: restore the state as soon as the sources send it."""
 
     phase: ClassVar[Phase] = "transfer"
-    component: str
-    epoch: int
 
 
-class Activate(Struct, frozen=True, tag="activate"):
+class Activate(TargetStep, frozen=True, tag="activate"):
     """Target, with its state restored: run `activate`, and stay paused."""
 
     phase: ClassVar[Phase] = "transfer"
-    component: str
-    epoch: int
 
 
-class Redirect(Struct, frozen=True, tag="redirect"):
+class Redirect(SourceStep, frozen=True, tag="redirect"):
     """Source: send callers that wait for it to the target."""
 
     phase: ClassVar[Phase] = "commit"
-    component: str
-    epoch: int
 
 
-class Resume(Struct, frozen=True, tag="resume"):
+class Resume(TargetStep, frozen=True, tag="resume"):
     """Target: begin to work."""
 
     phase: ClassVar[Phase] = "resume"
-    component: str
-    epoch: int
 
 
-class RollBack(Struct, frozen=True, tag="roll back"):
+class RollBack(SourceStep, frozen=True, tag="roll back"):
     """Source: resume after a migration that failed."""
 
     phase: ClassVar[Phase] = "roll back"
-    component: str
-    epoch: int
 
 
 class Release(Struct, frozen=True, tag="release"):
