@@ -26,7 +26,7 @@ def interrupted(problem: Problem, folder: Path, *arguments: str) -> dict[str, An
     path = folder / "problem.json"
     path.write_bytes(msgspec.json.encode(problem))
     command = [sys.executable, "-m", "poise", "plan", str(path), "--json", *arguments]
-    for delay in (1, 2, 4, 8, 16):
+    for delay in (1, 2, 4, 8, 16, 32, 64):
         process = subprocess.Popen(command, stdout=subprocess.PIPE)
         time.sleep(delay)
         os.kill(process.pid, signal.SIGINT)

@@ -16,7 +16,7 @@ from poise.plan.reference.limits import violations
 from poise.plan.tables import tabulate
 from poise.plan.why.conflict import _at_least
 from poise.plan.why.relaxation import _usual as usual_of
-from poise.plan.why.relaxation import _with_capacity, limits_of
+from poise.plan.why.relaxation import limits_of
 from tests.plan.plan_problems import least, problems, small_robot
 
 
@@ -81,19 +81,9 @@ def can_hold(problem: Problem) -> bool:
 def relieved(problem: Problem, conflict: plan.Conflict, part: float = 1.0) -> Problem:
     """Return the problem after what the relaxation says, or a part of each rise."""
     for more in conflict.more:
-        amount = part * more.amount
-        if more.resource == "bandwidth":
-            problem = replace(
-                problem,
-                links=tuple(
-                    replace(k, bandwidth=k.bandwidth + amount)
-                    if k.between == more.on
-                    else k
-                    for k in problem.links
-                ),
-            )
-        else:
-            problem = _with_capacity(problem, more.on[0], more.resource, amount)
+        names = more.on if more.resource == "bandwidth" else (*more.on, more.resource)
+        (limit,) = (k for k in limits_of(problem) if k.most and k.names == names)
+        problem = limit.raised(problem, part * more.amount)
     for limit in limits_of(problem):
         if limit.advice and limit.advice in conflict.relaxation:
             problem = limit.lifted(problem)

@@ -39,13 +39,17 @@ class Oracle:
         self._stop = stop
         self._left = ALL_STEPS
 
+    def is_spent(self) -> bool:
+        """Return whether it took too many steps, or was told to stop."""
+        return self._left <= 0 or (self._stop is not None and self._stop())
+
     def ask(self, problem: Problem) -> bool | None:
         """Return whether some placement keeps all limits; None when it is not known."""
         self._left -= len(problem.components) * len(problem.computers)
-        if self._left <= 0 or (self._stop is not None and self._stop()):
+        if self.is_spent():
             return None
-        aimless = replace(problem, objective=Objective(communication=0.0, balance=0.0))
-        tables = tabulate(replace(aimless, cost=()))
+        aimless = Objective(communication=0.0, balance=0.0)
+        tables = tabulate(replace(problem, objective=aimless, cost=()))
         if not tables.n:
             return True
         if is_short(tables):

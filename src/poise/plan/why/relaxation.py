@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from math import ceil, floor, log10
 from typing import NamedTuple, Protocol
 
@@ -28,6 +28,9 @@ class Asks(Protocol):
     def ask(self, problem: Problem) -> bool | None:
         """Return whether some placement keeps all limits; None when not known."""
 
+    def is_spent(self) -> bool:
+        """Return whether it answers no more."""
+
 
 class Limit(NamedTuple):
     """A limit of a problem, in words, and what it takes to lift it.
@@ -41,7 +44,7 @@ class Limit(NamedTuple):
     kind: str
     names: tuple[str, ...]
     text: str
-    lifted: Change
+    change: Change | None = None
     advice: str = ""
     now: float = 0.0
     most: float = 0.0
@@ -50,11 +53,15 @@ class Limit(NamedTuple):
         """Whether it is `other`, or limits that and more."""
         return self.kind == other.kind and {*self.names} >= {*other.names}
 
+    def lifted(self, problem: Problem) -> Problem:
+        """Return the problem without this limit."""
+        if self.change is None:
+            return self.raised(problem, self.most)
+        return self.change(problem)
+
     def raised(self, problem: Problem, more: float) -> Problem:
         """Return the problem with this limit raised, in its own unit."""
-        if self.kind == "link":
-            return _with_bandwidth(problem, self.names, more)
-        return _with_capacity(problem, self.names[0], self.names[1], more)
+        return _with_raises(problem, [(self, more)])
 
 
 class Relaxed(NamedTuple):
@@ -126,8 +133,7 @@ class Relaxation:
             lifted = [limit for limit in limits if limit.most > 0] or limits[-1:]
             if not lifted:
                 return Relaxed([], [])
-            for limit in lifted:
-                now = limit.lifted(now)
+            now = _after(now, [], lifted)
             chosen += lifted
             found = self._conflicts(now)
             limits = [
@@ -168,6 +174,8 @@ class Relaxation:
 
     def _at_most(self, problem: Problem, limit: Limit, enough: float) -> float:
         """Return as small a raise as is found, given one that is enough."""
+        if self._oracle.is_spent():
+            return enough
         if self._holds(problem):
             return 0.0
         low, high = 0.0, enough
@@ -175,6 +183,8 @@ class Relaxation:
             middle = (low + high) / 2
             if self._holds(limit.raised(problem, middle)):
                 high = middle
+            elif self._oracle.is_spent():
+                return high
             else:
                 low = middle
         return _rounded(problem, limit, low, high, self._holds)
@@ -186,10 +196,11 @@ class Relaxation:
 def _after(
     problem: Problem, raises: list[tuple[Limit, float]], lifts: list[Limit]
 ) -> Problem:
-    for limit, more in raises:
-        problem = limit.raised(problem, more)
+    raises = [*raises, *((k, k.most) for k in lifts if k.change is None)]
+    problem = _with_raises(problem, raises) if raises else problem
     for limit in lifts:
-        problem = limit.lifted(problem)
+        if limit.change is not None:
+            problem = limit.change(problem)
     return problem
 
 
@@ -256,7 +267,6 @@ def _capacity(h: Computer, resource: str, total: float) -> Limit:
         "capacity",
         (h.name, resource),
         f"{h.name} has {amount_of(resource, has)} {resource}{usable}",
-        lambda problem: _with_capacity(problem, h.name, resource, most),
         now=has,
         most=most,
     )
@@ -268,43 +278,42 @@ def _link(link: LinkCapacity, traffic: float) -> Limit:
         link.between,
         f"link {' - '.join(link.between)} carries "
         f"{amount_of('bandwidth', link.bandwidth)}",
-        lambda problem: _with_bandwidth(problem, link.between, traffic),
         now=link.bandwidth,
         most=traffic,
     )
 
 
-def _with_capacity(
-    problem: Problem, computer: str, resource: str, more: float
-) -> Problem:
-    """Return the problem with `more` of a resource on a computer."""
+def _with_raises(problem: Problem, raises: Iterable[tuple[Limit, float]]) -> Problem:
+    """Return the problem with more of some capacities and bandwidths, made once."""
+    capacities: dict[str, dict[str, float]] = {}
+    bandwidths: dict[tuple[str, ...], float] = {}
+    for limit, more in raises:
+        if limit.kind == "link":
+            bandwidths[limit.names] = more
+        else:
+            capacities.setdefault(limit.names[0], {})[limit.names[1]] = more
     return replace(
         problem,
         computers=tuple(
-            replace(
-                h,
-                capacity={
-                    **h.capacity,
-                    resource: min(h.capacity.get(resource, 0.0) + more, MOST),
-                },
-            )
-            if h.name == computer
+            replace(h, capacity=_more_capacity(h.capacity, capacities[h.name]))
+            if h.name in capacities
             else h
             for h in problem.computers
         ),
-    )
-
-
-def _with_bandwidth(problem: Problem, between: tuple[str, ...], more: float) -> Problem:
-    return replace(
-        problem,
         links=tuple(
-            replace(k, bandwidth=min(k.bandwidth + more, MOST))
-            if k.between == between
+            replace(k, bandwidth=min(k.bandwidth + bandwidths[k.between], MOST))
+            if k.between in bandwidths
             else k
             for k in problem.links
         ),
     )
+
+
+def _more_capacity(
+    has: Mapping[str, float], more: Mapping[str, float]
+) -> dict[str, float]:
+    raised = {r: min(has.get(r, 0.0) + amount, MOST) for r, amount in more.items()}
+    return {**has, **raised}
 
 
 def _without_pin(name: str) -> Change:
