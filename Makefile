@@ -51,7 +51,7 @@ stubs: setup
 	@$(BIN)/ruff format -q src/poise/plan/_core.pyi
 
 # All native code under the address and undefined-behaviour sanitizers; without pytest's
-# capture, which would swallow what they say.
+# capture, which would swallow what they say, and without its time limit for quick tests.
 SITE := .venv/lib/$(shell $(PYTHON) -c 'import sys; print("python%d.%d" % sys.version_info[:2])')/site-packages
 sanitize: setup
 	@cmake -S . -B build/sanitize -DPOISE_SANITIZE=ON -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python >/dev/null
@@ -63,7 +63,7 @@ sanitize: setup
 	  cp build/sanitize/src/poise/$$part/native/*.so build/sanitize/site/poise/$$part; done
 	@LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" ASAN_OPTIONS=detect_leaks=0 \
 	  PYTHONPATH=build/sanitize/site:$(SITE) $(BIN)/python -S -m pytest -q -s --timeout 600 \
-	  tests/plan/test_native.py tests/plan/test_feasibility.py tests/plan/test_core_boundary.py \
+	  -p no:tests.quick tests/plan/test_native.py tests/plan/test_feasibility.py tests/plan/test_core_boundary.py \
 	  tests/wire/test_filling.py tests/wire/test_frame.py tests/wire/connections/test_connection.py \
 	  tests/wire/connections/test_channel.py \
 	  tests/runtime/connectors tests/runtime/execution/test_histogram.py tests/runtime/hosting/test_stats_page.py \
