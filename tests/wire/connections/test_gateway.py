@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import resource
 import socket
 import tempfile
 from collections.abc import Iterator
@@ -227,3 +229,43 @@ def test_calls_and_messages_cross_over_ipv6(wire: Wire) -> None:
     assert wire.channel().request(call("ab"), LIMIT).value(TEXT) == "ba"
     wire.channel(use=MESSAGES).push(message("a"), LIMIT)
     assert receiver.wait_for(1) == ["a"]
+
+
+@contextlib.contextmanager
+def no_file_free() -> Iterator[None]:
+    """Let this process open no more files for a while."""
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    free = os.open(os.devnull, os.O_RDONLY)
+    os.close(free)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (free, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+
+
+@remote
+@pytest.mark.parametrize("who", ["the gateway", "container 'there'"])
+def test_says_that_no_file_is_free_and_what_to_do(
+    wire: Wire, who: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    server = wire.server()
+    server.open("echo", Receiver())
+    address = wire.address().gateway
+    assert address is not None
+    with (
+        socket.socket(socket.AF_INET) as remote,
+        socket.socket(socket.AF_UNIX) as local,
+    ):
+        with no_file_free():
+            if who == "the gateway":
+                remote.connect((address.host, address.port))
+            else:
+                local.connect(str(server._paths[0]))
+            wait_until(lambda: bool(caplog.records))
+        (record,) = caplog.records
+    said = record.getMessage()
+    assert said.startswith(f"{who} accepts no connection for now: ")
+    assert "Too many open files" in said
+    assert "raise that where the agent starts (`ulimit -n " in said
+    assert wire.channel().request(call("ab"), LIMIT).value(TEXT) == "ba"

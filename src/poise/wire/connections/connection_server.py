@@ -8,6 +8,7 @@ files.
 from __future__ import annotations
 
 import contextlib
+import errno
 import logging
 import os
 import select
@@ -22,6 +23,7 @@ from poise.errors import Timeout, Unavailable
 from poise.wire import frame
 from poise.wire.codec import Unreadable, WireError
 from poise.wire.connections import caller
+from poise.wire.connections.accept_warning import AcceptWarning
 from poise.wire.connections.channel import Handler, Pieces, Refused, ignore
 from poise.wire.connections.connection import LAST_ANSWER, Connection
 from poise.wire.connections.fork import keep_private
@@ -71,6 +73,7 @@ class ConnectionServer:
         self._lock = threading.Lock()
         self._container = container
         self._closed = threading.Event()
+        self._warning = AcceptWarning(f"container '{container}'")
         self._paths = socket_path(folder, container), gateway_path(folder, container)
         kinds = socket.SOCK_STREAM, socket.SOCK_DGRAM
         self._neighbours, self._from_gateway = map(_bound, self._paths, kinds)
@@ -137,9 +140,10 @@ class ConnectionServer:
                         self._start(self._neighbours.accept()[0])
                     if self._from_gateway.fileno() in ready:
                         self._start(_handed_over(self._from_gateway))
-                except OSError:
-                    # it has gone, or no file is free
-                    self._closed.wait(_PAUSE)
+                except OSError as error:
+                    if not self._closed.is_set():
+                        self._warning.note(error)
+                        self._closed.wait(_PAUSE)
 
     def _start(self, sock: socket.socket) -> None:
         connection = Connection(sock)
@@ -246,9 +250,11 @@ def _bound(path: Path, kind: socket.SocketKind) -> socket.socket:
 
 def _handed_over(gateway: socket.socket) -> socket.socket:
     """Return a connection from the gateway; OSError when there is none."""
-    _, files, _, _ = socket.recv_fds(gateway, 1, 1)
-    if not files:
+    data, files, _, _ = socket.recv_fds(gateway, 1, 1)
+    if not data:
         raise BlockingIOError
+    if not files:  # the kernel closed it, because this process may open no more
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
     return socket.socket(fileno=files[0])
 
 

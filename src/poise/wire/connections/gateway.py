@@ -26,6 +26,7 @@ from poise.errors import CallError, RunError
 from poise.wire import frame
 from poise.wire.address import family_of, tune
 from poise.wire.codec import WireError
+from poise.wire.connections.accept_warning import AcceptWarning
 from poise.wire.connections.connection import HEAD, Connection
 from poise.wire.connections.opening import ANSWER_LIMIT, NAME
 from poise.wire.connections.socket_path import gateway_path
@@ -117,6 +118,7 @@ class Gateway:
         self._folder = folder
         self._arrivals: dict[int, _Arrival] = {}
         self._closed = threading.Event()
+        self._warning = AcceptWarning("the gateway")
         self._handing_on = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
             self._listener = socket.create_server(
@@ -189,8 +191,10 @@ class Gateway:
             connection, _ = self._listener.accept()
         except BlockingIOError:
             return
-        except OSError:  # it has gone, or no file is free
-            self._closed.wait(_PAUSE)
+        except OSError as error:
+            if not self._closed.is_set():
+                self._warning.note(error)
+                self._closed.wait(_PAUSE)
             return
         connection.setblocking(False)
         self._arrivals[connection.fileno()] = _Arrival(connection)
