@@ -45,8 +45,8 @@ from tests.waiting import LIMIT, wait_until
 
 pytestmark = pytest.mark.slow
 
-MODULE = """
-import ctypes, os, pathlib, signal, sys, time
+MODULE = '''
+import ctypes, os, pathlib, signal, subprocess, sys, time
 os.chdir(os.path.dirname(__file__))
 from poise import Component, every
 
@@ -79,6 +79,30 @@ class Forking(Component):
                 signal.pause()
                 os._exit(0)
 
+class Daemonizing(Component):
+    """Starts two programs, and a daemon that ends once its parent has."""
+
+    def activate(self):
+        self.own = [
+            subprocess.Popen(["sh", "-c", f"exit {code}"], start_new_session=code == 4)
+            for code in (3, 4)
+        ]
+        if os.fork() == 0:
+            os.setsid()
+            parent = os.getpid()
+            if os.fork():
+                os._exit(0)
+            while os.getppid() == parent:
+                time.sleep(0.001)
+            pathlib.Path("orphan").write_text(str(os.getpid()))
+            os._exit(0)
+
+    @every(0.01)
+    def look(self):
+        if os.path.exists("look"):
+            codes = [each.wait() for each in self.own]
+            pathlib.Path("codes").write_text(str(codes))
+
 class Greedy(Component):
     def activate(self):
         ctypes.PyDLL(None).sleep(1000)  # with the GIL
@@ -86,7 +110,7 @@ class Greedy(Component):
 class Stubborn(Component):
     def deactivate(self):
         while True: pass
-"""
+'''
 
 
 def manager_id(key: str) -> ManagerId:
@@ -455,6 +479,21 @@ def test_what_a_component_forked_ends_with_its_container(
         manager.deploy()
     for pid in forked:
         wait_gone(pid)
+
+
+def test_an_orphan_that_ended_is_reaped_and_no_exit_code_is_lost(
+    manager: Manager,
+) -> None:
+    orphan, codes = manager.folder / "orphan", manager.folder / "codes"
+    manager.deploy("daemonizing")
+    container = manager.wait_active("daemonizing")
+    wait_until(lambda: orphan.exists() and orphan.read_text() != "")
+    pid = int(orphan.read_text())
+    wait_until(lambda: pid not in children(container.pid))
+    (manager.folder / "look").touch()
+    wait_until(lambda: codes.exists() and codes.read_text().endswith("]"))
+    assert codes.read_text() == "[3, 4]"
+    assert manager.wait_active("daemonizing").pid == container.pid
 
 
 def test_a_stopped_container_is_told_within_a_second_or_so(manager: Manager) -> None:

@@ -23,6 +23,7 @@ from types import FrameType
 from poise.errors import PoiseError, RunError, Timeout, Unavailable
 from poise.priority import as_usual, go_first
 from poise.runtime.clock_table import ComputerClock
+from poise.runtime.container.descendants import reap_adopted
 from poise.runtime.container.preparation import Preparation
 from poise.runtime.hosting.command_line import Command
 from poise.runtime.hosting.runner import Runner
@@ -144,6 +145,7 @@ class Container:
             if has_news or unjoined != before or self._clock.now() >= report_at:
                 self._report(self._status())
                 report_at = self._clock.now() + REPORT_EVERY
+                reap_adopted()
 
     def _listen(self, limit: float) -> bool:
         """Wait up to `limit` [s] for news, and take it in; whether it is to be told.

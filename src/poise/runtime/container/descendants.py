@@ -38,6 +38,20 @@ def children() -> set[int]:
     return found
 
 
+def reap_adopted() -> None:
+    """Reap the orphans that this process adopted and that have ended.
+
+    An exit code that a component waits for is left alone: what this process forks is in
+    its own session, or leads one. A child in any other session was forked by another
+    process. So an orphan that stayed in this session is reaped with the container only.
+    """
+    own = os.getsid(0)
+    for child in children():
+        with contextlib.suppress(ProcessLookupError, ChildProcessError):
+            if os.getsid(child) not in {own, child}:
+                os.waitpid(child, os.WNOHANG)
+
+
 def kill_all(processes: Iterable[int]) -> None:
     """Kill processes, and the process groups that they lead."""
     for process in processes:
