@@ -13,15 +13,18 @@ from typing import Any, TypeVar
 
 from msgspec import Struct
 
+from poise.errors import Unavailable
 from poise.wire import _channel, frame
 from poise.wire.address import LOST_AFTER
 from poise.wire.codec import Bytes, Unreadable, codec
+from poise.wire.connections.connection import HEAD
 from poise.wire.frame import LARGEST, Frame, Kind
 
 S = TypeVar("S", bound=Struct)
 
 LIMIT = 1.0
 """A record is sent within this time, and received within it once it begins [s]."""
+_PIECE = 1 << 20
 
 
 def send(connection: socket.socket, record: Struct) -> None:
@@ -58,6 +61,58 @@ def receive(connection: socket.socket, type_: type[S]) -> S:
         raise Unreadable("a record never comes in shared memory")
     record: S = _record(received, type_)
     return record
+
+
+class RecordReader:
+    """Reads records from a stream socket as they come, and never waits for the rest.
+
+    Attributes
+    ----------
+    since
+        When the record began of which a part has come [s, monotonic]; None: there is
+        none.
+    """
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection = connection
+        self._data = bytearray()
+        self.since: float | None = None
+
+    def next(self, type_: type[S]) -> S | None:
+        """Return the next record, or None when not all of it has come yet.
+
+        Raises
+        ------
+        Unavailable
+            The other end is gone.
+        WireError
+            It is not a record of `type_`.
+        """
+        while missing := self._missing():
+            try:
+                data = self._connection.recv(min(missing, _PIECE), socket.MSG_DONTWAIT)
+            except BlockingIOError:
+                return None
+            except OSError as error:
+                raise Unavailable(f"the other end is gone: {error}") from error
+            if not data:
+                raise Unavailable("the other end is gone")
+            if self.since is None:
+                self.since = time.monotonic()
+            self._data += data
+        received = frame.parse(bytes(self._data[HEAD.size :]))
+        self._data.clear()
+        self.since = None
+        record: S = _record(received, type_)
+        return record
+
+    def _missing(self) -> int:
+        if len(self._data) < HEAD.size:
+            return HEAD.size - len(self._data)
+        length, block = HEAD.unpack_from(self._data)
+        if length > LARGEST or block:
+            raise Unreadable(f"a record of {length} B; {LARGEST} B is the largest")
+        return int(HEAD.size + length - len(self._data))
 
 
 def pack(record: Struct) -> bytes:

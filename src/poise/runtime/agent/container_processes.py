@@ -28,6 +28,9 @@ from poise.wire.records.migration import MigrationSteps, StepsOutcome
 
 STOP_LIMIT = 2.0
 """A container that was asked to end is killed after this time [s]."""
+REST_LIMIT = 10.0
+"""A container that sent a part of a record is killed when the rest takes longer [s].
+One that is at work sends all of it within a second, or ends."""
 _FIRST_DELAY = 0.1
 _LONGEST_DELAY = 5.0
 _CALM = 10.0
@@ -86,6 +89,7 @@ class ContainerProcess:
         self.name = spec.name
         self.spec = spec
         self.connection = connection
+        self._reader = record_channel.RecordReader(connection)
         self.pid = 0
         self.counted: PageSampler | None = None
         self._stats_page = stats_page
@@ -123,14 +127,18 @@ class ContainerProcess:
     def hear(self) -> StepsOutcome | None:
         """Take in what it says; return the outcome of a step, if it is one.
 
-        One that cannot be understood is killed.
+        It is no outcome while a part of it is missing. One that cannot be understood is
+        killed.
         """
         try:
-            what = record_channel.receive(self.connection, FromContainer).what
-        except (Unavailable, Timeout, WireError) as error:
+            record = self._reader.next(FromContainer)
+        except (Unavailable, WireError) as error:
             # a container that ends closes its end: the zygote reports that
             self.give_up("" if isinstance(error, Unavailable) else str(error))
             return None
+        if record is None:
+            return None
+        what = record.what
         if isinstance(what, ContainerStatus):
             self.status = what
             return None
@@ -138,6 +146,17 @@ class ContainerProcess:
             self._why_ended = what.reason
             return None
         return what
+
+    @property
+    def rest_by(self) -> float:
+        """When the rest of a record has to be there [s]; infinite: none is missing."""
+        since = self._reader.since
+        return float("inf") if since is None or self.is_deaf else since + REST_LIMIT
+
+    def give_up_rest(self) -> None:
+        """Kill it, because the rest of a record did not come in time."""
+        reason = self.silence.reason if self.silence else "the reason is not known"
+        self.give_up(f"the rest of a record took over {REST_LIMIT:g} s: {reason}")
 
     def stop(self, clock: Clock) -> None:
         """Ask it to end, or kill one that does not respond; harmless when repeated."""

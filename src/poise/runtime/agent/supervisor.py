@@ -84,6 +84,8 @@ class Supervisor:
                 process.stop(self._clock)
             if process.kill_at <= now:
                 process.kill()
+            if process.rest_by <= now:
+                process.give_up_rest()
         for name, spec in wanted.items():
             if name in self.processes:
                 if not self.processes[name].is_stopping:
@@ -97,7 +99,7 @@ class Supervisor:
             if name not in self.processes:
                 yield self._backoffs[name].again_at
         for process in self.processes.values():
-            yield process.kill_at
+            yield min(process.kill_at, process.rest_by)
 
     def hear(self, process: ContainerProcess) -> StepsOutcome | None:
         """Take in what a container says; return the outcome of a step, if it is one."""
