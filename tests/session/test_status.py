@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from io import StringIO
 
+import pytest
 from msgspec.structs import replace
 from rich.console import Console
 
@@ -16,6 +17,7 @@ from poise.session.render.status import (
     computer_table,
     container_lines,
     remarks,
+    status_parts,
 )
 from poise.session.render.tables import table
 from poise.wire.records.deployment import (
@@ -106,6 +108,25 @@ def test_says_what_computers_use_and_how_often_containers_restarted() -> None:
     assert line.startswith("container 'one' on 'vision': running since ")
     assert "2 restarts; last fault at " in line
     assert line.endswith(": was killed by SIGKILL")
+
+
+@pytest.mark.parametrize(
+    ("faults", "says"),
+    [
+        (0, "everything is as the robot file says"),
+        (
+            1,
+            "everything is as the robot file says; 1 fault since the start (below)",
+        ),
+        (
+            2,
+            "everything is as the robot file says; 2 faults since the start (below)",
+        ),
+    ],
+)
+def test_says_that_all_is_well_and_what_was_not(faults: int, says: str) -> None:
+    answer = replace(status(Estimate(mean=0.1, p95=0.1, error=0.01)), faults=faults)
+    assert says in list(status_parts(answer))
 
 
 def test_names_are_never_cut() -> None:

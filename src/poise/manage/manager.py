@@ -12,7 +12,7 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 
 from poise.errors import PoiseError, RunError
@@ -39,8 +39,9 @@ from poise.manage.migration.replacement import replace_architecture
 from poise.manage.migration.transition_run import transit
 from poise.manage.observe.deviations import Deviation, find_deviations
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.faults import fault_sentence, faults_after, last_numbers
+from poise.manage.observe.faults import FaultFilter
 from poise.manage.run import Run
+from poise.wire.records.deployment import AgentStatus
 from poise.wire.records.samples import AgentSample
 
 MOST_COMMANDS = 64
@@ -101,7 +102,7 @@ class Manager:
         self._deviations: tuple[Deviation, ...] = ()
         self._retry_at: dict[str, float] = {}
         self._refusals: dict[str, Deviation] = {}
-        self._faults = run.faults_before
+        self._faults = FaultFilter(run.faults_before)
         self._reached = set(run.computers())
 
     @property
@@ -139,6 +140,7 @@ class Manager:
             computers=run.agents.statuses(),
             out_of_reach=run.agents.out_of_reach(),
             deviations=(*self._unreached(), *self._deviations),
+            faults=self._faults.count,
             demand_estimates=tuple(self._estimates.demand_estimates()),
         )
 
@@ -247,8 +249,12 @@ class Manager:
         run.journal.note("right", f"computer '{computer}' is reached again{how}")
 
     def _look(self) -> None:
-        """Journal each deviation and fault when it begins, and when it ends."""
+        """Journal each deviation and fault when it begins, and when it ends.
+
+        A deviation that a container's fault caused is told by that fault.
+        """
         run = self._run
+        self._note_faults()
         reached = run.computers()
         statuses = {c: status for c, status in run.current().items() if c in reached}
         deviations = find_deviations(run.placed, run.layout, statuses, time.time())
@@ -257,12 +263,28 @@ class Manager:
         for key, each in found.items():
             if key in before and before[key].what == each.what:
                 found[key] = before[key]
-            else:
+            elif not each.container:
                 run.journal.note("wrong", each.what)
         for key in before.keys() - found.keys():
-            run.journal.note("right", before[key].end())
+            if not before[key].container:
+                run.journal.note("right", before[key].end())
         self._deviations = tuple(found.values())
-        self._note_faults()
+        self._note_recoveries(statuses)
+
+    def _note_recoveries(self, statuses: Mapping[str, AgentStatus]) -> None:
+        """Journal which containers run as they should again after a fault."""
+        run = self._run
+        deviating = {
+            run.layout.container_of(each.component)
+            for each in self._deviations
+            if each.component
+        }
+        for computer, status in statuses.items():
+            for each in status.health:
+                is_well = each.state == "running" and each.name not in deviating
+                if is_well and self._faults.close(computer, each.name):
+                    what = f"container '{each.name}' on '{computer}'"
+                    run.journal.note("right", f"{what} runs as it should again")
 
     def _unreached(self) -> list[Deviation]:
         since = self._run.agents.out_of_reach()
@@ -276,11 +298,13 @@ class Manager:
     def _note_faults(self) -> None:
         """Journal what broke on computers since the last time."""
         statuses = self._run.agents.statuses()
-        for computer, fault in faults_after(self._faults, statuses):
-            what = fault_sentence(computer, fault)
+        for new in self._faults.new(statuses, time.monotonic()):
             note = self._run.journal.note
-            note("right" if fault.is_over else "wrong", what, fault=fault)
-        self._faults = {**self._faults, **last_numbers(statuses)}
+            note(
+                "right" if new.fault.is_over else "wrong",
+                new.sentence,
+                fault=new.fault,
+            )
 
 
 def _answer(future: Results, result: Result | Refusal) -> None:

@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
-from poise.manage.observe.faults import fault_sentence, faults_after, last_numbers
+import time
+
+from poise.manage.observe.faults import (
+    FaultFilter,
+    combined,
+    fault_sentence,
+    faults_after,
+    last_numbers,
+)
 from poise.wire.records.deployment import AgentStatus, Fault
 
 
@@ -36,3 +44,49 @@ def test_the_sentence_names_the_container_the_computer_and_restarts() -> None:
     assert fault_sentence("left", fault) == (
         "container 'c' on 'left' was killed by SIGKILL (restarts before: 2)"
     )
+
+
+def test_equal_faults_are_one_sentence_with_number_and_last_time() -> None:
+    at = 1e9
+    same = [Fault(container="c", message="broke", at=at - n) for n in (2, 1, 0)]
+    other = Fault(container="d", message="broke", at=at)
+    last = time.strftime("%H:%M:%S", time.localtime(at))
+    assert list(combined([*same, other])) == [
+        f"container 'c' broke (3 times, last at {last})",
+        "container 'd' broke",
+    ]
+
+
+def test_of_an_endless_crash_loop_a_line_a_minute_is_told() -> None:
+    """One fault each 5 s for 3 minutes: five lines, and then one a minute."""
+    told = []
+    filtered = FaultFilter({})
+    for number in range(1, 37):
+        now = 5.0 * number
+        new = filtered.new(status(number), now)
+        told += [(now, each.sentence.partition("' f")[2]) for each in new]
+        assert filtered.close("left", "c") == bool(told and told[-1][0] == now)
+    loud = [(5.0 * n, f"{n}") for n in (1, 2, 3, 4)]
+    # from 25 s on: 12 faults a minute, of which 11 are not told
+    assert told == [
+        *loud,
+        (25.0, "5; from now on one line a minute"),
+        (85.0, "17; 11 more since the last line; from now on one line a minute"),
+        (145.0, "29; 11 more since the last line; from now on one line a minute"),
+    ]
+    assert filtered.count == 36
+
+
+def test_the_end_of_a_fault_is_told_as_the_fault_was() -> None:
+    filtered = FaultFilter({})
+    kinds = []
+    for number in range(1, 15):
+        fault = Fault(
+            container="c", message="f", number=number, is_over=number % 2 == 0
+        )
+        agent = AgentStatus(
+            computer="left", generation=1, uptime=9, cpu=0, faults=(fault,)
+        )
+        kinds += [n.fault.is_over for n in filtered.new({"left": agent}, 1.0 * number)]
+    assert kinds == [False, True] * 5
+    assert filtered.count == 7

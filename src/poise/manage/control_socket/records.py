@@ -90,6 +90,8 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
         Computer -> since when its agent has not been reached [s since 1970].
     deviations
         Everything that is not as the robot file says.
+    faults
+        How many faults there were since the start; they may be over.
     demand_estimates
         What components need now, against what their profile says.
     """
@@ -101,6 +103,7 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
     computers: Mapping[str, AgentStatus]
     out_of_reach: Mapping[str, float] = {}
     deviations: tuple[Deviation, ...] = ()
+    faults: int = 0
     demand_estimates: tuple[DemandEstimate, ...] = ()
 
 

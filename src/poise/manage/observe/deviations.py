@@ -13,6 +13,9 @@ from poise.wire.records.deployment import (
     ContainerHealth,
 )
 
+_CRASH_LOOP = 3
+"""A container is in a crash loop after so many restarts within a minute."""
+
 
 class Deviation(Struct, frozen=True, kw_only=True):
     """One thing that is not as it should be.
@@ -23,6 +26,8 @@ class Deviation(Struct, frozen=True, kw_only=True):
         A sentence for people; the same for as long as it lasts.
     computer, component
         Where; `component` is empty when it concerns the computer.
+    container
+        The container whose last fault is the cause, and says more; empty: none.
     since
         When the manager noticed it [s since 1970].
     """
@@ -30,6 +35,7 @@ class Deviation(Struct, frozen=True, kw_only=True):
     what: str
     computer: str
     component: str = ""
+    container: str = ""
     since: float
 
     @property
@@ -63,9 +69,14 @@ def find_deviations(
     """
     for computer, status in sorted(statuses.items()):
         wanted = [each for each in placed.values() if each.computer == computer]
-        for component, what in _of_computer(computer, status, wanted, layout):
+        for found in _of_computer(computer, status, wanted, layout):
+            component, container, what = found
             yield Deviation(
-                what=what, computer=computer, component=component, since=now
+                what=what,
+                computer=computer,
+                component=component,
+                container=container,
+                since=now,
             )
 
 
@@ -74,8 +85,8 @@ def _of_computer(
     status: AgentStatus,
     wanted: Collection[Incarnation],
     layout: DeploymentPlan,
-) -> Iterator[tuple[str, str]]:
-    """Yield a component, or nothing, and a sentence about it."""
+) -> Iterator[tuple[str, str, str]]:
+    """Yield a component and the container whose fault is the cause, or "", and what."""
     there = {
         (component.name, component.epoch): component
         for container in status.containers
@@ -85,12 +96,27 @@ def _of_computer(
     for each in wanted:
         found = there.get((each.component, each.epoch))
         if found is None or found.state != each.goal:
-            of_container = health.get(layout.container_of(each.component))
-            yield each.component, explain(each, found, of_container)
+            container = health.get(layout.container_of(each.component))
+            cause = _cause(found, container)
+            yield each.component, cause, explain(each, found, container)
     names = {layout.container_of(each.component) for each in wanted}
-    for container in status.containers:
-        if container.name not in names:
-            yield "", f"container '{container.name}' runs on '{computer}', unwanted"
+    for running in status.containers:
+        if running.name not in names:
+            what = f"container '{running.name}' runs on '{computer}', unwanted"
+            yield "", "", what
+    for name in sorted(names & health.keys()):
+        if health[name].restarts_lately >= _CRASH_LOOP:
+            where = f"container '{name}' on '{computer}' is in a crash loop"
+            what = f"{where}: restarted at least {_CRASH_LOOP} times within a minute"
+            yield "", "", what
+
+
+def _cause(found: ComponentStatus | None, container: ContainerHealth | None) -> str:
+    """Return the container whose fault explains a component's state, or nothing."""
+    has_failed = found is not None and found.state == "failed"
+    if has_failed or container is None or container.last_fault is None:
+        return ""
+    return container.name
 
 
 def explain(

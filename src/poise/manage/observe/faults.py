@@ -6,13 +6,20 @@ whoever looks for new ones remembers the numbers of those before.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
+
+from msgspec import Struct
 
 from poise.wire.records.deployment import AgentStatus, Fault
 
 Statuses = Mapping[str, AgentStatus]
 Numbers = Mapping[str, int]
 """Computer -> the number of its agent's last fault."""
+_FIRST = 5
+_WINDOW = 60.0
+"""A container with more than `_FIRST` faults in this time is told once in it [s]."""
 
 
 def last_numbers(statuses: Statuses) -> Numbers:
@@ -38,3 +45,84 @@ def fault_sentence(computer: str, fault: Fault) -> str:
     """Return a fault for people."""
     restarts = f" (restarts before: {fault.restarts})" if fault.restarts else ""
     return f"container '{fault.container}' on '{computer}' {fault.message}{restarts}"
+
+
+class NewFault(Struct, frozen=True):
+    """A fault that is to be told, with the sentence."""
+
+    sentence: str
+    fault: Fault
+
+
+class FaultFilter:
+    """Tells faults as they come; of a container with very many, one a minute.
+
+    The first `_FIRST` faults of a container within `_WINDOW` are told one by one.
+
+    Parameters
+    ----------
+    before
+        The numbers of the last faults that do not count.
+    """
+
+    def __init__(self, before: Numbers) -> None:
+        self.count = 0
+        """How many faults there were, told or not."""
+        self._known = before
+        self._of: dict[tuple[str, str], _Faults] = {}
+
+    def new(self, statuses: Statuses, now: float) -> Iterator[NewFault]:
+        """Yield the faults to tell at `now` [s], oldest first."""
+        for computer, fault in faults_after(self._known, statuses):
+            self.count += not fault.is_over
+            known = self._of.setdefault((computer, fault.container), _Faults())
+            more = known.take(fault, now)
+            if known.is_told:
+                yield NewFault(fault_sentence(computer, fault) + more, fault)
+        self._known = {**self._known, **last_numbers(statuses)}
+
+    def close(self, computer: str, container: str) -> bool:
+        """Take a container's last fault for over; return whether that is to be told."""
+        known = self._of.get((computer, container))
+        if known is None or known.is_over:
+            return False
+        known.is_over = True
+        return known.is_told
+
+
+class _Faults:
+    """The latest faults of one container."""
+
+    def __init__(self) -> None:
+        self.is_told = self.is_over = False
+        self._moments: deque[float] = deque(maxlen=_FIRST)
+        self._told_at = float("-inf")
+        self._untold = 0
+
+    def take(self, fault: Fault, now: float) -> str:
+        """Decide whether a fault is told, and return what to add to its sentence."""
+        self.is_over = fault.is_over
+        if fault.is_over:  # it is told as the fault before, which it ends
+            return ""
+        self.is_told = not self._is_many(now) or now - self._told_at >= _WINDOW
+        self._moments.append(now)
+        if not self.is_told:
+            self._untold += 1
+            return ""
+        more = f"; {self._untold} more since the last line" if self._untold else ""
+        self._told_at, self._untold = now, 0
+        return more + ("; from now on one line a minute" if self._is_many(now) else "")
+
+    def _is_many(self, now: float) -> bool:
+        return len(self._moments) == _FIRST and now - self._moments[0] < _WINDOW
+
+
+def combined(faults: Iterable[Fault]) -> Iterator[str]:
+    """Yield a sentence for each kind of fault, with its number and last time."""
+    kinds: dict[tuple[str, str], list[Fault]] = {}
+    for fault in faults:
+        kinds.setdefault((fault.container, fault.message), []).append(fault)
+    for (container, message), same in kinds.items():
+        last = time.strftime("%H:%M:%S", time.localtime(same[-1].at))
+        many = f" ({len(same)} times, last at {last})" if len(same) > 1 else ""
+        yield f"container '{container}' {message}{many}"

@@ -11,6 +11,9 @@ from msgspec import structs
 from poise.wire.records.deployment import ContainerHealth, ContainerState, Fault
 
 _MOST_FAULTS = 100
+_MOST_RESTARTS = 100
+_LATELY = 60.0
+"""Restarts within this time are counted as `restarts_lately` [s]."""
 
 Usage = Mapping[str, tuple[float, int]]
 """Container -> CPU use [cores] and memory use [bytes]."""
@@ -23,10 +26,18 @@ class HealthRecords:
     ----------
     wall
         Returns the time [s since the epoch].
+    clock
+        Returns the time [s] by which restarts of the last minute are counted.
     """
 
-    def __init__(self, wall: Callable[[], float] = time.time) -> None:
+    def __init__(
+        self,
+        wall: Callable[[], float] = time.time,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._wall = wall
+        self._clock = clock
+        self._restarts: dict[str, deque[float]] = {}
         self._faults: deque[Fault] = deque(maxlen=_MOST_FAULTS)
         self._number = 0
         self._of: dict[str, ContainerHealth] = {}
@@ -37,6 +48,8 @@ class HealthRecords:
         restarts = known.restarts if known else 0
         if known and known.state == "restarting":
             restarts += 1
+            recent = self._restarts.setdefault(container, deque(maxlen=_MOST_RESTARTS))
+            recent.append(self._clock())
         self._enter(container, "starting", restarts=restarts)
 
     def enter(self, container: str, state: ContainerState, reason: str = "") -> None:
@@ -69,6 +82,7 @@ class HealthRecords:
         known = self._of.get(container)
         if known is not None and known.last_fault is None:
             del self._of[container]
+            self._restarts.pop(container, None)
         elif known is not None:
             self.enter(container, "stopped")
 
@@ -82,10 +96,13 @@ class HealthRecords:
 
     def records(self, usage: Usage) -> tuple[ContainerHealth, ...]:
         """Return the health of all containers, with what they use now."""
-        found = []
+        since, found = self._clock() - _LATELY, []
         for name, health in self._of.items():
             cpu, memory = usage.get(name, (0.0, 0))
-            found.append(structs.replace(health, cpu=cpu, memory=memory))
+            lately = sum(moment > since for moment in self._restarts.get(name, ()))
+            found.append(
+                structs.replace(health, cpu=cpu, memory=memory, restarts_lately=lately)
+            )
         return tuple(found)
 
     def _enter(

@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from poise.manage.observe.faults import combined
 from poise.session.render.clocks import clock_table
 from poise.session.render.connectors import connector_tables
 from poise.session.render.tables import table
@@ -56,8 +57,8 @@ def _failures(report: RunReport) -> Iterator[RenderableType]:
             f"[red]{hung.component} on {hung.computer}: '{hung.handler}' still ran "
             f"after {hung.seconds:.1f} s[/]"
         )
-    for fault in report.faults:
-        yield f"[red]container {fault.container}[/] {escape(fault.message)}"
+    for sentence in combined(report.faults):
+        yield f"[red]{escape(sentence)}[/]"
     for name, count in report.refused.items():
         yield f"[red]{name}: {count} messages were refused: not of the port's type[/]"
     for name, count in report.lost.items():

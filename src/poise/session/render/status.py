@@ -27,7 +27,9 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
     for each in status.deviations:
         yield Text(f"{each.what} (noticed {_clock(each.since)})", style="red")
     if not status.deviations:
-        yield "everything is as the robot file says"
+        count = f"{status.faults} fault" + ("s" if status.faults > 1 else "")
+        lately = f"; {count} since the start (below)" if status.faults else ""
+        yield f"everything is as the robot file says{lately}"
     yield component_table(status)
     for remark in remarks(status):
         yield f"[yellow]{remark}[/]"

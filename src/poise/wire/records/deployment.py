@@ -402,6 +402,8 @@ class ContainerHealth(Struct, frozen=True, kw_only=True):
         Why it does not respond; else empty.
     restarts
         How often it was started again since the agent started.
+    restarts_lately
+        How often in the last minute.
     last_fault
         What went wrong last.
     cpu, memory
@@ -413,6 +415,7 @@ class ContainerHealth(Struct, frozen=True, kw_only=True):
     since: float
     reason: str = ""
     restarts: int = 0
+    restarts_lately: int = 0
     last_fault: Fault | None = None
     cpu: float = 0.0
     memory: int = 0

@@ -1,0 +1,125 @@
+"""What the journal and `poise status` say of containers that were killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from poise.emulate import look
+from poise.manage.control_socket.client import send_command
+from poise.manage.control_socket.records import RobotStatus, StatusCommand
+from poise.manage.journal import Entry, Journal
+from tests.command import robot_up, run_poise
+from tests.waiting import wait_long
+
+pytestmark = pytest.mark.slow
+
+NAME = f"faults{os.getpid()}"
+
+CODE = """
+import os
+from poise import Component, every
+
+class Worker(Component):
+    @every(0.05)
+    def work(self):
+        grow = os.path.join(self.parameters["folder"], "grow")
+        if os.path.exists(grow):
+            os.unlink(grow)
+            self.much = b"x" * (1 << 30)
+"""
+
+ROBOT = """
+robot: {name}
+computers:
+  small: {{cpu: 0.5, memory: 400 MiB}}
+architectures:
+  working:
+    function: work
+    components:
+      worker:
+        implementation: "faults:Worker"
+        cpu: 5%
+        memory: 50 MiB
+        parameters: {{folder: "{folder}"}}
+      other: {{implementation: "faults:Worker", cpu: 5%, memory: 50 MiB,
+              parameters: {{folder: "/nonexistent"}}}}
+tasks:
+  work: {{actions: [{{name: work, functions: [work]}}]}}
+"""
+
+
+@pytest.fixture
+def up(tmp_path: Path) -> Iterator[Path]:
+    """Start the robot."""
+    (tmp_path / "faults.py").write_text(CODE)
+    file = tmp_path / "robot.yaml"
+    file.write_text(ROBOT.format(name=NAME, folder=tmp_path))
+    with robot_up(file, "--journal", tmp_path / "journal"):
+        yield tmp_path
+
+
+def status() -> RobotStatus:
+    answer = send_command(NAME, StatusCommand())
+    assert isinstance(answer, RobotStatus)
+    return answer
+
+
+def pid() -> int:
+    (computer,) = status().computers.values()
+    return computer.containers[0].pid if computer.containers else 0
+
+
+def journal(up: Path) -> list[Entry]:
+    """Return what went wrong and right."""
+    entries = Journal(up / "journal")
+    try:
+        return [each for each in entries.entries() if each.kind in {"wrong", "right"}]
+    finally:
+        entries.close()
+
+
+def break_by(up: Path, harm: Callable[[int], object]) -> list[Entry]:
+    """Let a container break; return what was journalled when it runs again."""
+    before, known = pid(), len(journal(up))
+    harm(before)
+    wait_long(lambda: [e for e in journal(up)[known:] if e.kind == "right"])
+    assert pid() not in {0, before}
+    return journal(up)[known:]
+
+
+def test_a_kill_is_one_line_and_its_end_another(up: Path) -> None:
+    wrong, right = break_by(up, lambda pid: os.kill(pid, signal.SIGKILL))
+    assert wrong.what == (
+        "container 'working' on 'small' was killed by SIGKILL; the state of 'worker', "
+        "'other' is gone: they begin anew"
+    )
+    assert right.what == "container 'working' on 'small' runs as it should again"
+    done = run_poise("status", "--robot", NAME)
+    assert done.returncode == 0, done.stdout
+    assert (
+        "everything is as the robot file says; 1 fault since the start (below)"
+        in done.stdout
+    )
+    for _ in range(2):
+        break_by(up, lambda pid: os.kill(pid, signal.SIGKILL))
+    done = run_poise("status", "--robot", NAME)
+    assert done.returncode == 1
+    assert "is in a crash loop" in done.stdout
+
+
+def test_an_end_for_lack_of_memory_is_named(up: Path) -> None:
+    if "memory" not in look().groups.controls:
+        pytest.skip("no cgroup to write to with memory: nothing limits the computer")
+    wrong, _ = break_by(up, lambda _: (up / "grow").touch())
+    ran_out = "was killed because its computer ran out of memory (OOM)"
+    assert f"container 'working' on 'small' {ran_out} (limit 400 MiB)" in wrong.what
+    (health,) = status().computers["small"].health
+    assert health.last_fault is not None
+    assert health.last_fault.message.startswith(ran_out)
+    shown = " ".join(run_poise("status", "--robot", NAME).stdout.split())
+    assert ran_out in shown

@@ -1,0 +1,82 @@
+"""What is not as the manager wants it."""
+
+from __future__ import annotations
+
+import pytest
+
+from poise.manage.deployment import DeploymentPlan, Incarnation
+from poise.manage.observe.deviations import Deviation, find_deviations
+from poise.model.robot import Robot
+from poise.wire.records.deployment import (
+    AgentStatus,
+    ComponentStatus,
+    ContainerHealth,
+    ContainerState,
+    ContainerStatus,
+    Fault,
+    State,
+)
+
+FAULT = Fault(container="see", message="was killed by SIGKILL")
+
+
+def find(
+    robot: Robot,
+    eye: State | None,
+    state: ContainerState,
+    restarts_lately: int = 0,
+    fault: Fault | None = FAULT,
+) -> list[Deviation]:
+    """Return the deviations with `eye` in some state; None: it is not there."""
+    health = ContainerHealth(
+        name="see",
+        state=state,
+        since=0.0,
+        last_fault=fault,
+        restarts_lately=restarts_lately,
+    )
+    components = () if eye is None else (ComponentStatus(name="eye", state=eye),)
+    container = ContainerStatus(name="see", pid=7, components=components)
+    status = AgentStatus(
+        computer="a",
+        generation=1,
+        uptime=9.0,
+        cpu=0.0,
+        containers=(container,),
+        health=(health,),
+    )
+    placed = {"eye": Incarnation(component="eye", computer="a", goal="active")}
+    plan = DeploymentPlan(robot, "")
+    return list(find_deviations(placed, plan, {"a": status}, 5.0))
+
+
+@pytest.mark.parametrize("eye", [None, "inactive", "unresponsive"])
+def test_names_the_container_whose_fault_is_the_cause(
+    robot: Robot, eye: State | None
+) -> None:
+    (found,) = find(robot, eye, "restarting")
+    assert (found.component, found.container) == ("eye", "see")
+
+
+def test_a_component_that_failed_is_told_though_its_container_had_a_fault(
+    robot: Robot,
+) -> None:
+    (found,) = find(robot, "failed", "running")
+    assert found.container == ""
+    assert found.what == "component 'eye' on 'a' is failed"
+
+
+def test_without_a_fault_there_is_no_other_cause(robot: Robot) -> None:
+    (found,) = find(robot, None, "starting", fault=None)
+    assert found.container == ""
+
+
+def test_a_container_that_was_restarted_three_times_lately_is_in_a_crash_loop(
+    robot: Robot,
+) -> None:
+    assert find(robot, "active", "running", restarts_lately=2) == []
+    (found,) = find(robot, "active", "running", restarts_lately=3)
+    assert found.what == (
+        "container 'see' on 'a' is in a crash loop: restarted at least 3 times within "
+        "a minute"
+    )

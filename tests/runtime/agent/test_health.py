@@ -1,0 +1,20 @@
+"""What an agent knows of each container's health."""
+
+from __future__ import annotations
+
+from poise.runtime.agent.health import HealthRecords
+
+
+def test_counts_the_restarts_of_the_last_minute() -> None:
+    now = [100.0]
+    health = HealthRecords(clock=lambda: now[0])
+    health.note_start("c")
+    for moment in (110.0, 120.0, 150.0):
+        now[0] = moment
+        health.note_fault("c", "broke")
+        health.enter("c", "restarting")
+        health.note_start("c")
+    for moment, lately in ((150.0, 3), (175.0, 2), (185.0, 1), (211.0, 0)):
+        now[0] = moment
+        (record,) = health.records({})
+        assert (record.restarts, record.restarts_lately) == (3, lately)
