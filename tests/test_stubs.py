@@ -55,6 +55,7 @@ def test_a_stub_names_what_the_module_has(name: str) -> None:
     assert names(committed(name)) == names(generated(name))
 
 
+@pytest.mark.slow
 def test_the_stub_of_the_planner_is_generated() -> None:
     """Made anew by ``make stubs``."""
     text = generated("poise.plan._core")

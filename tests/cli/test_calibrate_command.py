@@ -59,6 +59,7 @@ def costs(folder: Path) -> dict[str, KindCosts]:
         return store.latest_costs("hello")
 
 
+@pytest.mark.slow
 def test_what_a_busy_machine_measured_is_kept_by_force_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
