@@ -32,7 +32,8 @@ import msgspec
 
 from benchmarks.synthetic import robots
 from benchmarks.synthetic.workers import RATE
-from poise.estimate.predict import predicted_cpu
+from poise.estimate.overhead import apart, kinds_together
+from poise.estimate.profile import Profile
 from poise.manage.journal import Journal
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.measure import measure
@@ -220,6 +221,35 @@ def needs(lengths: Lengths) -> dict[str, object]:
         "rate_errors": rates,
         "size_errors": sizes,
     }
+
+
+def predicted_cpu(
+    robot: Robot, placement: Mapping[str, str], profile: Profile
+) -> dict[str, float]:
+    """Return the predicted CPU of each computer [cores of the reference computer].
+
+    It is the sum of its components' means, their parts of containers, its agent, and
+    the additional CPU of connectors to other computers.
+
+    Parameters
+    ----------
+    placement
+        Component -> computer; components without a profile count as 0.
+    """
+    used = {computer.name: profile.agent for computer in robot.computers}
+    for component, computer in placement.items():
+        known = profile.components.get(component)
+        if known is not None:
+            used[computer] += known.cpu.mean + known.share
+    kinds = kinds_together(robot)
+    for connector in robot.all_connectors():
+        source, target = (placement.get(end.component) for end in connector.between)
+        traffic = profile.connectors.get(str(connector))
+        if traffic and source and target and source != target:
+            more = apart(traffic, kinds[str(connector)], profile.costs)
+            used[source] += more.source
+            used[target] += more.target
+    return used
 
 
 def predictions(lengths: Lengths) -> dict[str, object]:

@@ -1,7 +1,12 @@
 import pytest
 from msgspec.structs import replace
 
-from poise.estimate.overhead import apart, kinds_together, overhead_of
+from poise.estimate.overhead import (
+    apart,
+    kinds_together,
+    overhead_of,
+    overheads,
+)
 from poise.estimate.profile import ConnectorProfile, Costs, KindCosts, Profile
 from poise.model.robot import Component, Connector, End, Robot
 from tests.estimate.conftest import JOINED
@@ -59,3 +64,11 @@ def test_architectures_do_not_share_a_container(robot: Robot) -> None:
     assert kinds_together(replace(robot, connectors=(between,)))[str(between)] == (
         "local"
     )
+
+
+def test_overheads_of_all_connectors_that_were_measured(
+    robot: Robot, profile: Profile
+) -> None:
+    gone = {**profile.connectors, "x -> y": profile.connectors[str(JOINED)]}
+    found = overheads(robot, replace(profile, connectors=gone))
+    assert found == pytest.approx({str(JOINED): 0.12})

@@ -17,7 +17,7 @@ from poise.cli.interrupts import interrupts
 from poise.cli.options import RobotFile, parse_option
 from poise.cli.render.profile import history_table, show_profile
 from poise.errors import RobotError
-from poise.estimate.predict import overheads
+from poise.estimate.overhead import overheads
 from poise.estimate.profile import Profile
 from poise.model.robot import Robot
 from poise.session.profiles import read_profile, stale, store_of

@@ -19,7 +19,7 @@ from collections.abc import Mapping
 
 from msgspec import Struct
 
-from poise.estimate.profile import ConnectorProfile, KindCosts
+from poise.estimate.profile import ConnectorProfile, KindCosts, Profile
 from poise.model.robot import Component, Connector, Robot
 
 _HUNDREDTHS = 100
@@ -49,6 +49,16 @@ def overhead_of(
         return connector.traffic / _MEGABYTE
     ends = apart(connector, together, costs)
     return _HUNDREDTHS * (ends.source + ends.target)
+
+
+def overheads(robot: Robot, profile: Profile) -> dict[str, float]:
+    """Return the relative overhead of each measured connector."""
+    kinds = kinds_together(robot)
+    return {
+        name: overhead_of(each, kinds[name], profile.costs)
+        for name, each in profile.connectors.items()
+        if name in kinds
+    }
 
 
 def apart(

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from rich.console import Console
 from rich.table import Table
 
-from poise.estimate.predict import overheads
+from poise.estimate.overhead import overheads
 from poise.estimate.profile import ComponentProfile, ConnectorProfile, Profile
 from poise.estimate.rule import cpu_demand, memory_demand
 from poise.manage.observe.profiling import AGREE_CORES, AGREE_SHARE
