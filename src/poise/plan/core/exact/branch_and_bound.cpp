@@ -14,12 +14,9 @@ namespace {
 // as the next to be placed. Found by trial: 0.3 to 1.6 are about as good.
 constexpr double kSizeOverTie = 0.6;
 
-// The tree for M computers: knowing their number, the compiler unrolls every loop over
-// them, which makes small problems twice as fast. M = 0 takes any number.
-template <int M>
-class TreeOf final : public Exact::Tree {
+class AnyTree final : public Exact::Tree {
  public:
-  explicit TreeOf(const Problem& problem) : Tree(problem) {
+  explicit AnyTree(const Problem& problem) : Tree(problem) {
     if (!possible_) return;
     sort_units();
     connect();
@@ -37,8 +34,6 @@ class TreeOf final : public Exact::Tree {
     double bound;
   };
 
-  int m() const { return M > 0 ? M : m_; }
-
   // Units with one choice first, then always the one with the most to say: by ties to
   // those before it, so that a costly cut is seen early, and by size, so that an
   // imbalance is.
@@ -46,7 +41,7 @@ class TreeOf final : public Exact::Tree {
     std::vector<double> value(n_, 0.0);
     for (int k = 0; k < r_; ++k) {
       double scale = 0;
-      for (int h = 0; h < m(); ++h) scale += p_.scale[k * m() + h] / m();
+      for (int h = 0; h < m_; ++h) scale += p_.scale[k * m_ + h] / m_;
       for (int i = 0; i < n_; ++i) {
         value[i] += kSizeOverTie * p_.weight[k] * p_.need(i)[k] * scale;
       }
@@ -72,8 +67,8 @@ class TreeOf final : public Exact::Tree {
   }
 
   void connect() {
-    for (int a = 0; a < m(); ++a) {
-      for (int b = 0; b < m(); ++b) far_.push_back(p_.far(a, b));
+    for (int a = 0; a < m_; ++a) {
+      for (int b = 0; b < m_; ++b) far_.push_back(p_.far(a, b));
     }
     later_start_.assign(n_ + 1, 0);
     for (int d = 0; d < n_; ++d) {
@@ -87,14 +82,14 @@ class TreeOf final : public Exact::Tree {
 
   // Of computers that are alike and still empty, only the first need be tried.
   void find_twins() {
-    twin_.assign(m(), -1);
+    twin_.assign(m_, -1);
     if (!p_.cost.empty() || !p_.distance.empty() || !p_.bandwidth.empty()) return;
-    for (int h = 1; h < m(); ++h) {
+    for (int h = 1; h < m_; ++h) {
       for (int g = h - 1; g >= 0 && twin_[h] < 0; --g) {
         bool same = true;
         for (int k = 0; k < r_ && same; ++k) {
-          same = p_.capacity[k * m() + h] == p_.capacity[k * m() + g] &&
-                 p_.floor[k * m() + h] == p_.floor[k * m() + g];
+          same = p_.capacity[k * m_ + h] == p_.capacity[k * m_ + g] &&
+                 p_.floor[k * m_ + h] == p_.floor[k * m_ + g];
         }
         for (int i = 0; i < n_ && same; ++i) same = p_.allowed(i, h) == p_.allowed(i, g);
         if (same) twin_[h] = g;
@@ -114,43 +109,43 @@ class TreeOf final : public Exact::Tree {
     alike_.resize(r_);
     width_.assign(r_, 0.0);
     final_.assign(r_, 0.0);
-    size_.assign(static_cast<std::size_t>(r_) * m(), 0.0);
+    size_.assign(static_cast<std::size_t>(r_) * m_, 0.0);
     for (int k = 0; k < r_; ++k) {
       alike_[k] = all_alike(p_, k);
       final_[k] = -open_[k];
-      for (int h = 0; h < m(); ++h) {
-        const double scale = p_.scale[k * m() + h];
+      for (int h = 0; h < m_; ++h) {
+        const double scale = p_.scale[k * m_ + h];
         if (scale <= 0) continue;
-        size_[k * m() + h] = 1 / scale;
+        size_[k * m_ + h] = 1 / scale;
         width_[k] += 1 / scale;
-        final_[k] += p_.capacity[k * m() + h];
+        final_[k] += p_.capacity[k * m_ + h];
       }
     }
-    saved_.resize(later_.size() * static_cast<std::size_t>(m() + 1));
-    branch_.resize(static_cast<std::size_t>(n_ + 1) * m());
+    saved_.resize(later_.size() * static_cast<std::size_t>(m_ + 1));
+    branch_.resize(static_cast<std::size_t>(n_ + 1) * m_);
   }
 
   void descend() override {
-    unary_.resize(static_cast<std::size_t>(n_) * m());
+    unary_.resize(static_cast<std::size_t>(n_) * m_);
     least_.resize(n_);
     paid_ = least_sum_ = 0;
     for (int d = 0; d < n_; ++d) {
-      double* row = &unary_[static_cast<std::size_t>(d) * m()];
-      for (int h = 0; h < m(); ++h) {
+      double* row = &unary_[static_cast<std::size_t>(d) * m_];
+      for (int h = 0; h < m_; ++h) {
         row[h] = p_.allowed(order_[d], h) ? p_.linear(order_[d], h) : kInfinity;
       }
-      least_[d] = *std::min_element(row, row + m());
+      least_[d] = *std::min_element(row, row + m_);
       least_sum_ += least_[d];
     }
     left_ = p_.capacity;
-    units_on_.assign(m(), 0);
+    units_on_.assign(m_, 0);
     traffic_.assign(p_.bandwidth.size(), 0.0);
     open(0);
   }
 
   void open(int depth) {
     if (depth == n_) return found();
-    Branch* branch = branch_.data() + static_cast<std::size_t>(depth) * m();
+    Branch* branch = branch_.data() + static_cast<std::size_t>(depth) * m_;
     const int count = branches(depth, branch);
     stop_->after(1);
     for (int i = 0; i < count; ++i) {
@@ -168,8 +163,8 @@ class TreeOf final : public Exact::Tree {
   int branches(int depth, Branch* out) const {
     int count = 0;
     const double rest = paid_ + least_sum_ - least_[depth];
-    const double* unary = unary_.data() + static_cast<std::size_t>(depth) * m();
-    for (int h = 0; h < m(); ++h) {
+    const double* unary = unary_.data() + static_cast<std::size_t>(depth) * m_;
+    for (int h = 0; h < m_; ++h) {
       double bound = rest + unary[h];
       if (bound >= threshold_ || !fits(depth, h)) continue;
       for (int k = 0; k < r_ && bound < threshold_; ++k) {
@@ -187,7 +182,7 @@ class TreeOf final : public Exact::Tree {
     if (units_on_[h] == 0 && twin_[h] >= 0 && units_on_[twin_[h]] == 0) return false;
     const double* need = need_.data() + static_cast<std::size_t>(depth) * r_;
     for (int k = 0; k < r_; ++k) {
-      if (left_[k * m() + h] - need[k] < p_.floor[k * m() + h]) return false;
+      if (left_[k * m_ + h] - need[k] < p_.floor[k * m_ + h]) return false;
     }
     for (const std::int32_t other : p_.apart(order_[depth])) {
       if (depth_of_[other] == depth) return false;
@@ -200,13 +195,13 @@ class TreeOf final : public Exact::Tree {
   // is open flows freely: it flows where most is left. Then no computer has more than
   // `level`, and the smallest residue cannot rise.
   double imbalance(int depth, int k, int computer) const {
-    const double* scale = p_.scale.data() + static_cast<std::size_t>(k) * m();
-    const double* size = size_.data() + static_cast<std::size_t>(k) * m();
+    const double* scale = p_.scale.data() + static_cast<std::size_t>(k) * m_;
+    const double* size = size_.data() + static_cast<std::size_t>(k) * m_;
     const double open = open_[(depth + 1) * r_ + k];
-    double share[M > 0 ? M : Exact::kMostComputers];
+    double share[Exact::kMostComputers];
     double low = kInfinity;
-    for (int h = 0; h < m(); ++h) {
-      share[h] = left_[k * m() + h] * scale[h];
+    for (int h = 0; h < m_; ++h) {
+      share[h] = left_[k * m_ + h] * scale[h];
       if (h == computer) share[h] -= need_[depth * r_ + k] * scale[h];
       if (scale[h] > 0 && share[h] < low) low = share[h];
     }
@@ -214,7 +209,7 @@ class TreeOf final : public Exact::Tree {
     double level = final_[k] / width_[k];
     for (;;) {
       double left = -open, width = 0;
-      for (int h = 0; h < m(); ++h) {
+      for (int h = 0; h < m_; ++h) {
         const bool above = share[h] >= level;
         left += above ? share[h] * size[h] : 0.0;
         width += above ? size[h] : 0.0;
@@ -226,37 +221,37 @@ class TreeOf final : public Exact::Tree {
     const double range = level - low;
     if (range <= 0) return 0;
     if (!p_.variance) return range;
-    if (!alike_[k]) return range * range / (2.0 * m());
+    if (!alike_[k]) return range * range / (2.0 * m_);
     double sum = 0, squares = 0;
-    for (int h = 0; h < m(); ++h) {
+    for (int h = 0; h < m_; ++h) {
       const double off = std::min(share[h], level) - level;
       sum += off;
       squares += off * off;
     }
-    return (squares - sum * sum / m()) / m();
+    return (squares - sum * sum / m_) / m_;
   }
 
   // Place the unit at `depth`; false when it cannot become better than the best.
   bool enter(int depth, int computer) {
     at_[depth] = computer;
     ++units_on_[computer];
-    paid_ += unary_[depth * m() + computer];
+    paid_ += unary_[depth * m_ + computer];
     least_sum_ -= least_[depth];
     const double* need = need_.data() + static_cast<std::size_t>(depth) * r_;
-    for (int k = 0; k < r_; ++k) left_[k * m() + computer] -= need[k];
-    double* saved = saved_.data() + later_start_[depth] * (m() + 1);
-    const double* far = far_.data() + static_cast<std::size_t>(computer) * m();
+    for (int k = 0; k < r_; ++k) left_[k * m_ + computer] -= need[k];
+    double* saved = saved_.data() + later_start_[depth] * (m_ + 1);
+    const double* far = far_.data() + static_cast<std::size_t>(computer) * m_;
     for (auto e = later_start_[depth]; e < later_start_[depth + 1]; ++e) {
       const int d = later_[e].depth;
-      double* row = unary_.data() + static_cast<std::size_t>(d) * m();
+      double* row = unary_.data() + static_cast<std::size_t>(d) * m_;
       double least = kInfinity;
-      for (int h = 0; h < m(); ++h) {
+      for (int h = 0; h < m_; ++h) {
         saved[h] = row[h];
         row[h] += later_[e].overhead * far[h];
         least = row[h] < least ? row[h] : least;
       }
-      saved[m()] = least_[d];
-      saved += m() + 1;
+      saved[m_] = least_[d];
+      saved += m_ + 1;
       least_sum_ += least - least_[d];
       least_[d] = least;
     }
@@ -266,19 +261,19 @@ class TreeOf final : public Exact::Tree {
 
   void leave(int depth, int computer) {
     if (!p_.bandwidth.empty()) send(depth, computer, -1.0);
-    const double* saved = saved_.data() + later_start_[depth] * (m() + 1);
+    const double* saved = saved_.data() + later_start_[depth] * (m_ + 1);
     for (auto e = later_start_[depth]; e < later_start_[depth + 1]; ++e) {
       const int d = later_[e].depth;
-      double* row = unary_.data() + static_cast<std::size_t>(d) * m();
-      for (int h = 0; h < m(); ++h) row[h] = saved[h];
-      least_sum_ += saved[m()] - least_[d];
-      least_[d] = saved[m()];
-      saved += m() + 1;
+      double* row = unary_.data() + static_cast<std::size_t>(d) * m_;
+      for (int h = 0; h < m_; ++h) row[h] = saved[h];
+      least_sum_ += saved[m_] - least_[d];
+      least_[d] = saved[m_];
+      saved += m_ + 1;
     }
     const double* need = need_.data() + static_cast<std::size_t>(depth) * r_;
-    for (int k = 0; k < r_; ++k) left_[k * m() + computer] += need[k];
+    for (int k = 0; k < r_; ++k) left_[k * m_ + computer] += need[k];
     least_sum_ += least_[depth];
-    paid_ -= unary_[depth * m() + computer];
+    paid_ -= unary_[depth * m_ + computer];
     --units_on_[computer];
   }
 
@@ -290,7 +285,7 @@ class TreeOf final : public Exact::Tree {
       if (depth_of_[other.unit] >= depth) continue;
       const int there = at_[depth_of_[other.unit]];
       if (there == computer) continue;
-      const std::size_t link = static_cast<std::size_t>(std::max(there, computer)) * m() +
+      const std::size_t link = static_cast<std::size_t>(std::max(there, computer)) * m_ +
                                std::min(there, computer);
       traffic_[link] += sign * other.traffic;
       const double limit = p_.bandwidth[link];
@@ -327,12 +322,7 @@ std::unique_ptr<Exact::Tree> tree_for(const Problem& problem) {
     auto tree = std::make_unique<FrontierTree>(problem);
     if (tree->narrow()) return tree;
   }
-  switch (problem.m) {
-    case 2: return std::make_unique<TreeOf<2>>(problem);
-    case 3: return std::make_unique<TreeOf<3>>(problem);
-    case 4: return std::make_unique<TreeOf<4>>(problem);
-    default: return std::make_unique<TreeOf<0>>(problem);
-  }
+  return std::make_unique<AnyTree>(problem);
 }
 
 }  // namespace
