@@ -1,4 +1,4 @@
-"""Frames over stream sockets; the code is in ``wire/native``."""
+"""Frames over stream sockets; the headers in ``wire/native`` explain them."""
 
 from mmap import mmap
 from typing import Any
@@ -7,31 +7,10 @@ from poise.wire.codec import Bytes, Codec
 from poise.wire.frame import Frame
 
 class Channel:
-    """Frames over a connected stream socket, each behind its head.
-
-    It waits without Python's lock. One thread at a time may use it in each direction,
-    and none once the socket was closed. `file` is the socket's descriptor; over TCP the
-    other end is gone when its computer confirms nothing for `lost_after` [s]. Without
-    `reads_ahead`, no byte of the next frame is read, so `poll` reports each frame.
-    Deadlines are moments of the monotonic clock [s], and infinity is none; a frame has
-    at most `largest` bytes.
-
-    All methods raise
-    ----------------
-    Timeout
-        The deadline came first. Part of the bytes may have crossed.
-    Unavailable
-        The other end is gone.
-    WireError
-        The frame is too large, or it is none.
-    """
-
     def __init__(
         self, file: int, lost_after: float, reads_ahead: bool = True
     ) -> None: ...
-    def is_lost(self) -> bool:
-        """Return at once whether something that was sent was not confirmed in time."""
-
+    def is_lost(self) -> bool: ...
     def send(
         self,
         pieces: list[Bytes],
@@ -40,20 +19,10 @@ class Channel:
         block: int = 0,
         used: int = 0,
         target: memoryview | None = None,
-    ) -> None:
-        """Send a head and all of `pieces`; `used` crosses when `block` is not 0.
-
-        With a `target`, the arrays behind a frame's body are copied there instead.
-        """
-
+    ) -> None: ...
     def receive(
         self, deadline: float, largest: int, lenders: dict[int, Lender]
-    ) -> Frame | tuple[int, int, bytes]:
-        """Return the next frame, with its arrays from the lender that it names.
-
-        Behind a head with a block that has no lender: `block`, `used` and the bytes.
-        """
-
+    ) -> Frame | tuple[int, int, bytes]: ...
     def ask(
         self,
         pieces: list[Bytes],
@@ -63,23 +32,13 @@ class Channel:
         block: int = 0,
         used: int = 0,
         target: memoryview | None = None,
-    ) -> Frame | tuple[int, int, bytes] | None:
-        """Send and receive; None when the other end was gone before it had all."""
-
-    def take(self, size: int, deadline: float) -> bytes:
-        """Return the next `size` bytes, without a head."""
+    ) -> Frame | tuple[int, int, bytes] | None: ...
+    def take(self, size: int, deadline: float) -> bytes: ...
 
 class Lender:
-    """The receiver's side of a block: its data, and its byte `slot` of the flags.
-
-    That byte is cleared when the last view of what was lent is gone.
-    """
-
     def __init__(self, data: mmap, flags: mmap, slot: int) -> None: ...
 
-def parse(data: Bytes, buffers: memoryview | None = None) -> Frame:
-    """Return the frame in `data`: see `poise.wire.frame.parse`."""
-
+def parse(data: Bytes, buffers: memoryview | None = None) -> Frame: ...
 def segments(
     codec: Codec[Any],
     value: object,
@@ -87,11 +46,7 @@ def segments(
     tag: int = 0,
     number: int = 0,
     chain: int = 0,
-) -> list[Bytes]:
-    """Return the pieces of a frame: see `poise.wire.frame.segments`."""
+) -> list[Bytes]: ...
+def address(memory: Bytes) -> int: ...
 
-def address(memory: Bytes) -> int:
-    """Return where `memory` begins."""
-
-class Lent:
-    """Bytes of shared memory that a message holds; given back when nobody does."""
+class Lent: ...
