@@ -146,19 +146,9 @@ def format_seconds(seconds: float) -> str:
     return _scaled(seconds, {"ns": 1e-9, "µs": 1e-6, "ms": 1e-3, "s": 1.0})
 
 
-def format_rate(rate: float) -> str:
-    """Return a rate [1/s] for people, as in ``10 Hz``."""
-    return _scaled(rate, {"Hz": 1.0, "kHz": 1e3})
-
-
 def format_bandwidth(bandwidth: float) -> str:
     """Return a bandwidth [bytes/s] for people, as in ``12.5 MB/s``."""
     return _scaled(bandwidth, {f"{u}/s": _SIZES[u] for u in ("B", "kB", "MB", "GB")})
-
-
-def format_ratio(ratio: float) -> str:
-    """Return a share of 1 for people, as in ``20%``."""
-    return f"{_number(ratio * 100)}%"
 
 
 def format_amount(resource: str, amount: float) -> str:

@@ -26,8 +26,6 @@ class Usage(Struct, frozen=True, kw_only=True):
         processes that still run.
     throttled
         Time in which it did not run because its quota was used up [s].
-    periods, throttled_periods
-        Periods of its quota in which it ran at all, and in which it was throttled.
     memory
         Peak [bytes]; None when it is not counted.
     starved
@@ -37,8 +35,6 @@ class Usage(Struct, frozen=True, kw_only=True):
 
     used: float
     throttled: float = 0.0
-    periods: int = 0
-    throttled_periods: int = 0
     memory: int | None = None
     starved: float | None = None
 

@@ -116,8 +116,6 @@ class V1Group:
         return Usage(
             used=int(self._read("cpuacct", "cpuacct.usage") or 0) / 1e9,
             throttled=throttled,
-            periods=stat.get("nr_periods", 0),
-            throttled_periods=stat.get("nr_throttled", 0),
             memory=int(self._read("memory", "memory.max_usage_in_bytes") or 0) or None,
             starved=starved_time(pressure, throttled, self._cpus) if pressure else None,
         )

@@ -117,8 +117,6 @@ class V2Group:
         return Usage(
             used=stat.get("usage_usec", 0) / 1e6,
             throttled=throttled,
-            periods=stat.get("nr_periods", 0),
-            throttled_periods=stat.get("nr_throttled", 0),
             memory=int(memory) if memory else None,
             starved=starved_time(pressure, throttled, self._cpus) if pressure else None,
         )

@@ -97,7 +97,6 @@ class _Watched:
         self.beat, self.since, self.cpu = beat, now, cpu
         self.looked_at = 0.0
         self.delays: dict[int, float] = {}
-        self.cpu_then = 0.0
         self.silence: Silence | None = None
 
 
@@ -172,7 +171,7 @@ class Watchdog:
             )
         delays, cpu = kernel.delays(pid), kernel.cpu(pid)
         if not known.looked_at:
-            known.looked_at, known.delays, known.cpu_then = now, delays, cpu
+            known.looked_at, known.delays = now, delays
             return None
         window = now - known.looked_at
         waited = {
