@@ -20,6 +20,13 @@ def deadline() -> int: ...
 def set_deadline(moment: int) -> None: ...
 
 class Exclusion:
+    """Mutual exclusion of call chains in a component; paused until first resumed.
+
+    It is ROS 2's mutually exclusive callback group, with re-entrance: the chain that is
+    inside may enter again. Chains that wait enter in the order in which they came.
+    `what` names the component in errors.
+    """
+
     def __init__(self, what: str) -> None: ...
     @property
     def is_redirected(self) -> bool: ...
@@ -33,11 +40,25 @@ class Exclusion:
     def redirect(self) -> None: ...
 
 class Histogram:
+    """Counts values >= 0 with quantiles that are right within 5 %.
+
+    Mean and maximum are exact. Values from 2^-30 to 2^64 are distinguished; it holds
+    at most some 750 numbers, however many values come.
+    """
+
     def __init__(self) -> None: ...
     def add(self, value: float) -> None: ...
     def summary(self) -> Summary: ...
 
 class StatsPage:
+    """The container's end of its stats page, for `stats_page.StatsPage`.
+
+    Parameters
+    ----------
+    descriptor
+        From `stats_page.new_memory`; not needed any more when this returns.
+    """
+
     def __init__(self, descriptor: int) -> None: ...
     def beat(self) -> None: ...
 
@@ -45,6 +66,16 @@ RECORD_SIZE: int
 """What one record of a stats page takes [bytes]."""
 
 class PageSampler:
+    """The agent's end of a container's stats page.
+
+    Parameters
+    ----------
+    process
+        The container's.
+    proc
+        Where the kernel's files about processes are.
+    """
+
     def __init__(self, descriptor: int, process: int, proc: str = "/proc") -> None: ...
     def read(
         self,
@@ -61,6 +92,8 @@ class PageSampler:
     def commands(self) -> list[int]: ...
 
 class ComponentCounters:
+    """What a component used and did, in a stats page or not."""
+
     def __init__(self) -> None: ...
     def begin(self) -> None: ...
     def watch(self, process: int) -> None: ...
@@ -75,6 +108,27 @@ class ComponentCounters:
     def leave(self) -> None: ...
 
 class Counts:
+    """What one end of a connector counts, in a stats page or not.
+
+    Parameters
+    ----------
+    bytes_out, bytes_in
+        Of what left this end over a wire, and of what came to it, without the
+        transport's own [bytes].
+    delay
+        Of calls [s]: where they begin, there and back; where they end, until the
+        answer.
+    wait
+        Of messages [s]: where they begin, until they went out; where they end, from
+        their arrival until the component took them.
+    size
+        Of what went over a wire, calls both ways [bytes].
+    latency
+        Of what came over a wire: since it was sent [s].
+    latency_error
+        How far those are off at most, in the mean [s].
+    """
+
     calls: int
     messages: int
     bytes_out: int
@@ -119,6 +173,26 @@ class Counts:
     def leave(self) -> None: ...
 
 class DirectCall:
+    """Calls `method` on the caller's thread, under `exclusion`, and counts it.
+
+    Parameters
+    ----------
+    limit
+        Of the wait to enter, and of the whole call [s]; less in a call of which
+        less is left.
+    translate
+        Takes the exception that the method raised, and raises what the caller gets.
+    resend
+        Is called instead when the component has moved, with the same arguments; then
+        nothing is counted here. None: `Redirected` is raised.
+
+    Raises
+    ------
+    Timeout
+        The component was busy, or the result came later than `limit`; the
+        callee itself is not interrupted.
+    """
+
     limit: float
 
     def __init__(
@@ -133,6 +207,39 @@ class DirectCall:
     def __call__(self, *args: Any, **kwargs: Any) -> Any: ...
 
 class ServedCall:
+    """Answers the calls of one method from other containers.
+
+    It runs `method` under `exclusion`, on the thread that received the call, and counts
+    the CPU time in `counts`. A call chain runs on one thread of a process at a time: a
+    call back enters when the chain's first thread waits in `call_remote`.
+
+    Parameters
+    ----------
+    decode
+        Turns a frame's body and buffers into the tuple of arguments.
+    encode
+        Turns a result into an answer, under the exclusion: the result may be state.
+    limit
+        Of the wait for chain and exclusion [s]; less when the caller waits for less.
+    translate
+        As `DirectCall`'s.
+    is_over
+        Returns whether the caller is gone. Then a call that had to wait is not run.
+
+    Calling it takes a frame, and how far the caller's clock is ahead at most [s]; NaN
+    when nobody knows. Then the time on the wire does not count.
+
+    Raises
+    ------
+    Timeout
+        The caller's limit has passed, another thread ran the chain or another chain
+        was inside all the time, or the caller is gone. The method was not called.
+    Redirected
+        The component has moved away; its method was not called.
+    WireError
+        What `decode` raised.
+    """
+
     def __init__(
         self,
         decode: Callable[[Bytes, memoryview], tuple[Any, ...]],

@@ -7,6 +7,25 @@ from poise.wire.codec import Bytes, Codec
 from poise.wire.frame import Frame
 
 class Channel:
+    """Frames over a connected stream socket, each behind its head.
+
+    It waits without Python's lock. One thread at a time may use it in each direction,
+    and none once the socket was closed. `file` is the socket's descriptor; over TCP the
+    other end is gone when its computer confirms nothing for `lost_after` [s]. Without
+    `reads_ahead`, no byte of the next frame is read, so `poll` reports each frame.
+    Deadlines are moments of the monotonic clock [s], and infinity is none; a frame has
+    at most `largest` bytes.
+
+    All methods raise
+    ----------------
+    Timeout
+        The deadline came first. Part of the bytes may have crossed.
+    Unavailable
+        The other end is gone.
+    WireError
+        The frame is too large, or it is none.
+    """
+
     def __init__(
         self, file: int, lost_after: float, reads_ahead: bool = True
     ) -> None: ...
@@ -36,6 +55,11 @@ class Channel:
     def take(self, size: int, deadline: float) -> bytes: ...
 
 class Lender:
+    """The receiver's side of a block: its data, and its byte `slot` of the flags.
+
+    That byte is cleared when the last view of what was lent is gone.
+    """
+
     def __init__(self, data: mmap, flags: mmap, slot: int) -> None: ...
 
 def parse(data: Bytes, buffers: memoryview | None = None) -> Frame: ...
@@ -49,4 +73,5 @@ def segments(
 ) -> list[Bytes]: ...
 def address(memory: Bytes) -> int: ...
 
-class Lent: ...
+class Lent:
+    """Bytes of shared memory that a message holds; given back when nobody does."""
