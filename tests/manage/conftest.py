@@ -86,6 +86,8 @@ class FakeAgents:
         self.strangers: set[str] = set()
         self.refusing: set[str] = set()
         self.deaf: set[str] = set()
+        self.refused: list[str] = []
+        self.lose_when_told = ""
         self.deployed: list[tuple[str, Deployment]] = []
         self.states: dict[str, ComponentStatus] = {}
         self.faults: tuple[Fault, ...] = ()
@@ -110,6 +112,10 @@ class FakeAgents:
     def claim(self, computers: Collection[str]) -> None:
         self.claimed += sorted(computers)
 
+    def take_refused(self) -> list[str]:
+        refused, self.refused = self.refused, []
+        return refused
+
     def obey(self, computer: str) -> bool:
         return computer not in self.strangers
 
@@ -123,6 +129,8 @@ class FakeAgents:
 
     def deploy(self, deployments: Mapping[str, Deployment]) -> dict[str, str]:
         refusals = {}
+        if self.lose_when_told:
+            self.gone.add(self.lose_when_told)
         for computer, deployment in deployments.items():
             if computer in self.refusing:
                 refusals[computer] = f"the agent of '{computer}' refused: not today"

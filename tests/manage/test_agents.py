@@ -7,7 +7,9 @@ from typing import Any
 import msgspec
 import pytest
 
+from poise.clock import SystemClock
 from poise.manage.agent_messages import reading
+from poise.manage.agent_reports import MOST_REFUSED, AgentReports
 from poise.wire.records.deployment import AgentStatus
 
 
@@ -24,13 +26,28 @@ class Payload:
         return self._body
 
 
-def test_what_is_no_record_is_logged_and_the_next_one_taken(
-    caplog: pytest.LogCaptureFixture,
+@pytest.fixture
+def reports() -> AgentReports:
+    return AgentReports("robot", {"left": "tcp/127.0.0.1:1"}, SystemClock())
+
+
+def test_why_a_record_is_refused_is_told_once_and_the_next_one_taken(
+    reports: AgentReports, caplog: pytest.LogCaptureFixture
 ) -> None:
-    heard: list[AgentStatus] = []
-    hear: Any = reading(AgentStatus, heard.append)
+    hear: Any = reading(AgentStatus, reports.on_status, reports.on_refused)
+    for _ in range(3):
+        hear(Payload(b"\xc1 nonsense"))
+    assert caplog.text == ""  # whoever logs may have to wait for what shows it
+    (why,) = reports.take_refused()
+    assert why.startswith("a record at poise/robot/status/left was refused: ")
     hear(Payload(b"\xc1 nonsense"))
-    assert "poise/robot/status/left: refused: " in caplog.text
+    assert reports.take_refused() == []
     status = AgentStatus(computer="left", generation=1, uptime=0.0, cpu=0.0)
     hear(Payload(msgspec.msgpack.encode(status)))
-    assert heard == [status]
+    assert reports.statuses() == {"left": status}
+
+
+def test_keeps_a_bounded_number_of_reasons(reports: AgentReports) -> None:
+    for number in range(2 * MOST_REFUSED):
+        reports.on_refused(f"reason {number}")
+    assert len(reports.take_refused()) == MOST_REFUSED

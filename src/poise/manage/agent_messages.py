@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import getpass
-import logging
 import os
 import socket
 import time
@@ -17,8 +16,6 @@ import zenoh
 
 from poise.wire.records.deployment import Accepted, Answer, ManagerId, Refused
 from poise.wire.records.migration import StepsDone, StepsFailed
-
-log = logging.getLogger(__name__)
 
 S = TypeVar("S")
 Replies = SimpleQueue[tuple[int, zenoh.Reply | None]]
@@ -40,15 +37,17 @@ def manager_id() -> ManagerId:
     )
 
 
-def reading(type_: type[S], take: Callable[[S], object]) -> Callable[..., None]:
-    """Return what takes the records of a type from agents; others are logged."""
+def reading(
+    type_: type[S], take: Callable[[S], object], refuse: Callable[[str], object]
+) -> Callable[..., None]:
+    """Return what takes the records of a type from agents, and refuses others."""
     decode = msgspec.msgpack.Decoder(type_).decode
 
     def hear(sample: zenoh.Sample) -> None:
         try:
             record = decode(sample.payload.to_bytes())
         except msgspec.DecodeError as error:
-            log.warning("%s: refused: %s", sample.key_expr, error)
+            refuse(f"a record at {sample.key_expr} was refused: {error}")
         else:
             take(record)
 

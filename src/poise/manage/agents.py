@@ -1,13 +1,7 @@
-"""The manager's connections to the robot's agents.
-
-zenoh's threads only store what arrives, in structures whose size is bounded; the
-manager's own threads wait for it here.
-"""
+"""The manager's connections to the robot's agents, and what it asks of them."""
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import partial
 from queue import Empty, SimpleQueue
@@ -20,12 +14,12 @@ from zenoh.handlers import Callback
 from poise.clock import Clock
 from poise.errors import RunError
 from poise.manage.agent_messages import Replies, answer_of, manager_id, note, reading
+from poise.manage.agent_reports import AgentReports
 from poise.priority import ahead
 from poise.wire.control_session import (
     IDENTITIES,
     LEASE,
     open_session,
-    parse_identity,
 )
 from poise.wire.records.deployment import (
     Accepted,
@@ -62,7 +56,7 @@ def _nothing() -> None:
     """Raise nothing: the default of what is checked while one waits."""
 
 
-class Agents:
+class Agents(AgentReports):
     """The agents of one robot. Use it as a context manager.
 
     Parameters
@@ -86,18 +80,9 @@ class Agents:
         on_sample: Callable[[AgentSample], object] | None = None,
         lease: float = LEASE,
     ) -> None:
+        super().__init__(robot, endpoints, clock)
         self.manager = manager_id()
         self._prefix = f"poise/{robot}"
-        self._clock = clock
-        self._robot = robot
-        self._endpoints = endpoints
-        self._computers = frozenset(endpoints)
-        self._identities: dict[str, tuple[str, str]] = {}
-        self._changed = threading.Condition()
-        self._version = 0
-        self._statuses: dict[str, AgentStatus] = {}
-        self._alive: set[str] = set()
-        self._lost: dict[str, float] = {}
         self._tokens: dict[str, int] = {}
         # no gossip: it talks to the agents that it knows, and to no other manager
         with ahead():  # zenoh's threads do nothing but carry messages
@@ -109,19 +94,21 @@ class Agents:
                 f"{self._prefix}/manager/{self.manager.key}"
             ),
             self._session.declare_subscriber(
-                f"{self._prefix}/status/*", reading(AgentStatus, self._on_status)
+                f"{self._prefix}/status/*",
+                reading(AgentStatus, self.on_status, self.on_refused),
             ),
             self._session.liveliness().declare_subscriber(
-                f"{self._prefix}/alive/*", self._on_alive, history=True
+                f"{self._prefix}/alive/*", self.on_alive, history=True
             ),
             self._session.liveliness().declare_subscriber(
-                IDENTITIES, self._on_identity, history=True
+                IDENTITIES, self.on_identity, history=True
             ),
         ]
         if on_sample is not None:
             self._declared.append(
                 self._session.declare_subscriber(
-                    f"{self._prefix}/samples/*", reading(AgentSample, on_sample)
+                    f"{self._prefix}/samples/*",
+                    reading(AgentSample, on_sample, self.on_refused),
                 )
             )
 
@@ -134,21 +121,6 @@ class Agents:
     def close(self) -> None:
         """Leave the agents as they are."""
         self._session.close()  # type: ignore[no-untyped-call]
-
-    def statuses(self) -> dict[str, AgentStatus]:
-        """Return what each agent reported last, by computer."""
-        with self._changed:
-            return dict(self._statuses)
-
-    def out_of_reach(self) -> dict[str, float]:
-        """Return since when [s since 1970] agents that were there are not reached."""
-        with self._changed:
-            return dict(self._lost)
-
-    def reached(self) -> set[str]:
-        """Return the computers whose agents are there and have reported."""
-        with self._changed:
-            return self._alive & self._statuses.keys()
 
     def obey(self, computer: str) -> bool:
         """Return whether an agent is reached and obeys this manager."""
@@ -183,53 +155,15 @@ class Agents:
         wanted, deadline = set(computers), self._clock.now() + limit
         while not self.wait_news(lambda: wanted <= self.reached(), _LOOK_EVERY):
             check()
-            self._raise_on_other_agents(wanted - self.reached())
+            self.raise_on_other_agents(wanted - self.reached())
             if self._clock.now() < deadline:
                 continue
             missing = ", ".join(sorted(wanted - self.reached()))
             raise RunError(
                 f"no agent answered within {limit:g} s on: {missing}. Is `poise agent` "
                 "running there, and can this computer reach it?"
+                + "".join(f"\n{refusal}" for refusal in self.take_refused())
             )
-
-    def _raise_on_other_agents(self, missing: Iterable[str]) -> None:
-        others = []
-        for computer in sorted(missing):
-            locator = self._endpoints[computer]
-            found = self._identities.get(locator, (self._robot, computer))
-            if found != (self._robot, computer):
-                others.append(
-                    f"at {locator.removeprefix('tcp/')} there is the agent of computer "
-                    f"'{found[1]}' of robot '{found[0]}', not of computer '{computer}' "
-                    f"of robot '{self._robot}'"
-                )
-        if others:
-            raise RunError("; ".join(others))
-
-    def wait_news(self, is_enough: Callable[[], bool], limit: float) -> bool:
-        """Wait until `is_enough` is true, evaluated at all news; return whether it is.
-
-        `is_enough` may raise to end the waiting; `limit` is in [s].
-        """
-        deadline = self._clock.now() + limit
-        while True:
-            with self._changed:
-                version = self._version
-            # without the lock, for which zenoh's threads would wait
-            if is_enough():
-                return True
-            left = deadline - self._clock.now()
-            with self._changed:
-                if left <= 0 or not self._changed.wait_for(
-                    lambda seen=version: self._version != seen,  # type: ignore[misc]
-                    left,
-                ):
-                    return False
-
-    def notify(self) -> None:
-        """Let every `wait_news` evaluate again."""
-        with self._changed:
-            self._note_news()
 
     def claim(self, computers: Collection[str]) -> None:
         """Let the agents of `computers` obey this manager, and no other.
@@ -386,34 +320,3 @@ class Agents:
         if self.wait_news(lambda: computer in self.out_of_reach(), patience):
             return "is out of reach"
         return f"did not answer within {limit:g} s"
-
-    def _on_status(self, status: AgentStatus) -> None:
-        with self._changed:
-            if status.computer in self._computers:
-                self._statuses[status.computer] = status
-                self._note_news()
-
-    def _on_identity(self, sample: zenoh.Sample) -> None:
-        locator, robot, computer = parse_identity(str(sample.key_expr))
-        with self._changed:
-            if sample.kind == zenoh.SampleKind.PUT:
-                self._identities[locator] = robot, computer
-            elif self._identities.get(locator) == (robot, computer):
-                del self._identities[locator]
-
-    def _on_alive(self, sample: zenoh.Sample) -> None:
-        computer = str(sample.key_expr).rpartition("/")[2]
-        with self._changed:
-            if sample.kind == zenoh.SampleKind.PUT:
-                self._alive.add(computer)
-                if self._lost.pop(computer, None) is not None:
-                    # it may be another agent: what this one reports is to come
-                    self._statuses.pop(computer, None)
-            elif computer in self._alive:
-                self._alive.discard(computer)
-                self._lost[computer] = time.time()
-            self._note_news()
-
-    def _note_news(self) -> None:
-        self._version += 1
-        self._changed.notify_all()

@@ -104,6 +104,7 @@ class Manager:
         self._refusals: dict[str, Deviation] = {}
         self._faults = FaultFilter(run.faults_before)
         self._reached = set(run.computers())
+        run.check = self._look  # moves wait long: what breaks meanwhile is said at once
 
     @property
     def is_stopping(self) -> bool:
@@ -155,8 +156,8 @@ class Manager:
                 future.set_result(self._carry_out(command))
         for sample in self._samples.take():
             self._take(sample)
-        self._synchronise()
         self._look()
+        self._synchronise()
 
     def stop(self) -> None:
         """Stop the robot, and answer whoever still waits.
@@ -214,14 +215,8 @@ class Manager:
         return Rebalanced(proposal, transit(run, proposal.steps))
 
     def _synchronise(self) -> None:
-        """Excuse computers that are out of reach, and bring those back that return."""
+        """Bring computers back that return."""
         run, now = self._run, time.monotonic()
-        obeying = {c for c in run.computers() if run.agents.obey(c)}
-        for computer in self._reached - obeying:
-            self._reached.discard(computer)
-            run.excused.add(computer)
-            restarted = f"the agent of '{computer}' ended, and was started again"
-            run.journal.note("wrong", run.unreached().get(computer, restarted))
         for computer in run.computers() - self._reached:
             is_there = computer in run.agents.statuses()
             if is_there and self._retry_at.get(computer, 0.0) <= now:
@@ -248,18 +243,37 @@ class Manager:
         how = "" if is_same else "; its agent is another one: components begin anew"
         run.journal.note("right", f"computer '{computer}' is reached again{how}")
 
+    def _excuse_lost(self) -> None:
+        """Journal which computers were lost, and go on without them."""
+        run = self._run
+        obeying = {c for c in run.computers() if run.agents.obey(c)}
+        for computer in self._reached - obeying:
+            self._reached.discard(computer)
+            run.excused.add(computer)
+            restarted = f"the agent of '{computer}' ended, and was started again"
+            run.journal.note("wrong", run.unreached().get(computer, restarted))
+
     def _look(self) -> None:
         """Journal each deviation and fault when it begins, and when it ends.
 
-        A deviation that a container's fault caused is told by that fault.
+        A deviation that a container's fault caused is told by that fault; what is just
+        being moved is for the move to judge.
         """
         run = self._run
+        run.note_refused()
+        self._excuse_lost()
         self._note_faults()
         reached = run.computers()
         statuses = {c: status for c, status in run.current().items() if c in reached}
-        deviations = find_deviations(run.placed, run.layout, statuses, time.time())
-        found = {each.key: each for each in deviations}
+        wanted = set(run.wanted)
+        settled = {n: each for n, each in run.placed.items() if each in wanted}
+        deviations = find_deviations(
+            settled.values(), wanted, run.layout, statuses, time.time()
+        )
         before = {each.key: each for each in self._deviations}
+        moving = run.placed.keys() - settled.keys()
+        found = {key: before[key] for key in before.keys() & moving}
+        found |= {each.key: each for each in deviations}
         for key, each in found.items():
             if key in before and before[key].what == each.what:
                 found[key] = before[key]

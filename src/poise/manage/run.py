@@ -20,7 +20,14 @@ from poise.manage.deployment import (
 )
 from poise.manage.journal import Journal
 from poise.manage.observe.faults import fault_sentence, faults_after, last_numbers
-from poise.manage.statuses import components_of, containers_left, missing, unreached
+from poise.manage.statuses import (
+    calling_ports,
+    components_of,
+    containers_left,
+    gateways,
+    missing,
+    unreached,
+)
 from poise.manage.topological_order import levels
 from poise.model.robot import Robot
 from poise.wire.records.deployment import (
@@ -74,11 +81,13 @@ class Run:
             )
             for name, computer in placement.items()
         }
-        self.check: Callable[[], object] = _go_on
+        self.check: Callable[[], object] = lambda: None
         """Called at all news while all is started or watched; may raise to end that."""
         self.faults_before = last_numbers(agents.statuses())
         self._faults_before_tell = self.faults_before
         self._generation = 0
+        self.wanted: tuple[Incarnation, ...] = ()
+        """What the agents were told last to run; amid a move also what is prepared."""
         self._told: dict[str, Deployment] = {}
         self._is_cancelled = threading.Event()
         self._has_stopped = False
@@ -105,13 +114,7 @@ class Run:
         return {name: each.computer for name, each in self.placed.items()}
 
     def watch(self, seconds: float) -> None:
-        """Let it run for `seconds` [s].
-
-        Raises
-        ------
-        RunError
-            A component failed or a computer was lost.
-        """
+        """Let it run for `seconds` [s]; raise RunError when something fails."""
         self.agents.wait_news(self._raise_on_trouble, seconds)
 
     def stop(self) -> None:
@@ -162,18 +165,10 @@ class Run:
         self._is_cancelled.set()
         self.agents.notify()
 
-    def raise_on_cancel(self) -> None:
-        """Raise RunError once `cancel` was called."""
-        if self._is_cancelled.is_set():
-            raise RunError("the robot is being stopped")
-
     def synchronise(self, computer: str) -> None:
         """Bring a computer that came back to what should run there now.
 
-        Raises
-        ------
-        RunError
-            Its agent obeys another manager, or does not answer.
+        Raise RunError when its agent obeys another manager, or does not answer.
         """
         self._reclaim({computer})
         self.tell(self.placed.values(), self.computers())
@@ -212,7 +207,7 @@ class Run:
 
     def _come_to_rest(self) -> None:
         """Make callers inactive before those whom they call: no call goes nowhere."""
-        calls = self.calls()
+        calls = calling_ports(self.agents.statuses())
         leads = [
             (connector.between[0].component, connector.between[1].component)
             for connector in self.layout.connectors(self.placed)
@@ -238,14 +233,6 @@ class Run:
             for component in components_of(self.current())
         )
 
-    def calls(self) -> set[tuple[str, str]]:
-        """Return the ends over which components call: component and port."""
-        return {
-            (component.name, port)
-            for component in components_of(self.agents.statuses())
-            for port in component.requires
-        }
-
     def reach(self, goal: Goal, limit: float) -> None:
         """Bring every component to a goal within `limit` [s]; `start` says the rest."""
         wanted = [each.with_goal(goal) for each in self.placed.values()]
@@ -261,11 +248,13 @@ class Run:
         RunError
             An agent refused or did not answer.
         """
-        self._faults_before_tell = last_numbers(self.agents.statuses())
+        self.wanted = tuple(wanted)
+        statuses = self.agents.statuses()
+        self._faults_before_tell = last_numbers(statuses)
         # later than any that the agents ever saw, from whatever manager
-        seen = [status.generation for status in self.agents.statuses().values()]
+        seen = [status.generation for status in statuses.values()]
         self._generation = max(self._generation, *seen, 0) + 1
-        specs = self.layout.specs(wanted, self._generation, self.gateways())
+        specs = self.layout.specs(self.wanted, self._generation, gateways(statuses))
         news = {
             computer: specs[computer]
             for computer in computers
@@ -277,10 +266,6 @@ class Run:
         if refusals:
             self.raise_on_lost()  # which explains a silence
             raise RunError("; ".join(refusals.values()))
-
-    def gateways(self) -> dict[str, str]:
-        """Return where other computers reach each computer's containers."""
-        return {name: each.gateway for name, each in self.agents.statuses().items()}
 
     def next_epoch(self, component: str) -> int:
         """Return an epoch that no incarnation of the component has had."""
@@ -310,6 +295,7 @@ class Run:
 
         def is_reached() -> bool:
             look()
+            self.raise_on_unreached(wanted)
             return not self._missing(wanted)
 
         if not self.agents.wait_news(is_reached, limit):
@@ -375,10 +361,21 @@ class Run:
             if not away.isdisjoint(end.component for end in connector.between)
         }
 
-    def _raise_on_trouble(self) -> bool:
+    def note_refused(self) -> None:
+        """Journal why records of agents were refused."""
+        for sentence in self.agents.take_refused():
+            self.journal.note("wrong", sentence)
+
+    def look(self) -> None:
+        """Look around while agents are waited for; raise RunError to end that."""
+        self.note_refused()
         self.check()
-        self.raise_on_cancel()
+        if self._is_cancelled.is_set():
+            raise RunError("the robot is being stopped")
         self.raise_on_lost()
+
+    def _raise_on_trouble(self) -> bool:
+        self.look()
         for component in components_of(self.agents.statuses()):
             if component.state == "failed":
                 self.journal.note("failed", f"component '{component.name}' failed")
@@ -387,6 +384,13 @@ class Run:
                 )
         return False
 
+    def raise_on_unreached(self, incarnations: Iterable[Incarnation]) -> None:
+        """Raise RunError when one is on a computer that is out of reach."""
+        unreached = self.unreached()
+        for each in incarnations:
+            if each.computer in unreached:
+                raise RunError(unreached[each.computer])
+
     def raise_on_lost(self) -> bool:
         """Raise RunError when a computer is out of reach that is not excused."""
         for computer, sentence in self.unreached().items():
@@ -394,7 +398,3 @@ class Run:
                 self.journal.note("wrong", sentence)
                 raise RunError(sentence)
         return False
-
-
-def _go_on() -> None:
-    """Raise nothing."""

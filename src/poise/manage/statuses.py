@@ -26,6 +26,16 @@ def components_of(statuses: Mapping[str, AgentStatus]) -> Iterator[ComponentStat
             yield from container.components
 
 
+def calling_ports(statuses: Mapping[str, AgentStatus]) -> set[tuple[str, str]]:
+    """Return the ends over which components call: component and port."""
+    return {(c.name, port) for c in components_of(statuses) for port in c.requires}
+
+
+def gateways(statuses: Mapping[str, AgentStatus]) -> dict[str, str]:
+    """Return where other computers reach each computer's containers."""
+    return {name: status.gateway for name, status in statuses.items()}
+
+
 def connectors_of(statuses: Mapping[str, AgentStatus]) -> Iterator[ConnectorStatus]:
     """Yield the connector ends in all statuses."""
     for status in statuses.values():

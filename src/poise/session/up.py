@@ -117,7 +117,6 @@ def up(  # noqa: PLR0913 - each is a choice of the user
             started(robot, placed.where, book, say, Sampling(waiting.add), check)
         )
         agents = it.run.agents
-        it.run.check = nothing  # from here on the manager works on its own thread
         if metrics is not None:
             to = MetricsServer(estimates, agents.statuses, ("127.0.0.1", metrics))
             stack.callback(to.close)

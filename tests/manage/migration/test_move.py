@@ -156,6 +156,15 @@ class Lingering(Counter):
             threading.Event().wait(0.01)
         return self.state
 
+class LingeringFirst(Gradual):
+    """Takes its first snapshot as long as a file is there."""
+
+    snapshot_now = Lingering.snapshot
+
+    def snapshot(self) -> Large:
+        self.snapshot_now()
+        return super().snapshot()
+
 class Unwritable(Counter):
     def snapshot(self) -> Counted:
         return Counted(object(), 0, 0)
@@ -567,6 +576,23 @@ def test_a_move_after_one_that_rolled_back_succeeds(world: SimulatorProcess) -> 
     assert (first.committed, second.committed) == (False, True), second.reason
     world.works()
     assert world.told("sink")[1] == 0
+
+
+def test_a_stop_ends_a_move_amid_the_pre_copy_of_its_state(
+    world: SimulatorProcess,
+) -> None:
+    run = world.start("LingeringFirst")
+    lingers = world.folder / world.name / "lingers"
+    lingers.touch()
+    world.striking.before[PreCopy] = run.cancel
+    try:
+        report = move(run, "counter", "right")
+    finally:
+        lingers.unlink()
+    assert report.reason == "the robot is being stopped"
+    assert run.placed["counter"].computer == "left"
+    world.works()
+    assert world.wrong() == 0
 
 
 @pytest.mark.parametrize("before", [OfferState, AwaitIdle])

@@ -45,9 +45,9 @@ def find(
         containers=(container,),
         health=(health,),
     )
-    placed = {"eye": Incarnation(component="eye", computer="a", goal="active")}
+    placed = [Incarnation(component="eye", computer="a", goal="active")]
     plan = DeploymentPlan(robot, "")
-    return list(find_deviations(placed, plan, {"a": status}, 5.0))
+    return list(find_deviations(placed, placed, plan, {"a": status}, 5.0))
 
 
 @pytest.mark.parametrize("eye", [None, "inactive", "unresponsive"])

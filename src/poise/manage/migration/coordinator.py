@@ -21,7 +21,7 @@ from poise.manage.deployment import Incarnation
 from poise.manage.migration.plan import MigrationPlan, MigrationRounds, PlacedStep
 from poise.manage.observe.deviations import explain
 from poise.manage.run import Run
-from poise.manage.statuses import components_of
+from poise.manage.statuses import calling_ports, components_of, gateways
 from poise.priority import first
 from poise.wire.migration_phases import MigrationPhases
 from poise.wire.records.deployment import ComponentStatus
@@ -86,8 +86,13 @@ class MigrationCoordinator:
         self._plan = plan
         gone = {each.component for each in plan.sources}
         self._others = {n: each for n, each in run.placed.items() if n not in gone}
+        statuses = run.agents.statuses()
         self._rounds = MigrationRounds(
-            run.layout, plan, self._others, run.calls(), run.gateways()
+            run.layout,
+            plan,
+            self._others,
+            calling_ports(statuses),
+            gateways(statuses),
         )
         self._number = next(_numbers)
         self._phases = MigrationPhases("manager", f"migration of {plan.what}")
@@ -120,6 +125,7 @@ class MigrationCoordinator:
         )
 
     def _prepare(self) -> None:
+        self._raise_on_failed()
         run, plan = self._run, self._plan
         staying = [source.with_goal("stay") for source in plan.sources]
         run.tell([*self._others.values(), *staying, *plan.targets], run.computers())
@@ -231,8 +237,8 @@ class MigrationCoordinator:
 
     def _raise_on_failed(self) -> bool:
         run = self._run
-        run.raise_on_cancel()
-        run.raise_on_lost()
+        run.look()
+        run.raise_on_unreached([*self._plan.sources, *self._plan.targets])
         targets = {(t.component, t.epoch): t for t in self._plan.targets}
         sources = {(s.component, s.epoch): s for s in self._plan.sources}
         for component in components_of(run.current()):

@@ -18,7 +18,7 @@ from poise.manage.migration.coordinator import (
 )
 from poise.manage.migration.plan import MigrationPlan
 from poise.manage.run import Run
-from poise.manage.statuses import components_of
+from poise.manage.statuses import calling_ports, components_of
 from poise.model.robot import Architecture, Robot
 
 
@@ -138,7 +138,7 @@ def _check_callers(run: Run, old: Architecture, new: Architecture) -> None:
         for connector in layout.connectors({*others, *news})
         if connector.between[1].component in news
     }
-    calls = run.calls()
+    calls = calling_ports(run.agents.statuses())
     for connector in layout.connectors(run.placed):
         source, target = connector.between
         is_call = (source.component, source.port) in calls

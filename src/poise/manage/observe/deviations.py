@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Set as AbstractSet
 
 from msgspec import Struct
 
@@ -51,7 +52,8 @@ class Deviation(Struct, frozen=True, kw_only=True):
 
 
 def find_deviations(
-    placed: Mapping[str, Incarnation],
+    settled: Collection[Incarnation],
+    wanted: Collection[Incarnation],
     layout: DeploymentPlan,
     statuses: Mapping[str, AgentStatus],
     now: float,
@@ -60,16 +62,21 @@ def find_deviations(
 
     Parameters
     ----------
-    placed
-        Component -> where it should run.
+    settled
+        What should be as its goal says.
+    wanted
+        All that agents were told to run: also what is being moved.
     statuses
         Computer -> what its agent reported last, if it is reached.
     now
         The time [s since 1970].
     """
     for computer, status in sorted(statuses.items()):
-        wanted = [each for each in placed.values() if each.computer == computer]
-        for found in _of_computer(computer, status, wanted, layout):
+        here = [each for each in settled if each.computer == computer]
+        names = {
+            layout.container_of(e.component) for e in wanted if e.computer == computer
+        }
+        for found in _of_computer(computer, status, here, names, layout):
             component, container, what = found
             yield Deviation(
                 what=what,
@@ -83,7 +90,8 @@ def find_deviations(
 def _of_computer(
     computer: str,
     status: AgentStatus,
-    wanted: Collection[Incarnation],
+    settled: Collection[Incarnation],
+    containers: AbstractSet[str],
     layout: DeploymentPlan,
 ) -> Iterator[tuple[str, str, str]]:
     """Yield a component and the container whose fault is the cause, or "", and what."""
@@ -93,18 +101,17 @@ def _of_computer(
         for component in container.components
     }
     health = {each.name: each for each in status.health}
-    for each in wanted:
+    for each in settled:
         found = there.get((each.component, each.epoch))
         if found is None or found.state != each.goal:
             container = health.get(layout.container_of(each.component))
             cause = _cause(found, container)
             yield each.component, cause, explain(each, found, container)
-    names = {layout.container_of(each.component) for each in wanted}
     for running in status.containers:
-        if running.name not in names:
+        if running.name not in containers:
             what = f"container '{running.name}' runs on '{computer}', unwanted"
             yield "", "", what
-    for name in sorted(names & health.keys()):
+    for name in sorted(containers & health.keys()):
         if health[name].restarts_lately >= _CRASH_LOOP:
             where = f"container '{name}' on '{computer}' is in a crash loop"
             what = f"{where}: restarted at least {_CRASH_LOOP} times within a minute"

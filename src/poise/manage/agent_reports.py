@@ -1,0 +1,150 @@
+"""What agents reported, and which of them are there.
+
+zenoh's threads only store what arrives, in structures whose size is bounded; the
+manager's own threads wait for it here.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping
+
+import zenoh
+
+from poise.clock import Clock
+from poise.errors import RunError
+from poise.wire.control_session import parse_identity
+from poise.wire.records.deployment import AgentStatus
+
+MOST_REFUSED = 100
+"""At most this many different sentences about refused records are kept."""
+
+
+class AgentReports:
+    """What the agents of one robot reported last. Any thread may ask.
+
+    Parameters
+    ----------
+    robot
+        The robot's name.
+    endpoints
+        Computer -> zenoh endpoint of its agent.
+    """
+
+    def __init__(self, robot: str, endpoints: Mapping[str, str], clock: Clock) -> None:
+        self._robot = robot
+        self._endpoints = endpoints
+        self._clock = clock
+        self._identities: dict[str, tuple[str, str]] = {}
+        self._changed = threading.Condition()
+        self._version = 0
+        self._statuses: dict[str, AgentStatus] = {}
+        self._alive: set[str] = set()
+        self._lost: dict[str, float] = {}
+        self._refused: list[str] = []
+        self._num_taken = 0
+
+    def statuses(self) -> dict[str, AgentStatus]:
+        """Return what each agent reported last, by computer."""
+        with self._changed:
+            return dict(self._statuses)
+
+    def out_of_reach(self) -> dict[str, float]:
+        """Return since when [s since 1970] agents that were there are not reached."""
+        with self._changed:
+            return dict(self._lost)
+
+    def reached(self) -> set[str]:
+        """Return the computers whose agents are there and have reported."""
+        with self._changed:
+            return self._alive & self._statuses.keys()
+
+    def wait_news(self, is_enough: Callable[[], bool], limit: float) -> bool:
+        """Wait until `is_enough` is true, evaluated at all news; return whether it is.
+
+        `is_enough` may raise to end the waiting; `limit` is in [s].
+        """
+        deadline = self._clock.now() + limit
+        while True:
+            with self._changed:
+                version = self._version
+            # without the lock, for which zenoh's threads would wait
+            if is_enough():
+                return True
+            left = deadline - self._clock.now()
+            with self._changed:
+                if left <= 0 or not self._changed.wait_for(
+                    lambda seen=version: self._version != seen,  # type: ignore[misc]
+                    left,
+                ):
+                    return False
+
+    def notify(self) -> None:
+        """Let every `wait_news` evaluate again."""
+        with self._changed:
+            self._note_news()
+
+    def raise_on_other_agents(self, missing: Iterable[str]) -> None:
+        """Raise RunError when others than the agents of `missing` are there."""
+        others = []
+        for computer in sorted(missing):
+            locator = self._endpoints[computer]
+            found = self._identities.get(locator, (self._robot, computer))
+            if found != (self._robot, computer):
+                others.append(
+                    f"at {locator.removeprefix('tcp/')} there is the agent of computer "
+                    f"'{found[1]}' of robot '{found[0]}', not of computer '{computer}' "
+                    f"of robot '{self._robot}'"
+                )
+        if others:
+            raise RunError("; ".join(others))
+
+    def take_refused(self) -> list[str]:
+        """Return why records were refused that nobody was told of; each reason once."""
+        with self._changed:
+            new = self._refused[self._num_taken :]
+            self._num_taken = len(self._refused)
+            return new
+
+    def on_refused(self, sentence: str) -> None:
+        """Store why a record was refused."""
+        with self._changed:
+            is_known = sentence in self._refused
+            if not is_known and len(self._refused) < MOST_REFUSED:
+                self._refused.append(sentence)
+                self._note_news()
+
+    def on_status(self, status: AgentStatus) -> None:
+        """Store what an agent reported."""
+        with self._changed:
+            if status.computer in self._endpoints:
+                self._statuses[status.computer] = status
+                self._note_news()
+
+    def on_identity(self, sample: zenoh.Sample) -> None:
+        """Store which agent is at an address."""
+        locator, robot, computer = parse_identity(str(sample.key_expr))
+        with self._changed:
+            if sample.kind == zenoh.SampleKind.PUT:
+                self._identities[locator] = robot, computer
+            elif self._identities.get(locator) == (robot, computer):
+                del self._identities[locator]
+
+    def on_alive(self, sample: zenoh.Sample) -> None:
+        """Store that an agent came or went."""
+        computer = str(sample.key_expr).rpartition("/")[2]
+        with self._changed:
+            if sample.kind == zenoh.SampleKind.PUT:
+                self._alive.add(computer)
+                if self._lost.pop(computer, None) is not None:
+                    # it may be another agent: what this one reports is to come
+                    self._statuses.pop(computer, None)
+            elif computer in self._alive:
+                self._alive.discard(computer)
+                self._lost[computer] = time.time()
+            self._note_news()
+
+    def _note_news(self) -> None:
+        self._version += 1
+        self._changed.notify_all()

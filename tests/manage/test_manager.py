@@ -1,0 +1,93 @@
+"""What a manager says while it carries out a command."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import pytest
+
+from poise.manage.agents import Agents
+from poise.manage.control_socket.records import MoveCommand, Moved
+from poise.manage.journal import Journal
+from poise.manage.manager import Manager, SampleQueue
+from poise.manage.observe.estimates import Estimates
+from poise.manage.run import Run
+from poise.model.robot import Robot
+from poise.wire.records.deployment import ComponentStatus, Fault
+from tests.manage.conftest import FakeAgents
+
+PLACEMENT = {"grabber": "left", "thinker": "right"}
+COMMAND = MoveCommand("thinker", "left", force=True)
+
+
+class Managed:
+    """A manager, its agents and its journal."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.agents = FakeAgents("left", "right")
+        self.journal = Journal(":memory:")
+        agents = cast("Agents", self.agents)
+        self.run = Run(robot, PLACEMENT, agents, self.journal, "/run")
+        self.run.start()
+        estimates = Estimates(robot, None, emulated=True)
+        self.manager = Manager(
+            self.run, "work", estimates, SampleQueue(), lambda _: None
+        )
+
+    def sentences_of_move(self) -> list[str]:
+        """Return what the journal got while a component was to move, in order."""
+        before = len(self.journal.entries())
+        future = self.manager.submit(COMMAND)
+        self.manager.work(0.0)
+        result = future.result(0.0)
+        assert isinstance(result, Moved)
+        assert not result.report.committed
+        return [entry.what for entry in self.journal.entries()[before:]]
+
+
+@pytest.fixture
+def managed(robot: Robot) -> Managed:
+    return Managed(robot)
+
+
+def test_a_fault_is_told_while_a_move_waits(managed: Managed) -> None:
+    managed.agents.faults = (Fault(container="eye", message="was killed", number=1),)
+    managed.agents.states["thinker"] = ComponentStatus(name="thinker", state="failed")
+    sentences = managed.sentences_of_move()
+    assert sentences[0] == "container 'eye' on 'left' was killed"
+    assert sum("was killed" in each for each in sentences) == 2  # of both computers
+
+
+def test_a_deviation_of_another_component_is_told_while_a_move_waits(
+    managed: Managed,
+) -> None:
+    for name in PLACEMENT:
+        managed.agents.states[name] = ComponentStatus(name=name, state="failed")
+    sentences = managed.sentences_of_move()
+    assert sentences[0] == "component 'grabber' on 'left' is failed"
+    # what moves is for the move to judge, and deviates only after that
+    assert sentences[1].startswith("did not move component 'thinker'")
+    assert sentences[2] == "component 'thinker' on 'right' is failed"
+
+
+def test_a_move_to_a_computer_that_is_out_of_reach_is_refused_at_once(
+    managed: Managed,
+) -> None:
+    managed.agents.gone.add("left")
+    managed.manager.work(0.0)  # from here on the manager goes on without it
+    sentences = managed.sentences_of_move()
+    assert "computer 'left' is out of reach since" in sentences[-1]
+
+
+def test_a_lost_computer_is_told_once(managed: Managed) -> None:
+    managed.agents.lose_when_told = "right"
+    sentences = managed.sentences_of_move()
+    managed.manager.work(0.0)
+    said = [s for s in sentences if s.startswith("computer 'right' is out of reach")]
+    assert len(said) == 1
+
+
+def test_why_a_record_of_an_agent_was_refused_is_told(managed: Managed) -> None:
+    managed.agents.refused = ["a record at poise/tiny/status/left was refused: odd"]
+    managed.manager.work(0.0)
+    assert managed.journal.entries()[-1].what.endswith("was refused: odd")
