@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import pytest
+from msgspec import structs
 
 from poise import Component
 from poise.clock import Elapsed, SystemClock
@@ -124,6 +125,20 @@ class Pair:
         if self.kind != "direct":
             self.sides["source"] = self._side("source")
         component = self.run("source", implementation)
+        self.activate()
+        return component
+
+    def start_targets_computer_anew(self, implementation: type[C]) -> C:
+        """End the target's container and gateway, and start others: the port is new."""
+        self.sides["target"].close()
+        self.transports["target"].close()
+        _end(self.runners.pop(("target", 0)))
+        self._gateway.close()
+        self._gateway = self._closing.enter_context(Gateway(self.folder, "127.0.0.1"))
+        address = f"{self._gateway}/target"
+        self._specs = tuple(structs.replace(s, address=address) for s in self._specs)
+        self.sides["target"] = self._side("target")
+        component = self.run("target", implementation)
         self.activate()
         return component
 

@@ -302,6 +302,14 @@ def test_a_source_that_was_started_anew_is_heard(pair: Pair) -> None:
     assert [m.number for m in target.wait_for(4)] == [0, 1, 2, 99]
 
 
+@pytest.mark.parametrize("pair", ["remote"], indirect=True)
+def test_a_target_is_reached_whose_computer_has_another_gateway_now(pair: Pair) -> None:
+    source, _ = start(pair, "sums")
+    assert source.sums.add(1, 2) == 3
+    pair.start_targets_computer_anew(Target)
+    assert source.sums.add(1, 2) == 3
+
+
 def status(pair: Pair, end: str) -> ConnectorStatus:
     (found,) = pair.sides[end].status()
     return found

@@ -161,6 +161,7 @@ class Wiring:
         Incarnation -> why a connector at one of its ports cannot be opened.
         """
         wanted = {spec.key: spec for spec in specs}
+        self._close_readdressed(wanted)
         known = {ends.sender for ends in self._open.values()}
         troubles: dict[tuple[str, int], str] = {}
         for key, spec in wanted.items():
@@ -225,6 +226,12 @@ class Wiring:
         for ends in self._open.values():
             ends.closing.close()
         self._open.clear()
+
+    def _close_readdressed(self, wanted: Mapping[str, ConnectorSpec]) -> None:
+        """Close connectors to an agent that was started again, at another port."""
+        for key, ends in list(self._open.items()):
+            if key in wanted and wanted[key].address != ends.spec.address:
+                self._open.pop(key).closing.close()
 
     def _buffer_amid_a_move(self, known: AbstractSet[Sender | None]) -> None:
         """Buffer over new connectors to a component that moves.
