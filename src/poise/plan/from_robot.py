@@ -102,8 +102,10 @@ def _architectures(
             return _without_rivals(list(robot.architectures))
         known = [t.name for t in robot.tasks]
         if task not in known:
-            choices = ", ".join(known) or "it has none"
-            raise RobotError(f"robot {robot.name!r} has no task {task!r} ({choices})")
+            choices = ", ".join(known) or "none"
+            raise RobotError(
+                f"robot {robot.name!r} has no task {task!r} (its tasks: {choices})"
+            )
         functions = robot.task(task).functions
     wanted = set(functions)
     missing = sorted(wanted - {a.function for a in robot.architectures})

@@ -95,7 +95,7 @@ def _checked(run: Run, name: str, by: str) -> tuple[Architecture, Architecture]:
     missing = [c.name for c in old.components if c.name not in run.placed]
     if missing or not old.components:
         raise UsageError(
-            f"architecture '{name}' does not run (its {', '.join(missing)} is missing)"
+            f"architecture '{name}' does not run (not running: {', '.join(missing)})"
         )
     if new.function != old.function:
         raise UsageError(

@@ -22,7 +22,7 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from poise.errors import Unavailable
+from poise.errors import RunError, Unavailable
 from poise.runtime.container.container import Container
 from poise.runtime.container.descendants import (
     adopt_orphans,
@@ -165,6 +165,8 @@ def _leave(work: Callable[[], None]) -> None:
     try:
         work()
         code = 0
+    except RunError as error:  # says all: what a component did, not Poise
+        log.error("process %d ends: %s", os.getpid(), error)  # noqa: TRY400
     except BaseException:
         # nobody is above it: what is not logged here is lost
         log.exception("process %d ends", os.getpid())
