@@ -250,8 +250,8 @@ class Manager:
         for computer in self._reached - obeying:
             self._reached.discard(computer)
             run.excused.add(computer)
-            restarted = f"the agent of '{computer}' ended, and was started again"
-            run.journal.note("wrong", run.unreached().get(computer, restarted))
+            back = f"computer '{computer}' was cut off, or its agent was restarted"
+            run.journal.note("wrong", run.unreached().get(computer, back))
 
     def _look(self) -> None:
         """Journal each deviation and fault when it begins, and when it ends.
