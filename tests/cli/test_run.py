@@ -107,12 +107,14 @@ def implementation(name: str) -> str:
 
 def remains() -> set[str]:
     """Return what the runs of this test left on this machine."""
-    places = (Path("/run/poise"), Path("/run/netns"), Path("/sys/fs/cgroup"))
+    ours = tuple(f"poise-{pid}-" for pid in _started)
     return {
-        str(found)
-        for place in places
-        for pid in _started
-        for found in place.glob(f"**/poise-{pid}-*")
+        f"{folder}/{name}"
+        for place in ("/run/poise", "/run/netns", "/sys/fs/cgroup")
+        # unlike `Path.glob`, it goes on when a folder of another test vanishes
+        for folder, folders, files in os.walk(place)
+        for name in (*folders, *files)
+        if name.startswith(ours)
     }
 
 
