@@ -34,10 +34,15 @@ from poise.manage.control_socket.records import (
     StopCommand,
     StopReport,
 )
+from poise.manage.deployment import Incarnation
 from poise.manage.migration.move import move, replace
 from poise.manage.migration.replacement import replace_architecture
 from poise.manage.migration.transition_run import transit
-from poise.manage.observe.deviations import Deviation, find_deviations
+from poise.manage.observe.deviations import (
+    Deviation,
+    find_deviations,
+    find_unjoined,
+)
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.faults import FaultFilter
 from poise.manage.run import Run
@@ -48,6 +53,8 @@ MOST_COMMANDS = 64
 """At most this many commands queue; further ones are refused."""
 MOST_SAMPLES = 10_000
 """At most this many samples wait for the manager; then the oldest are dropped."""
+_JOIN_WITHIN = 2.0
+"""A connector that is not joined for so long is a deviation [s]."""
 _RETRY_AFTER = 1.0
 """A computer that came back, but refuses, is asked again after this time [s]."""
 
@@ -100,6 +107,7 @@ class Manager:
         self._stops: list[Results] = []
         self._stopping = threading.Event()
         self._deviations: tuple[Deviation, ...] = ()
+        self._unjoined: dict[str, Deviation] = {}
         self._retry_at: dict[str, float] = {}
         self._refusals: dict[str, Deviation] = {}
         self._faults = FaultFilter(run.faults_before)
@@ -274,6 +282,9 @@ class Manager:
         moving = run.placed.keys() - settled.keys()
         found = {key: before[key] for key in before.keys() & moving}
         found |= {each.key: each for each in deviations}
+        found |= self._long_unjoined(
+            [each for name, each in settled.items() if name not in found], statuses
+        )
         for key, each in found.items():
             if key in before and before[key].what == each.what:
                 found[key] = before[key]
@@ -284,6 +295,20 @@ class Manager:
                 run.journal.note("right", before[key].end())
         self._deviations = tuple(found.values())
         self._note_recoveries(statuses)
+
+    def _long_unjoined(
+        self, settled: list[Incarnation], statuses: Mapping[str, AgentStatus]
+    ) -> dict[str, Deviation]:
+        """Return the connectors that have not been joined for some time."""
+        now = time.time()
+        there = [each for each in settled if each.computer in statuses]
+        unjoined = find_unjoined(there, self._run.layout, statuses, now)
+        self._unjoined = {e.key: self._unjoined.get(e.key, e) for e in unjoined}
+        return {
+            key: each
+            for key, each in self._unjoined.items()
+            if now - each.since >= _JOIN_WITHIN
+        }
 
     def _note_recoveries(self, statuses: Mapping[str, AgentStatus]) -> None:
         """Journal which containers run as they should again after a fault."""

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 
 from poise.manage.deployment import DeploymentPlan, Incarnation
-from poise.manage.observe.deviations import Deviation, find_deviations
-from poise.model.robot import Robot
+from poise.manage.observe.deviations import (
+    Deviation,
+    find_deviations,
+    find_unjoined,
+)
+from poise.model.robot import Connector, End, Robot
 from poise.wire.records.deployment import (
     AgentStatus,
     ComponentStatus,
+    ConnectorStatus,
     ContainerHealth,
     ContainerState,
     ContainerStatus,
@@ -17,6 +23,7 @@ from poise.wire.records.deployment import (
     State,
 )
 
+JOINED = Connector(between=(End("eye", "x"), End("mind", "x")))
 FAULT = Fault(container="see", message="was killed by SIGKILL")
 
 
@@ -80,3 +87,28 @@ def test_a_container_that_was_restarted_three_times_lately_is_in_a_crash_loop(
         "container 'see' on 'a' is in a crash loop: restarted at least 3 times within "
         "a minute"
     )
+
+
+@pytest.mark.parametrize(
+    ("ready", "placed", "count"),
+    [
+        (False, ("eye", "mind"), 1),
+        (True, ("eye", "mind"), 0),
+        (False, ("eye",), 0),  # what is at the other end is not there: that is said
+    ],
+)
+def test_names_a_connector_that_is_not_joined(
+    robot: Robot, placed: tuple[str, ...], count: int, *, ready: bool
+) -> None:
+    joined = replace(robot, connectors=(JOINED,))
+    end = ConnectorStatus(name="eye.x-mind.x", kind="local", end="source", ready=ready)
+    container = ContainerStatus(name="see", pid=7, components=(), connectors=(end,))
+    status = AgentStatus(
+        computer="a", generation=1, uptime=9.0, cpu=0.0, containers=(container,)
+    )
+    settled = [Incarnation(component=n, computer="a", goal="active") for n in placed]
+    plan = DeploymentPlan(joined, "")
+    found = list(find_unjoined(settled, plan, {"a": status}, 5.0))
+    assert len(found) == count
+    for each in found:
+        assert each.what == "connector 'eye.x-mind.x' from 'a' does not reach 'a'"

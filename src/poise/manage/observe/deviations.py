@@ -7,7 +7,7 @@ from collections.abc import Set as AbstractSet
 
 from msgspec import Struct
 
-from poise.manage.deployment import DeploymentPlan, Incarnation
+from poise.manage.deployment import DeploymentPlan, Incarnation, name_of
 from poise.wire.records.deployment import (
     AgentStatus,
     ComponentStatus,
@@ -85,6 +85,36 @@ def find_deviations(
                 container=container,
                 since=now,
             )
+
+
+def find_unjoined(
+    settled: Collection[Incarnation],
+    layout: DeploymentPlan,
+    statuses: Mapping[str, AgentStatus],
+    now: float,
+) -> Iterator[Deviation]:
+    """Yield the connectors whose source does not reach its target.
+
+    Parameters
+    ----------
+    settled
+        Components that are as they should be.
+    statuses, now
+        As for `find_deviations`.
+    """
+    computers = {each.component: each.computer for each in settled}
+    unready = {
+        connector.name
+        for status in statuses.values()
+        for container in status.containers
+        for connector in container.connectors
+        if connector.end == "source" and not connector.ready
+    }
+    for connector in layout.connectors(computers):
+        if (name := name_of(connector)) in unready:
+            source, target = (computers[end.component] for end in connector.between)
+            what = f"connector '{name}' from '{source}' does not reach '{target}'"
+            yield Deviation(what=what, computer=source, since=now)
 
 
 def _of_computer(
