@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import tempfile
 from collections.abc import Iterator
 from functools import partial
@@ -40,6 +41,9 @@ def pytest_configure(config: pytest.Config) -> None:
     """Add what all runs hold."""
     for plugin in (busy, order, quick):
         config.pluginmanager.register(plugin)
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        # a shell's background job ignores Ctrl-C, and so would all that tests start
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture
