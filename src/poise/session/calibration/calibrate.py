@@ -189,7 +189,8 @@ def _costs(
         bare, placement, Journal(":memory:"), _silent, Sampling(recording.add), check
     ) as up:
         _watch(up, _WARM_UP)
-        up.computers.begin(strictly=True)
+        # the ends of a connector wait for each other: only too slow a computer is busy
+        up.computers.begin()
         recording.take()
         _watch(up, seconds)
         samples = recording.take()

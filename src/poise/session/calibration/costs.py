@@ -54,8 +54,8 @@ def costs_of(
     for kind, both in costs.items():
         if kind != "direct" and not both.source.call * both.source.message:
             raise RunError(
-                f"the cost of a {kind} connector cannot be series from other load; try "
-                "again on a less busy machine, or with a longer --for"
+                f"the cost of a {kind} connector cannot be separated from other load; "
+                "try again on a less busy machine, or with a longer --for"
             )
     return costs
 
