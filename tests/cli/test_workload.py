@@ -16,7 +16,7 @@ from poise.model import load
 from poise.model.robot import Generated, Robot, Workload
 from poise.session.profiling.rig import OTHERS, rig_of
 from poise.session.profiling.workload_replay import PLAYER, played
-from poise.session.recordings.tapped_robot import RECORDER, tapped
+from poise.session.recordings.tapped_robot import tapped
 from poise.session.robot_file import check
 from poise.wire.records.recorded import Input, Recorded
 from tests.command import Poise
@@ -78,20 +78,25 @@ def recorded(folder: Path, source: str) -> Workload:
     return Workload(recording="run.recording")
 
 
-def test_a_recorder_is_joined_to_what_is_published_between_architectures(
+def test_what_goes_between_architectures_is_recorded(
     robot: Robot, tmp_path: Path
 ) -> None:
-    placement = {"ear": "main", "mind": "main"}
-    tap = tapped(robot, placement, tmp_path / "inputs")
+    tap = tapped(robot, {"ear", "mind"}, tmp_path / "inputs")
+    assert (tap.sources, tap.callers) == (("ear.heard",), ())
+    assert [each.record for each in tap.robot.connectors] == [str(tmp_path / "inputs")]
+
+
+def test_a_message_to_several_is_recorded_once(robot: Robot, tmp_path: Path) -> None:
+    twice = replace(robot, connectors=robot.connectors * 2)
+    tap = tapped(twice, {"ear", "mind"}, tmp_path / "inputs")
     assert tap.sources == ("ear.heard",)
-    assert tap.placement == {**placement, RECORDER: "main"}
-    assert str(tap.robot.connectors[-1]) == f"ear.heard -> {RECORDER}.input_0"
+    assert [bool(each.record) for each in tap.robot.connectors] == [True, False]
 
 
-def test_nothing_is_joined_where_nothing_goes_from_one_to_another(
+def test_nothing_is_recorded_where_nothing_goes_from_one_to_another(
     robot: Robot, tmp_path: Path
 ) -> None:
-    tap = tapped(robot, {"ear": "main"}, tmp_path / "inputs")
+    tap = tapped(robot, {"ear"}, tmp_path / "inputs")
     assert (tap.robot, tap.sources) == (robot, ())
 
 

@@ -160,7 +160,7 @@ class Connector(Struct, frozen=True, kw_only=True):
     limit
         Time limit of a call [s]; > 0.
     record
-        A file in which incoming calls are recorded; empty: none. Set by
+        A file in which messages or calls are recorded; empty: none. Set by
         `poise run --record`, not by the robot file.
     """
 

@@ -7,13 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from poise import Message
-from poise.runtime.connectors.recorded_inputs import read_inputs
-from poise.runtime.workload.recorder import Recorder
 from poise.runtime.workload.replay import TICK, Replay
 from poise.testing import Bench
 from poise.wire.codec import codec
@@ -46,11 +42,6 @@ def recorded(path: Path, *messages: tuple[str, float, str]) -> str:
 def player(**parameters: Any) -> Bench[Any]:
     parameters.setdefault("recording", "")
     return Bench(Replay.__poise_specialised__(parameters, ""), parameters)
-
-
-def recorder(path: Path) -> Bench[Any]:
-    parameters = {"path": str(path), "ports": {"heard": ["a.x", TEXT]}}
-    return Bench(Recorder.__poise_specialised__(parameters, ""), parameters)
 
 
 def texts(bench: Bench[Any], port: str) -> list[str]:
@@ -120,56 +111,3 @@ def test_a_function_of_the_robots_may_make_them() -> None:
     with player(ports={"out": part}) as bench:
         bench.advance(0.1 + TICK)
         assert texts(bench, "out") == ["wwwwwww"]
-
-
-def test_a_recorder_writes_down_what_comes(tmp_path: Path) -> None:
-    path = tmp_path / "inputs"
-    with recorder(path) as bench:
-        bench.send("heard", Text("one"))
-        bench.send("heard", Text("two"))
-    found = read_inputs(path)
-    assert [each.source for each in found] == ["a.x", "a.x"]
-    assert 0 <= found[0].at <= found[1].at
-    decode = codec(Text).decode
-    decoded = [decode(each.body, memoryview(each.buffers)) for each in found]
-    assert decoded == [Text("one"), Text("two")]
-
-
-class Vectors(Message):
-    one: NDArray[np.uint8]
-    two: NDArray[np.uint8]
-
-
-def test_arrays_of_any_length_are_written_down(tmp_path: Path) -> None:
-    path = tmp_path / "inputs"
-    sent = Vectors(np.arange(3, dtype=np.uint8), np.arange(5, dtype=np.uint8))
-    parameters = {
-        "path": str(path),
-        "ports": {"heard": ["a.x", "played_texts:Vectors"]},
-    }
-    with Bench(Recorder.__poise_specialised__(parameters, ""), parameters) as bench:
-        bench.send("heard", sent)
-    (found,) = read_inputs(path)
-    got = codec(Vectors).decode(found.body, memoryview(found.buffers))
-    np.testing.assert_array_equal(got.one, sent.one)
-    np.testing.assert_array_equal(got.two, sent.two)
-
-
-def test_a_cut_off_end_is_left_out(tmp_path: Path) -> None:
-    path = tmp_path / "inputs"
-    with recorder(path) as bench:
-        bench.send("heard", Text("one"))
-        bench.send("heard", Text("two"))
-    path.write_bytes(path.read_bytes()[:-1])
-    assert len(read_inputs(path)) == 1
-
-
-def test_a_recording_is_bounded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("poise.runtime.connectors.recorded_inputs.MOST", 100)
-    with recorder(tmp_path / "inputs") as bench:
-        for _ in range(5):
-            bench.send("heard", Text("a" * 40))
-        assert len(bench.measured["left_out"]) == 4
-    assert len(read_inputs(tmp_path / "inputs")) == 1

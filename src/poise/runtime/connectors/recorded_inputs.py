@@ -14,7 +14,6 @@ from pathlib import Path
 
 import msgspec
 
-from poise.wire.codec import Bytes, padding
 from poise.wire.connections.channel import Handler, Pieces
 from poise.wire.frame import Frame, Kind
 from poise.wire.records.recorded import Input
@@ -23,6 +22,7 @@ log = logging.getLogger(__name__)
 
 MOST = 1 << 28
 """The largest file [bytes]; later entries are left out."""
+_RECORDED = {Kind.MESSAGE, Kind.CALL, Kind.ONEWAY}
 _LENGTH = 4
 _RESULT_BODY = 1
 
@@ -31,53 +31,59 @@ class InputFile:
     """The end of the file; any thread may add to it."""
 
     def __init__(self, path: Path) -> None:
+        self._path = path
         self._fd = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
         self._lock = threading.Lock()
         self._is_closed = False
 
-    def add(self, entry: Input) -> bool:
-        """Append an entry; False: the file is full or closed, or the disk is full."""
+    def add(self, entry: Input) -> None:
+        """Append an entry, unless the file is full or closed."""
         data = msgspec.msgpack.encode(entry)
-        data = len(data).to_bytes(_LENGTH, "little") + data
         with self._lock:
-            if self._is_closed or os.fstat(self._fd).st_size + len(data) > MOST:
-                return False
+            if self._is_closed:
+                return
             try:
-                return os.write(self._fd, data) == len(data)
+                self._append(len(data).to_bytes(_LENGTH, "little") + data)
             except OSError as error:
-                log.warning("an input is not recorded: %s", error)
-                return False
+                log.warning("%s: nothing more is recorded: %s", self._path, error)
+                self._close()
+
+    def _append(self, data: bytes) -> None:
+        if os.fstat(self._fd).st_size + len(data) > MOST:
+            raise OSError(f"it may have {MOST} B")
+        if os.write(self._fd, data) < len(data):
+            raise OSError("the disk is full")
 
     def close(self) -> None:
         """Close the file; harmless when repeated."""
         with self._lock:
-            if not self._is_closed:
-                self._is_closed = True
-                os.close(self._fd)
+            self._close()
+
+    def _close(self) -> None:
+        if not self._is_closed:
+            self._is_closed = True
+            os.close(self._fd)
 
 
-def noting_calls(
-    handler: Handler, source: str, path: Path
-) -> tuple[Handler, InputFile]:
-    """Return a handler that also records calls, and its file, which is to be closed.
+def recording(handler: Handler, source: str, file: InputFile) -> Handler:
+    """Return a handler that also records messages and calls.
 
     Parameters
     ----------
     source
-        ``component.port`` that calls.
+        ``component.port`` that publishes or calls.
     """
-    file = InputFile(path)
 
     def handle(received: Frame) -> Pieces | None:
         at = time.monotonic()
         answer = handler(received)
-        if received.kind in (Kind.CALL, Kind.ONEWAY):
+        if received.kind in _RECORDED:
             body, buffers = bytes(received.body), bytes(received.buffers)
-            result = _result(answer)
-            file.add(Input(source, at, body, buffers, received.tag, result))
+            tag = None if received.kind is Kind.MESSAGE else received.tag
+            file.add(Input(source, at, body, buffers, tag, _result(answer)))
         return answer
 
-    return handle, file
+    return handle
 
 
 def _result(answer: Pieces | None) -> bytes:
@@ -85,14 +91,6 @@ def _result(answer: Pieces | None) -> bytes:
     if answer is None or bytes(answer[0])[1] != Kind.RESULT:
         return b""
     return bytes(answer[_RESULT_BODY])
-
-
-def end_to_end(buffers: list[memoryview]) -> bytes:
-    """Return buffers as they lie in a frame."""
-    pieces: list[Bytes] = []
-    for buffer in buffers:
-        pieces += (buffer, bytes(padding(buffer.nbytes)))
-    return b"".join(pieces)
 
 
 def read_inputs(path: Path) -> list[Input]:

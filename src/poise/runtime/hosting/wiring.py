@@ -19,7 +19,7 @@ from poise.runtime.connectors.channel_route import ChannelRoute, receiving
 from poise.runtime.connectors.direct import DirectRoute
 from poise.runtime.connectors.flow_control import CREDITS, Credit, CreditIssuer, Credits
 from poise.runtime.connectors.io_thread import IoThread
-from poise.runtime.connectors.recorded_inputs import noting_calls
+from poise.runtime.connectors.recorded_inputs import InputFile, recording
 from poise.runtime.connectors.remote_clock import RemoteClock, nobody_knows
 from poise.runtime.connectors.route import Route
 from poise.runtime.connectors.sender import Sender
@@ -297,10 +297,10 @@ class Wiring:
         handler = receiving(
             spec, target.endpoints, port, feed, issuer, ends.remote_clock
         )
-        if spec.record and port.kind == "provides":
-            caller = f"{spec.source}.{spec.source_port}"
-            handler, file = noting_calls(handler, caller, Path(spec.record))
+        if spec.record:
+            file = InputFile(Path(spec.record))
             ends.closing.callback(file.close)
+            handler = recording(handler, f"{spec.source}.{spec.source_port}", file)
         server = transports.server
         server.open(spec.key, handler, ends.counts.refuse)
         ends.closing.callback(server.shut, spec.key)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from msgspec import Struct
@@ -20,27 +20,31 @@ class Kept(Struct, frozen=True):
     """What is to run, and who takes its samples."""
 
     robot: Robot
-    placement: Mapping[str, str]
     samples: Recording
 
 
 @contextlib.contextmanager
 def keeping(
-    robot: Robot, placement: Mapping[str, str], file: Path | None, say: Say
+    robot: Robot, placed: Collection[str], file: Path | None, say: Say
 ) -> Iterator[Kept]:
     """Write a recording of what runs within to `file`; None: nothing is kept.
 
-    To be entered before the run is, for the recorder writes until it ends.
+    To be entered before the run is, for containers write until it ends.
+
+    Parameters
+    ----------
+    placed
+        The components that run.
     """
     samples = Recording()
     if file is None:
-        yield Kept(robot, placement, samples)
+        yield Kept(robot, samples)
         return
     inputs = file.with_name(f"{file.name}.inputs")
     inputs.unlink(missing_ok=True)
-    tap = tapped(robot, placement, inputs)
+    tap = tapped(robot, placed, inputs)
     try:
-        yield Kept(tap.robot, tap.placement, samples)
+        yield Kept(tap.robot, samples)
     finally:
         there = read_inputs(inputs) if inputs.exists() else []
         recorded = Recorded(robot=robot.name, samples=samples.take(), inputs=there)

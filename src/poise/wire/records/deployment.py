@@ -92,7 +92,7 @@ class ConnectorSpec(Struct, frozen=True, kw_only=True):
         are alternatives have the same, so that what waits for one goes to the other.
         Empty: `name`.
     record
-        A file for the calls that come; empty: they are not written down.
+        A file for the messages or calls that come; empty: they are not recorded.
     """
 
     name: str

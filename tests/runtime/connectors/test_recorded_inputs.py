@@ -1,0 +1,91 @@
+"""What comes over connectors is written to a file, and read again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from poise import Message
+from poise.runtime.connectors.recorded_inputs import InputFile, read_inputs, recording
+from poise.wire import frame
+from poise.wire.codec import codec
+from poise.wire.connections.channel import Handler
+from poise.wire.frame import Frame, Kind
+
+
+class Vectors(Message):
+    one: NDArray[np.uint8]
+    two: NDArray[np.uint8]
+
+
+@pytest.fixture(name="file")
+def _file(tmp_path: Path) -> Iterator[InputFile]:
+    file = InputFile(tmp_path / "inputs")
+    yield file
+    file.close()
+
+
+def come(handler: Handler, kind: Kind, value: Any, tag: int = 7) -> None:
+    type_: Any = type(value)
+    pieces = frame.segments(codec(type_), value, kind, tag=tag)
+    handler(frame.parse(b"".join(bytes(each) for each in pieces)))
+
+
+def received(file: InputFile) -> tuple[Handler, list[Frame]]:
+    """Return a handler that records, and what goes on to the one behind it."""
+    frames: list[Frame] = []
+    return recording(frames.append, "a.x", file), frames
+
+
+def test_messages_are_recorded_without_and_calls_with_a_tag(
+    file: InputFile, tmp_path: Path
+) -> None:
+    handler, frames = received(file)
+    come(handler, Kind.MESSAGE, "one")
+    come(handler, Kind.MARKER, None)
+    come(handler, Kind.ONEWAY, "two")
+    assert [each.kind for each in frames] == [Kind.MESSAGE, Kind.MARKER, Kind.ONEWAY]
+    found = read_inputs(tmp_path / "inputs")
+    assert [(each.source, each.tag) for each in found] == [("a.x", None), ("a.x", 7)]
+    assert 0 == found[0].at <= found[1].at
+    decode = codec(str).decode
+    assert [decode(e.body, memoryview(e.buffers)) for e in found] == ["one", "two"]
+
+
+def test_arrays_of_any_length_are_recorded(file: InputFile, tmp_path: Path) -> None:
+    sent = Vectors(np.arange(3, dtype=np.uint8), np.arange(5, dtype=np.uint8))
+    come(received(file)[0], Kind.MESSAGE, sent)
+    (found,) = read_inputs(tmp_path / "inputs")
+    got = codec(Vectors).decode(found.body, memoryview(found.buffers))
+    np.testing.assert_array_equal(got.one, sent.one)
+    np.testing.assert_array_equal(got.two, sent.two)
+
+
+def test_a_cut_off_end_is_left_out(file: InputFile, tmp_path: Path) -> None:
+    handler, _ = received(file)
+    come(handler, Kind.MESSAGE, "one")
+    come(handler, Kind.MESSAGE, "two")
+    path = tmp_path / "inputs"
+    path.write_bytes(path.read_bytes()[:-1])
+    assert len(read_inputs(path)) == 1
+
+
+def test_a_recording_is_bounded_and_says_so(
+    file: InputFile,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monkeypatch.setattr("poise.runtime.connectors.recorded_inputs.MOST", 100)
+    handler, frames = received(file)
+    for _ in range(5):
+        come(handler, Kind.MESSAGE, "a" * 60)
+    assert len(frames) == 5
+    assert len(read_inputs(tmp_path / "inputs")) == 1
+    (said,) = caplog.messages
+    assert "nothing more is recorded: it may have 100 B" in said
