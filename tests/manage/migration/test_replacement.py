@@ -21,6 +21,7 @@ from poise.model.robot import (
     Computer,
     Connector,
     End,
+    Layer,
     Robot,
 )
 from tests.manage.agents import TELLING, Told, two_agents
@@ -178,10 +179,14 @@ class SimulatorProcess(Told):
 
 
 def _robot(folder: Path, place: Path) -> Robot:
-    def architecture(name: str, function: str, *components: str) -> Architecture:
+    def architecture(
+        name: str, function: str, *components: str, layer: Layer = "sequencing"
+    ) -> Architecture:
         return Architecture(
             name=name,
             function=function,
+            layer=layer,
+            home="left",
             components=tuple(
                 Component(
                     name=each,
@@ -208,11 +213,12 @@ def _robot(folder: Path, place: Path) -> Robot:
         folder=str(folder),
         computers=tuple(Computer(name=n, capacity=capacity) for n in ("left", "right")),
         architectures=(
-            architecture("ends", "ends", "source", "sink"),
+            architecture("ends", "ends", "source", "sink", layer="reactive"),
             architecture("halves", "adding", "counter", "adder"),
             architecture("one", "adding", "whole"),
             architecture("bad", "adding", "broken", "idle"),
             architecture("deaf", "adding", "silent"),
+            architecture("reflex", "ends", "reacting", layer="reactive"),
         ),
         connectors=tuple(connectors),
     )
@@ -304,6 +310,7 @@ def test_refuses_before_anything_is_touched(world: SimulatorProcess) -> None:
         ("one", "halves", "architecture 'one' does not run"),
         ("halves", "halves", "runs already"),
         ("halves", "ends", "provides 'ends', not 'adding'"),
+        ("ends", "reflex", "'ends' is in the reactive layer, which stays as it is"),
         ("halves", "deaf", "'source.doubles' calls 'counter.doubles', and is joined"),
     ):
         with pytest.raises(UsageError, match=words):

@@ -55,8 +55,9 @@ def replace_architecture(
     Raises
     ------
     UsageError
-        It does not run, the other is no alternative, somebody calls what the other
-        does not offer, or state would be lost; nothing was touched.
+        It does not run, the other is no alternative, one of them is not in the
+        sequencing layer, somebody calls what the other does not offer, or state would
+        be lost; nothing was touched.
     """
     old, new = _checked(run, architecture, by)
     if not adapt and not fresh:
@@ -102,6 +103,12 @@ def _checked(run: Run, name: str, by: str) -> tuple[Architecture, Architecture]:
             f"architecture '{by}' provides '{new.function}', not '{old.function}': "
             f"it is no alternative to '{name}'"
         )
+    for each in (old, new):
+        if each.layer != "sequencing":
+            raise UsageError(
+                f"architecture '{each.name}' is in the {each.layer} layer, which stays "
+                "as it is: stop the robot to change it"
+            )
     if any(c.name in run.placed for c in new.components):
         raise UsageError(f"architecture '{by}' runs already")
     commands = [c.name for c in (*old.components, *new.components) if c.command]
