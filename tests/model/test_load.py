@@ -58,7 +58,8 @@ chains:
   pose: {through: [scanner, localiser], deadline: 200 ms}
 tasks:
   fetch: {actions: [{name: drive, functions: [navigation]}]}
-objective: {communication: 5, balance: 1, scale: paper, sizes: {memory: 3}}
+objective: {communication: 5, balance: 1, quality: 2, scale: paper,
+            sizes: {memory: 3}}
 together: [[scanner, localiser]]
 apart: [[localiser, recorder]]
 simulator: {command: [python, -m, trot.world]}
@@ -145,6 +146,7 @@ def test_reads_connectors_chains_tasks_and_the_rest(robot_file: Path) -> None:
     assert robot.objective == Objective(
         communication=5, balance=1, scale="paper", sizes={"memory": 3}
     )
+    assert robot.quality_weight == 2.0
     assert robot.together == (("scanner", "localiser"),)
     assert robot.apart == (("localiser", "recorder"),)
     assert robot.simulator == Simulator(command=("python", "-m", "trot.world"))

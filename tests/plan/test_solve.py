@@ -5,6 +5,7 @@ import os
 import signal
 import threading
 import time
+from typing import Any, cast
 
 import pytest
 from msgspec.structs import replace
@@ -13,6 +14,10 @@ from benchmarks.random_robots import random_robot
 from poise import plan
 from poise.errors import UsageError
 from poise.plan import Problem
+from poise.plan._core import Core
+from poise.plan.result import Snapshot
+from poise.plan.solvers import portfolio
+from poise.plan.solvers.portfolio import Effort
 
 
 @pytest.mark.parametrize("method", ["auto", "greedy", "exact", "search"])
@@ -41,6 +46,28 @@ def test_proves_a_small_robot() -> None:
     assert result.proven
     assert result.gap == 0
     assert result.stopped_by == "proven"
+
+
+class Asked:
+    """A core that notes what it was asked."""
+
+    def __init__(self, core: Core) -> None:
+        self._core = core
+        self.names: list[str] = []
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401, whatever the core has
+        self.names.append(name)
+        return getattr(self._core, name)
+
+
+def test_nothing_is_searched_where_a_proof_is_quick() -> None:
+    snapshot = Snapshot(random_robot(2, 20, 2))
+    core = Asked(Core(snapshot.tables))
+    effort = Effort(60.0, None)
+    result = portfolio.decide(cast("Core", core), snapshot, "auto", effort)
+    assert result.proven
+    assert core.names.count("exact") == 1
+    assert "search" not in core.names
 
 
 def test_steps_make_it_reproducible() -> None:
