@@ -239,6 +239,29 @@ def test_a_conflict_is_irreducible_and_its_relaxation_the_least() -> None:
     assert found > 5
 
 
+@pytest.mark.slow
+def test_no_limit_is_named_that_is_not_in_conflict() -> None:
+    """Without the others it cannot hold, and without any one of these it can."""
+    found = 0
+    for seed in range(40):
+        problem = small_robot(seed)
+        conflict = plan.solve(problem).conflict
+        if conflict is None:
+            continue
+        part = plan.keep_components(problem, {*conflict.components})
+        limits = [*limits_of(part)]
+        if not {*conflict.limits} <= {limit.text for limit in limits}:
+            continue  # what is short is told as one sum
+        found += 1
+        for limit in limits:
+            part = part if limit.text in conflict.limits else limit.lifted(part)
+        assert not holds(part)
+        for limit in limits:
+            if limit.text in conflict.limits:
+                assert holds(limit.lifted(part))
+    assert found > 5
+
+
 def holds(problem: Problem) -> bool:
     return least(problem) < math.inf
 
