@@ -15,10 +15,9 @@ killed at any moment, and is started again with what its agent was told last.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import get_args
 
-from poise.wire.migration_phases import TRANSITIONS, Before
-from poise.wire.records.migration import ComponentStep
+from poise.wire.migration_phases import TRANSITIONS, Before, Phase
+from poise.wire.records.migration import STEPS
 from tests.model_of_moves.calls import SIDES, Calls
 from tests.model_of_moves.faults import Faults
 from tests.model_of_moves.world import MARK, Bounds, Incarnation, Order, Side, State
@@ -26,7 +25,7 @@ from tests.model_of_moves.world import MARK, Bounds, Incarnation, Order, Side, S
 Taken = tuple[State, bool]
 """The state after a step, and whether the step succeeded."""
 
-PHASES = {kind.__struct_config__.tag: kind.phase for kind in get_args(ComponentStep)}
+PHASES: dict[str, Phase] = {name: phase for name, (_, phase) in STEPS.items()}
 """The steps of components, and the phases that they lead to."""
 
 

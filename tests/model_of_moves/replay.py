@@ -12,6 +12,10 @@ from tests.model_of_moves.protocol import Protocol, initial, prepare, resuming, 
 from tests.model_of_moves.world import Bounds, State
 
 _WHO = re.compile(r"(.+)/(\d+)")
+_RELEASES = {
+    "release to targets": "release to new",
+    "release to sources": "release to old",
+}
 
 
 class Recorded(NamedTuple):
@@ -108,11 +112,11 @@ def _in_words(steps: Sequence[StepTaken], component: str) -> Iterator[Recorded]:
     epochs = sorted({int(w[2]) for w in parties if w[1] == component})
     at_sink: list[StepTaken] = []
     for step in steps:
-        name, who = step.step, _WHO.fullmatch(step.who)
+        name: str = step.step
+        who = _WHO.fullmatch(step.who)
         if who is None:
             where = "source"
-            if name == "release":
-                name += " to new" if step.phase == "resume" else " to old"
+            name = _RELEASES.get(name, name)
         elif who[1] == component:
             where = "old 0" if int(who[2]) == epochs[0] else "new 0"
         else:

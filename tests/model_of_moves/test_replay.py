@@ -24,7 +24,7 @@ STEPS: list[tuple[str, str, Phase]] = [
     ("one/1", "restore state", "transfer"),
     ("one/1", "activate", "transfer"),
     ("one/1", "resume", "resume"),
-    ("senders", "release", "resume"),
+    ("senders", "release to targets", "resume"),
     ("one/0", "redirect", "commit"),
 ]
 
@@ -33,7 +33,7 @@ def report(
     steps: list[tuple[str, str, Phase]], *, committed: bool = True
 ) -> MigrationReport:
     taken = tuple(
-        StepTaken(who, step, phase, float(k), k + 0.5)
+        StepTaken(who, step, phase, float(k), k + 0.5)  # type: ignore[arg-type] # some are unknown
         for k, (who, step, phase) in enumerate(steps)
     )
     return MigrationReport(committed=committed, steps=taken)
@@ -47,7 +47,7 @@ def test_the_model_knows_a_move_that_rolls_back() -> None:
     back: list[tuple[str, str, Phase]] = [
         *STEPS[:7],
         ("one/0", "roll back", "roll back"),
-        ("senders", "release", "roll back"),
+        ("senders", "release to sources", "roll back"),
     ]
     assert replay(report(back, committed=False), "one") == ""
 

@@ -28,7 +28,7 @@ from poise.runtime.component.ports import (
     timers_of,
 )
 from poise.runtime.connectors.interface import methods
-from poise.runtime.migration.state_sender import check_state
+from poise.runtime.migration.state_check import check_state
 from poise.wire.codec import codec
 
 _Known = dict[str, dict[str, KnownPort]]

@@ -39,17 +39,7 @@ from poise.model.robot import (
     Robot,
 )
 from poise.wire.records.deployment import Deployment
-from poise.wire.records.migration import (
-    AwaitIdle,
-    MigrationSteps,
-    OfferState,
-    Pause,
-    PreCopy,
-    RequestState,
-    Resume,
-    RollBack,
-    StepsOutcome,
-)
+from poise.wire.records.migration import MigrationSteps, StepName, StepsOutcome
 from tests.busy import needs_quiet_machine
 from tests.manage.agents import TELLING, agent
 from tests.model_of_moves.replay import replay
@@ -59,8 +49,15 @@ from tests.waiting import wait_until
 pytestmark = pytest.mark.slow
 
 LIMIT = 20.0
-ROUNDS = (OfferState, PreCopy, RequestState, AwaitIdle, Pause, Resume)
-"""A kind of step in each round of a move."""
+ROUNDS: tuple[StepName, ...] = (
+    "offer state",
+    "pre-copy",
+    "request state",
+    "await idle",
+    "pause",
+    "resume",
+)
+"""A step in each round of a move."""
 JOINTS: tuple[tuple[str, str], ...] = (
     ("source.numbers", "counter.numbers"),
     ("source.doubles", "counter.doubles"),
@@ -245,7 +242,7 @@ class Striking:
     def __init__(self, agents: Agents) -> None:
         self._agents = agents
         self.deploy = agents.deploy
-        self.before: dict[type, Callable[[], None]] = {}
+        self.before: dict[StepName, Callable[[], None]] = {}
 
     def __getattr__(self, name: str) -> object:
         return getattr(self._agents, name)
@@ -256,9 +253,9 @@ class Striking:
         check: Callable[[], object] = lambda: None,
     ) -> Iterator[StepsOutcome]:
         told = list(batches)
-        kinds = {type(step) for _, batch in told for step in batch.steps}
-        for kind in kinds & self.before.keys():
-            self.before.pop(kind)()
+        names = {step.name for _, batch in told for step in batch.steps}
+        for name in names & self.before.keys():
+            self.before.pop(name)()
         return self._agents.take_steps(told, check)
 
 
@@ -571,7 +568,7 @@ def test_goes_on_in_its_container_when_a_snapshot_that_took_too_long_ends(
 
 def test_a_move_after_one_that_rolled_back_succeeds(world: SimulatorProcess) -> None:
     run = world.start("Counter")
-    world.striking.before[Pause] = lambda: world.kill("right", "counter")
+    world.striking.before["pause"] = lambda: world.kill("right", "counter")
     first, second = move(run, "counter", "right"), move(run, "counter", "right")
     assert (first.committed, second.committed) == (False, True), second.reason
     world.works()
@@ -584,7 +581,7 @@ def test_a_stop_ends_a_move_amid_the_pre_copy_of_its_state(
     run = world.start("LingeringFirst")
     lingers = world.folder / world.name / "lingers"
     lingers.touch()
-    world.striking.before[PreCopy] = run.cancel
+    world.striking.before["pre-copy"] = run.cancel
     try:
         report = move(run, "counter", "right")
     finally:
@@ -595,9 +592,9 @@ def test_a_stop_ends_a_move_amid_the_pre_copy_of_its_state(
     assert world.wrong() == 0
 
 
-@pytest.mark.parametrize("before", [OfferState, AwaitIdle])
+@pytest.mark.parametrize("before", ["offer state", "await idle"])
 def test_a_move_away_from_a_frozen_container_fails_soon(
-    world: SimulatorProcess, before: type
+    world: SimulatorProcess, before: StepName
 ) -> None:
     """It said nothing for 30 s: the source offered its state when it went on."""
     run = world.start("Counter", "right", isolated=True)
@@ -670,7 +667,7 @@ def test_an_implementation_is_replaced_and_its_state_adapted(
 @pytest.mark.parametrize("victim", [("left", "counter"), ("right", "counter")])
 @pytest.mark.parametrize("before", ROUNDS)
 def test_a_container_that_is_killed_between_two_rounds(
-    world: SimulatorProcess, victim: tuple[str, str], before: type
+    world: SimulatorProcess, victim: tuple[str, str], before: StepName
 ) -> None:
     run = world.start("Counter", isolated=True)
     world.striking.before[before] = lambda: world.kill(*victim)
@@ -680,17 +677,17 @@ def test_a_container_that_is_killed_between_two_rounds(
     assert replay(report, "counter", kills=1) == ""
     assert_bounded(report)
     if victim[0] == "right" and before not in {
-        OfferState,
-        PreCopy,
+        "offer state",
+        "pre-copy",
     }:  # it may be back then
-        assert report.committed == (before is Resume)
+        assert report.committed == (before == "resume")
     world.works()
     world.wait_for(lambda: world.active() == [run.placement()["counter"]])
 
 
-@pytest.mark.parametrize("before", [Pause, Resume])
+@pytest.mark.parametrize("before", ["pause", "resume"])
 def test_a_source_that_is_killed_between_two_rounds(
-    world: SimulatorProcess, before: type
+    world: SimulatorProcess, before: StepName
 ) -> None:
     run = world.start("Counter", "right", isolated=True)
     world.striking.before[before] = lambda: world.kill("right", "source")
@@ -700,9 +697,9 @@ def test_a_source_that_is_killed_between_two_rounds(
     world.wait_for(lambda: world.active() == [run.placement()["counter"]])
 
 
-@pytest.mark.parametrize("before", [Pause, Resume])
+@pytest.mark.parametrize("before", ["pause", "resume"])
 def test_a_sink_that_is_killed_between_two_rounds(
-    world: SimulatorProcess, before: type
+    world: SimulatorProcess, before: StepName
 ) -> None:
     run = world.start("Counter", isolated=True)
     world.striking.before[before] = lambda: world.kill("left", "sink")
@@ -735,7 +732,7 @@ def test_nothing_is_lost_when_containers_stand_still_amid_moves(
 
 @pytest.mark.parametrize("before", ROUNDS)
 def test_goes_on_when_the_targets_agent_dies(
-    mortal: SimulatorProcess, mortals: TwoAgents, before: type
+    mortal: SimulatorProcess, mortals: TwoAgents, before: StepName
 ) -> None:
     run = mortal.start("Counter")
 
@@ -747,8 +744,8 @@ def test_goes_on_when_the_targets_agent_dies(
     report = move(run, "counter", "right")
     assert_bounded(report)
     # what had answered before it could be told that all have done so stays gone
-    assert report.committed == (before is Resume)
-    if before is not Resume:
+    assert report.committed == (before == "resume")
+    if before != "resume":
         assert run.placement()["counter"] == "left"
         mortal.works()
         assert mortal.told("sink")[1] == 0
@@ -769,8 +766,8 @@ def test_the_sources_resume_without_waiting_for_why_an_agent_is_silent(
     monkeypatch.setattr("poise.manage.migration.coordinator.DOWNTIME_LIMIT", 0.5)
     run = mortal.start("Counter")
     right = mortals.processes["right"]
-    mortal.striking.before[Pause] = lambda: right.send_signal(signal.SIGSTOP)
-    mortal.striking.before[RollBack] = lambda: right.send_signal(signal.SIGCONT)
+    mortal.striking.before["pause"] = lambda: right.send_signal(signal.SIGSTOP)
+    mortal.striking.before["roll back"] = lambda: right.send_signal(signal.SIGCONT)
     report = move(run, "counter", "right")
     assert "the agent of 'right'" in report.reason
     assert waited

@@ -5,21 +5,7 @@ from __future__ import annotations
 from poise.manage.deployment import DeploymentPlan, Incarnation
 from poise.manage.migration.plan import MigrationPlan, MigrationRounds
 from poise.model.robot import Architecture, Component, Connector, End, Robot
-from poise.wire.records.migration import (
-    Activate,
-    Buffer,
-    DrainChannels,
-    DrainMailbox,
-    MigrationStep,
-    Pause,
-    PreCopy,
-    Redirect,
-    Release,
-    RestoreState,
-    Resume,
-    RollBack,
-    SendState,
-)
+from poise.wire.records.migration import Step
 
 GATEWAYS = {"left": "10.0.0.1:4001", "right": "10.0.0.2:4002"}
 
@@ -41,8 +27,8 @@ def rounds_of(
 
 
 def steps(
-    round_: list[tuple[Incarnation, MigrationStep]],
-) -> list[tuple[str, MigrationStep]]:
+    round_: list[tuple[Incarnation, Step]],
+) -> list[tuple[str, Step]]:
     return [(where.component, step) for where, step in round_]
 
 
@@ -57,27 +43,36 @@ def test_a_move_takes_one_round_in_stages(robot: Robot) -> None:
     )
     (only,) = rounds.transfer()
     assert steps(only) == [
-        ("grabber", Buffer(("grabber.raw-filter.raw",))),
-        ("filter", Pause("filter", 0)),
-        ("filter", DrainChannels("filter", 0, ("grabber.raw-filter.raw",))),
-        ("heavy", DrainChannels("heavy", 0, ("filter.clean-heavy.clean",))),
-        ("thinker", DrainChannels("thinker", 0, ("filter.clean-thinker.seen",))),
-        ("filter", SendState("filter", 0)),
-        ("filter", RestoreState("filter", 1)),
-        ("filter", Activate("filter", 1)),
+        ("grabber", Step("buffer", connectors=("grabber.raw-filter.raw",))),
+        ("filter", Step("pause", "filter", 0)),
+        ("filter", Step("drain channels", "filter", 0, ("grabber.raw-filter.raw",))),
+        ("heavy", Step("drain channels", "heavy", 0, ("filter.clean-heavy.clean",))),
+        (
+            "thinker",
+            Step("drain channels", "thinker", 0, ("filter.clean-thinker.seen",)),
+        ),
+        ("filter", Step("send state", "filter", 0)),
+        ("filter", Step("restore state", "filter", 1)),
+        ("filter", Step("activate", "filter", 1)),
     ]
 
 
 def test_either_side_resumes(robot: Robot) -> None:
     rounds = rounds_of(robot, {"filter": "left"}, {"filter": "right"}, grabber="left")
     assert steps(rounds.resume()) == [
-        ("filter", Resume("filter", 1)),
-        ("grabber", Release(("grabber.raw-filter.raw/0.1",), "resume")),
-        ("filter", Redirect("filter", 0)),
+        ("filter", Step("resume", "filter", 1)),
+        (
+            "grabber",
+            Step("release to targets", connectors=("grabber.raw-filter.raw/0.1",)),
+        ),
+        ("filter", Step("redirect", "filter", 0)),
     ]
     assert steps(rounds.roll_back()) == [
-        ("filter", RollBack("filter", 0)),
-        ("grabber", Release(("grabber.raw-filter.raw/0.0",), "roll back")),
+        ("filter", Step("roll back", "filter", 0)),
+        (
+            "grabber",
+            Step("release to sources", connectors=("grabber.raw-filter.raw/0.0",)),
+        ),
     ]
 
 
@@ -116,17 +111,20 @@ def test_an_architecture_is_drained_on_the_way_of_its_messages() -> None:
     )
     first, last = (steps(each) for each in rounds.transfer())
     assert first == [
-        ("source", Buffer(("source.calls-a.port",))),
-        ("a", DrainChannels("a", 0, ("source.calls-a.port",))),
-        ("a", DrainMailbox("a", 0)),
-        ("a", Pause("a", 0)),
+        ("source", Step("buffer", connectors=("source.calls-a.port",))),
+        ("a", Step("drain channels", "a", 0, ("source.calls-a.port",))),
+        ("a", Step("drain mailbox", "a", 0)),
+        ("a", Step("pause", "a", 0)),
     ]
     assert last[:3] == [
-        ("b", DrainChannels("b", 0, ("a.out-b.in",))),
-        ("b", DrainMailbox("b", 0)),
-        ("b", Pause("b", 0)),
+        ("b", Step("drain channels", "b", 0, ("a.out-b.in",))),
+        ("b", Step("drain mailbox", "b", 0)),
+        ("b", Step("pause", "b", 0)),
     ]
-    assert [step for _, step in last][-2:] == [RestoreState("c", 1), Activate("c", 1)]
+    assert [step for _, step in last][-2:] == [
+        Step("restore state", "c", 1),
+        Step("activate", "c", 1),
+    ]
 
 
 def test_the_alternatives_of_a_connector_share_a_slot() -> None:
@@ -143,8 +141,10 @@ def test_what_was_buffered_for_one_goes_to_the_alternative() -> None:
     rounds = rounds_of(
         _alternatives(), {"a": "left", "b": "left"}, {"c": "left"}, **where
     )
-    releases = [step for _, step in rounds.resume() if isinstance(step, Release)]
-    assert releases == [Release(("source.calls-c.port/0.1",), "resume")]
+    releases = [step for _, step in rounds.resume() if step.connectors]
+    assert releases == [
+        Step("release to targets", connectors=("source.calls-c.port/0.1",))
+    ]
     joins = [step for _, step in rounds.prepare()[1]]
-    where_from = {"a": "two", "b": "two"}
-    assert joins == [PreCopy("c", 1, {"a": 0, "b": 0}, where_from)]
+    sources = {"a": (0, "two"), "b": (0, "two")}
+    assert joins == [Step("pre-copy", "c", 1, sources=sources)]

@@ -39,7 +39,7 @@ from poise.wire.records.deployment import (
     Refused,
     Request,
 )
-from poise.wire.records.migration import MigrationSteps, Redirect, StepsFailed
+from poise.wire.records.migration import MigrationSteps, Step, StepsFailed
 from tests.runtime.conftest import free_port
 from tests.waiting import LIMIT, wait_until
 
@@ -505,7 +505,7 @@ def test_a_stopped_container_is_told_within_a_second_or_so(manager: Manager) -> 
     (fault,) = manager.faults(status)
     assert "has not responded for" in fault.message
     assert "its process is stopped (SIGSTOP)" in fault.message
-    steps = MigrationSteps(8, 1, "quiet", (Redirect("x", 0),), limit=LIMIT)
+    steps = MigrationSteps(8, 1, "quiet", (Step("redirect", "x"),), limit=LIMIT)
     assert manager.ask(steps) == StepsFailed(
         8, "container 'quiet' does not respond: its process is stopped (SIGSTOP)"
     )
@@ -530,7 +530,7 @@ def test_a_step_in_a_container_that_is_stopped_meanwhile_fails_at_once(
     manager.deploy("quiet")
     container = manager.wait_active("quiet")
     os.kill(container.pid, signal.SIGSTOP)
-    steps = MigrationSteps(9, 1, "quiet", (Redirect("x", 0),), limit=1e3)
+    steps = MigrationSteps(9, 1, "quiet", (Step("redirect", "x"),), limit=1e3)
     failed = manager.ask(steps)
     assert isinstance(failed, StepsFailed)
     assert "does not respond" in failed.reason
@@ -612,7 +612,7 @@ def test_obeys_one_manager_until_that_is_gone(doomed: Manager) -> None:
 
     empty = Deployment(generation=99, containers=())
     assert isinstance(doomed.ask(empty, token=1), Refused)
-    steps = MigrationSteps(7, 1, "quiet", (Redirect("quiet", 0),), limit=1.0)
+    steps = MigrationSteps(7, 1, "quiet", (Step("redirect", "quiet"),), limit=1.0)
     refused = doomed.ask(steps, token=1)
     assert isinstance(refused, StepsFailed)
     assert "fencing token is 2" in refused.reason
@@ -621,7 +621,7 @@ def test_obeys_one_manager_until_that_is_gone(doomed: Manager) -> None:
 
 
 def test_a_step_for_a_container_that_is_not_there_fails(manager: Manager) -> None:
-    steps = MigrationSteps(7, 1, "ghost", (Redirect("x", 0),), limit=1.0)
+    steps = MigrationSteps(7, 1, "ghost", (Step("redirect", "x"),), limit=1.0)
     assert manager.ask(steps) == StepsFailed(7, "container 'ghost' does not run")
 
 

@@ -13,12 +13,8 @@ from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration.executor import MigrationExecutor
 from poise.wire.records.deployment import ComponentSpec
 from poise.wire.records.migration import (
-    MigrationStep,
     MigrationSteps,
-    OfferState,
-    Pause,
-    RollBack,
-    SendState,
+    Step,
     StepsDone,
     StepsFailed,
 )
@@ -47,11 +43,12 @@ def executor(runner: Runner) -> MigrationExecutor:
     return MigrationExecutor({("one", 0): runner}, Mock(), Mock())
 
 
-OFFER, PAUSE, SEND = OfferState("one", 0), Pause("one", 0), SendState("one", 0)
-ROLL_BACK = RollBack("one", 0)
+OFFER, PAUSE, SEND, ROLL_BACK = (
+    Step(name, "one", 0) for name in ("offer state", "pause", "send state", "roll back")
+)
 
 
-def batch(*steps: MigrationStep, migration: int = 1) -> MigrationSteps:
+def batch(*steps: Step, migration: int = 1) -> MigrationSteps:
     return MigrationSteps(1, migration, "container", steps, LIMIT)
 
 
@@ -111,7 +108,7 @@ def test_a_step_of_an_older_migration_is_refused(executor: MigrationExecutor) ->
 def test_an_illegal_step_names_both_phases(
     executor: MigrationExecutor,
     runner: Runner,
-    steps: tuple[MigrationStep, ...],
+    steps: tuple[Step, ...],
     words: str,
 ) -> None:
     outcome = executor.receive(batch(*steps))()

@@ -9,7 +9,7 @@ import pytest
 
 from poise import Message
 from poise.errors import UsageError
-from poise.runtime.migration.state_receiver import types_of
+from poise.runtime.migration.state_check import types_of
 
 
 class Belief(Message):

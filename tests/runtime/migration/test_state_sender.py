@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol
+from unittest.mock import Mock
 
 import pytest
 
 from poise import Component, Message, Provided, every, oneway, subscribed
 from poise.clock import SystemClock
-from poise.errors import Timeout, UsageError
+from poise.errors import UsageError
 from poise.runtime.connectors.interface import methods
 from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.hosting.runner import Runner
-from poise.runtime.migration import state_sender
+from poise.runtime.migration.state_receiver import fetch, restore
 from poise.runtime.migration.state_sender import Request, StateSender
 from poise.wire import frame
 from poise.wire.connections.channel import Pieces
@@ -73,6 +74,15 @@ class Gradual(Book):
         self.texts += delta.texts
 
 
+class Forgetful(Gradual):
+    """Takes a change for given once it was asked for it."""
+
+    def snapshot_delta(self) -> Notes:
+        delta = super().snapshot_delta()
+        self.given = len(self.texts)
+        return delta
+
+
 class Untyped(Book):
     def restore(self, state) -> None:  # type: ignore[no-untyped-def] # noqa: ANN001
         self.texts = state.texts
@@ -94,15 +104,16 @@ def adapt(old: Notes) -> Counted:
 class DirectPipe:
     """Asks the old incarnation on the thread of the new."""
 
-    def __init__(self, sender: StateSender) -> None:
-        self._sender = sender
+    def __init__(self, runner: Runner) -> None:
+        server = Mock()
+        self.sender = StateSender(runner, 1, server)
+        _, self._serve = server.open.call_args.args
 
     def is_ready(self) -> bool:
         return True
 
     def request(self, pieces: Pieces, limit: float) -> Frame:  # noqa: ARG002, it is here
-        answer = self._sender.handle(frame.parse(b"".join(pieces)))
-        return frame.parse(b"".join(answer or ()))
+        return frame.parse(b"".join(self._serve(frame.parse(b"".join(pieces)))))
 
     def push(self, pieces: Pieces, limit: float) -> None:
         raise NotImplementedError
@@ -146,9 +157,9 @@ def texts(runner: Runner) -> tuple[str, ...]:
 def rest(runner: Runner) -> DirectPipe:
     runner.gate.begin_migration()
     runner.gate.pause_for_migration(LIMIT)
-    sender = StateSender(runner)
-    sender.send()
-    return DirectPipe(sender)
+    channel = DirectPipe(runner)
+    channel.sender.send()
+    return channel
 
 
 def tell(runner: Runner, *words: str) -> None:
@@ -165,7 +176,7 @@ def test_state_and_timers_go_over(incarnations: Incarnations) -> None:
     new = incarnations.start(Book, active=False)
     tell(old, "a", "b")
     channel = rest(old)
-    state_sender.restore(new, state_sender.fetch(channel, Request.ALL, LIMIT))
+    restore(new, fetch(channel, Request.ALL, LIMIT))
     new.aim("ready")
     new.life_cycle.wait_state({"active"}, LIMIT)
     assert texts(new) == ("a", "b")
@@ -180,7 +191,7 @@ def test_what_waits_goes_over_in_order(incarnations: Incarnations) -> None:
     feed = old.endpoints.feed("notes", Counts())
     for number in range(5):  # more than there is room for while it works
         feed.put((0, Notes((str(number),))))
-    state_sender.restore(new, state_sender.fetch(channel, Request.ALL, LIMIT))
+    restore(new, fetch(channel, Request.ALL, LIMIT))
     assert [v.texts for _, v in new.endpoints.inboxes["notes"].waiting()] == [
         (str(number),) for number in range(5)
     ]
@@ -194,7 +205,7 @@ def test_one_way_calls_that_wait_go_over_in_order(incarnations: Incarnations) ->
     feed = old.endpoints.feed("tells", Counts())
     for word in ("a", "b"):
         feed.put((tag, (word,)))
-    state_sender.restore(new, state_sender.fetch(channel, Request.ALL, LIMIT))
+    restore(new, fetch(channel, Request.ALL, LIMIT))
     new.aim("active")
     wait_until(lambda: texts(new) == ("a", "b"))
 
@@ -205,27 +216,25 @@ def test_a_large_state_goes_first_and_then_what_changed(
     old = incarnations.start(Gradual, active=True)
     new = incarnations.start(Gradual, active=False)
     tell(old, "a")
-    sender = StateSender(old)
-    channel = DirectPipe(sender)
-    state_sender.restore(new, state_sender.fetch(channel, Request.STATE, LIMIT))
+    channel = DirectPipe(old)
+    restore(new, fetch(channel, Request.STATE, LIMIT))
     assert texts(new) == ("a",)
     tell(old, "b")
     old.gate.begin_migration()
     old.gate.pause_for_migration(LIMIT)
-    sender.send()
-    given = state_sender.fetch(channel, Request.ALL, LIMIT)
+    channel.sender.send()
+    given = fetch(channel, Request.ALL, LIMIT)
     assert not given.state
-    state_sender.restore(new, given)
+    restore(new, given)
     assert texts(new) == ("a", "b")
 
 
 def test_what_works_gives_only_its_state(incarnations: Incarnations) -> None:
     """As when the new one asks after the move led back."""
-    sender = StateSender(incarnations.start(Book, active=True))
-    sender.send()
-    channel = DirectPipe(sender)
+    channel = DirectPipe(incarnations.start(Book, active=True))
+    channel.sender.send()
     with pytest.raises(UsageError, match="RunError: component 'book' is not paused"):
-        state_sender.fetch(channel, Request.ALL, LIMIT)
+        fetch(channel, Request.ALL, LIMIT)
 
 
 def test_another_implementation_takes_the_adapted_state(
@@ -234,51 +243,54 @@ def test_another_implementation_takes_the_adapted_state(
     old = incarnations.start(Book, active=True)
     new = incarnations.start(Counting, active=False)
     tell(old, "a", "b")
-    state_sender.restore(new, state_sender.fetch(rest(old), Request.ALL, LIMIT), adapt)
+    restore(new, fetch(rest(old), Request.ALL, LIMIT), adapt)
     assert texts(new) == ("?", "?")
 
 
 def test_restore_must_say_the_type_of_the_state(incarnations: Incarnations) -> None:
     old = incarnations.start(Book, active=True)
     new = incarnations.start(Untyped, active=False)
-    given = state_sender.fetch(rest(old), Request.ALL, LIMIT)
+    given = fetch(rest(old), Request.ALL, LIMIT)
     with pytest.raises(UsageError, match="'state' must say the state's type"):
-        state_sender.restore(new, given)
+        restore(new, given)
 
 
-def test_a_state_comes_in_pieces(
-    incarnations: Incarnations, monkeypatch: pytest.MonkeyPatch
+def test_a_request_is_not_answered_for_ever(incarnations: Incarnations) -> None:
+    channel = DirectPipe(incarnations.start(Book, active=True))
+    with pytest.raises(UsageError, match="Timeout: component 'book' is not ready"):
+        fetch(channel, Request.ALL, 0.0)
+
+
+def test_a_request_whose_answer_got_lost_gets_it_again(
+    incarnations: Incarnations,
 ) -> None:
-    monkeypatch.setattr(state_sender, "PIECE", 100)
-    old = incarnations.start(Book, active=True)
-    new = incarnations.start(Book, active=False)
-    words = tuple(f"word {number}" for number in range(100))
-    tell(old, *words)
-    state_sender.restore(new, state_sender.fetch(rest(old), Request.ALL, LIMIT))
-    assert texts(new) == words
-
-
-def test_a_state_does_not_come_for_ever(incarnations: Incarnations) -> None:
-    channel = rest(incarnations.start(Book, active=True))
-    with pytest.raises(Timeout, match="of the state came in 0 s"):
-        state_sender.fetch(channel, Request.ALL, 0.0)
+    """For `snapshot_delta` gives each change once."""
+    old = incarnations.start(Forgetful, active=True)
+    channel = DirectPipe(old)
+    fetch(channel, Request.STATE, LIMIT)
+    tell(old, "a")
+    old.gate.begin_migration()
+    old.gate.pause_for_migration(LIMIT)
+    channel.sender.send()
+    lost = fetch(channel, Request.ALL, LIMIT)
+    assert fetch(channel, Request.ALL, LIMIT).delta == lost.delta
 
 
 def test_whoever_asks_waits_until_it_is_given(incarnations: Incarnations) -> None:
     old = incarnations.start(Book, active=True)
     tell(old, "a")
-    sender = StateSender(old)
+    channel = DirectPipe(old)
     with ThreadPoolExecutor(1) as asker:
-        asked = asker.submit(state_sender.fetch, DirectPipe(sender), Request.ALL, LIMIT)
+        asked = asker.submit(fetch, channel, Request.ALL, LIMIT)
         old.gate.begin_migration()
         old.gate.pause_for_migration(LIMIT)
         assert not asked.done()
-        sender.send()
+        channel.sender.send()
         assert asked.result(LIMIT).state
 
 
 def test_whoever_asks_hears_why_nothing_is_given(incarnations: Incarnations) -> None:
-    sender = StateSender(incarnations.start(Book, active=True))
-    sender.refuse("it did not come to rest")
+    channel = DirectPipe(incarnations.start(Book, active=True))
+    channel.sender.refuse("it did not come to rest")
     with pytest.raises(UsageError, match="it did not come to rest"):
-        state_sender.fetch(DirectPipe(sender), Request.ALL, LIMIT)
+        fetch(channel, Request.ALL, LIMIT)

@@ -26,8 +26,8 @@ from poise.priority import first
 from poise.wire.migration_phases import MigrationPhases
 from poise.wire.records.deployment import ComponentStatus
 from poise.wire.records.migration import (
-    MigrationStep,
     MigrationSteps,
+    Step,
     StepsDone,
     StepTaken,
 )
@@ -205,7 +205,7 @@ class MigrationCoordinator:
         self, steps: Sequence[PlacedStep], limit: float
     ) -> Iterator[tuple[str, MigrationSteps]]:
         """Yield the steps of each container, and its computer."""
-        by_container: dict[tuple[str, str], list[MigrationStep]] = {}
+        by_container: dict[tuple[str, str], list[Step]] = {}
         for incarnation, step in steps:
             container = self._run.layout.container_of(incarnation.component)
             key = incarnation.computer, container

@@ -8,36 +8,19 @@ whatever container, so no two containers wait for each other.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
+from typing import Any
 
 from msgspec import Struct
 
 from poise.manage.deployment import DeploymentPlan, Incarnation, name_of
 from poise.manage.topological_order import levels
 from poise.model.robot import Connector
-from poise.wire.migration_phases import Phase
-from poise.wire.records.migration import (
-    Activate,
-    AwaitIdle,
-    Buffer,
-    DrainChannels,
-    DrainMailbox,
-    MigrationStep,
-    OfferState,
-    Pause,
-    PreCopy,
-    Redirect,
-    Release,
-    RequestState,
-    RestoreState,
-    Resume,
-    RollBack,
-    SendState,
-)
+from poise.wire.records.migration import Step, StepName
 
 IDLE_LIMIT = 0.25
 """The longest wait for the end of a component's work, before it is paused [s]."""
 
-PlacedStep = tuple[Incarnation, MigrationStep]
+PlacedStep = tuple[Incarnation, Step]
 """A step, and an incarnation whose container takes it."""
 
 
@@ -88,22 +71,14 @@ class MigrationRounds:
 
     def prepare(self) -> list[list[PlacedStep]]:
         """Return the rounds during which the sources still work."""
-        epochs = {name: source.epoch for name, source in self._sources.items()}
-        rounds: list[list[PlacedStep]] = [
-            [(s, OfferState(name, s.epoch)) for name, s in self._sources.items()],
-            [
-                (t, PreCopy(name, t.epoch, epochs, self._addresses(t)))
-                for name, t in self._targets.items()
-            ],
-            [(t, RequestState(name, t.epoch)) for name, t in self._targets.items()],
+        sources, targets = self._sources.values(), self._targets.values()
+        rounds = [
+            [_step("offer state", s) for s in sources],
+            [_step("pre-copy", t, sources=self._reached_from(t)) for t in targets],
+            [_step("request state", t) for t in targets],
         ]
         if self._is_move:
-            rounds.append(
-                [
-                    (s, AwaitIdle(name, s.epoch, IDLE_LIMIT))
-                    for name, s in self._sources.items()
-                ]
-            )
+            rounds.append([_step("await idle", s, limit=IDLE_LIMIT) for s in sources])
         return rounds
 
     def transfer(self) -> list[list[PlacedStep]]:
@@ -119,40 +94,36 @@ class MigrationRounds:
             rounds.append([] if rounds else list(self._buffers()))
             if not self._is_move:
                 rounds[-1] += self._drains_mailboxes(level, paused)
-            rounds[-1] += [
-                (s, Pause(s.component, s.epoch))
-                for s in map(self._sources.__getitem__, level)
-            ]
+            rounds[-1] += [_step("pause", self._sources[name]) for name in level]
             paused |= set(level)
         targets = self._targets.values()
         rounds[-1] += self._drains_channels(self._before)
-        rounds[-1] += [
-            (s, SendState(s.component, s.epoch)) for s in self._sources.values()
-        ]
-        rounds[-1] += [(t, RestoreState(t.component, t.epoch)) for t in targets]
-        rounds[-1] += [(t, Activate(t.component, t.epoch)) for t in targets]
+        rounds[-1] += [_step("send state", s) for s in self._sources.values()]
+        rounds[-1] += [_step("restore state", t) for t in targets]
+        rounds[-1] += [_step("activate", t) for t in targets]
         return rounds
 
     def resume(self) -> list[PlacedStep]:
         """Return the steps after which the targets work."""
         return [
-            *((t, Resume(t.component, t.epoch)) for t in self._targets.values()),
-            *self._releases(self._after, self._targets, "resume"),
-            *((s, Redirect(s.component, s.epoch)) for s in self._sources.values()),
+            *(_step("resume", t) for t in self._targets.values()),
+            *self._releases(self._after, self._targets, "release to targets"),
+            *(_step("redirect", s) for s in self._sources.values()),
         ]
 
     def roll_back(self) -> list[PlacedStep]:
         """Return the steps after which the sources work again."""
         return [
-            *((s, RollBack(s.component, s.epoch)) for s in self._sources.values()),
-            *self._releases(self._before, self._sources, "roll back"),
+            *(_step("roll back", s) for s in self._sources.values()),
+            *self._releases(self._before, self._sources, "release to sources"),
         ]
 
-    def _addresses(self, target: Incarnation) -> dict[str, str]:
-        """Return where a target reaches the sources, by component."""
+    def _reached_from(self, target: Incarnation) -> dict[str, tuple[int, str]]:
+        """Return the epochs of the sources, and where a target reaches them."""
+        computer, gateways = target.computer, self._gateways
         return {
-            name: self._layout.address(source, target.computer, self._gateways)
-            for name, source in self._sources.items()
+            name: (s.epoch, self._layout.address(s, computer, gateways))
+            for name, s in self._sources.items()
         }
 
     def _buffered(self) -> list[Connector]:
@@ -178,7 +149,7 @@ class MigrationRounds:
 
     def _buffers(self) -> Iterator[PlacedStep]:
         for sender, connectors in self._by_sender(self._buffered()).items():
-            yield sender, Buffer(tuple(map(name_of, connectors)))
+            yield sender, Step("buffer", connectors=tuple(map(name_of, connectors)))
 
     def _drains_mailboxes(
         self, names: Collection[str], paused: Collection[str]
@@ -192,8 +163,7 @@ class MigrationRounds:
         ]
         yield from self._drains_channels(into)
         for name in names:
-            source = self._sources[name]
-            yield source, DrainMailbox(name, source.epoch)
+            yield _step("drain mailbox", self._sources[name])
 
     def _drains_channels(self, connectors: list[Connector]) -> Iterator[PlacedStep]:
         """Wait for the markers over those connectors that get one.
@@ -211,10 +181,13 @@ class MigrationRounds:
                 by_receiver.setdefault(receiver, []).append(name_of(connector))
         for name, names in by_receiver.items():
             receiving = self._sources.get(name) or self._others[name]
-            yield receiving, DrainChannels(name, receiving.epoch, tuple(names))
+            yield _step("drain channels", receiving, connectors=tuple(names))
 
     def _releases(
-        self, connectors: list[Connector], ends: Mapping[str, Incarnation], phase: Phase
+        self,
+        connectors: list[Connector],
+        ends: Mapping[str, Incarnation],
+        step: StepName,
     ) -> Iterator[PlacedStep]:
         buffered = {self._layout.slot_of(connector) for connector in self._buffered()}
         released = [
@@ -232,7 +205,7 @@ class MigrationRounds:
                 ).key
                 for connector in theirs
             )
-            yield sender, Release(tuple(keys), phase)
+            yield sender, Step(step, connectors=tuple(keys))
 
     def _by_sender(
         self, connectors: list[Connector]
@@ -262,3 +235,7 @@ class MigrationRounds:
     def _is_call(self, connector: Connector) -> bool:
         source = connector.between[0]
         return (source.component, source.port) in self._calls
+
+
+def _step(name: StepName, taker: Incarnation, **more: Any) -> PlacedStep:  # noqa: ANN401, fields of `Step`
+    return taker, Step(name, taker.component, taker.epoch, **more)

@@ -101,6 +101,14 @@ def check_result(adapt: Callable[[Any], Any], component: Component) -> None:
     check_fits(describe_type(result), type_taken_by(component.restore), by)
 
 
+def check_state(component: type[Component]) -> None:
+    """Raise UsageError when what `restore` takes has no type."""
+    for name in ("restore", "restore_delta"):
+        method = getattr(component, name)
+        if method is not getattr(Component, name):
+            type_taken_by(method.__get__(component))
+
+
 def type_taken_by(method: Any) -> Any:  # noqa: ANN401, a user's method
     """Return the type that a method's parameter is annotated with.
 
@@ -109,10 +117,36 @@ def type_taken_by(method: Any) -> Any:  # noqa: ANN401, a user's method
     UsageError
         There is no annotation.
     """
-    hints = get_type_hints(method)
     name = next(iter(inspect.signature(method).parameters))
+    hints = get_type_hints(method)
     if name not in hints:
         raise UsageError(
             f"{method.__qualname__}: parameter '{name}' must say the state's type"
         )
     return hints[name]
+
+
+def types_of(
+    adapt: Callable[[Any], Any],
+) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+    """Return which states a function takes, and which it gives: component -> type.
+
+    Raises
+    ------
+    UsageError
+        Its parameter or its result is not annotated with a message class.
+    """
+    hints = get_type_hints(adapt)
+    found = []
+    for name in (*inspect.signature(adapt).parameters, "return"):
+        type_ = hints.get(name)
+        if not (isinstance(type_, type) and issubclass(type_, Struct)):
+            raise UsageError(
+                f"{adapt.__qualname__}: its parameter and its result must be message "
+                "classes with a field for each component whose state it takes or gives"
+            )
+        types = get_type_hints(type_)
+        found.append({field: types[field] for field in type_.__struct_fields__})
+    if len(found) != 2:  # noqa: PLR2004, one in, one out
+        raise UsageError(f"{adapt.__qualname__} must take one argument: the old states")
+    return found[0], found[1]

@@ -17,30 +17,38 @@ It is run for every component in `After`, and asks for the states in `Before` al
 
 from __future__ import annotations
 
-import inspect
 import threading
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from typing import Any, get_type_hints
-
-import msgspec
+from typing import Any
 
 from poise.errors import Timeout, UsageError
 from poise.priority import ahead, first
+from poise.runtime.component.component import Component
 from poise.runtime.component.implementation import find_function
+from poise.runtime.connectors.channel_route import entry_codec
 from poise.runtime.hosting.runner import Runner
-from poise.runtime.migration import state_sender
 from poise.runtime.migration.state_check import (
     check_adapted,
     check_fits,
+    check_restores,
     check_result,
+    describe_type,
+    type_taken_by,
+    types_of,
 )
-from poise.runtime.migration.state_sender import Request, StateTransfer
+from poise.runtime.migration.state_sender import (
+    REQUEST,
+    TRANSFER,
+    Request,
+    StateTransfer,
+    key_of,
+)
 from poise.wire import frame
 from poise.wire.codec import codec
 from poise.wire.connections.channel import Channel
-from poise.wire.records.migration import PreCopy
+from poise.wire.frame import Kind
 
 _POLL = 0.001
 """While a source is not connected, look this often [s]."""
@@ -59,6 +67,11 @@ OpenChannel = Callable[[str, str], Channel]
 class StateReceiver:
     """Restores the state of one target in one migration.
 
+    Parameters
+    ----------
+    sources
+        Component -> epoch and address of the incarnations that transfer their state.
+
     Raises
     ------
     RobotError, UsageError
@@ -66,23 +79,29 @@ class StateReceiver:
     """
 
     def __init__(
-        self, runner: Runner, step: PreCopy, migration: int, open_channel: OpenChannel
+        self,
+        runner: Runner,
+        sources: Mapping[str, tuple[int, str]],
+        migration: int,
+        open_channel: OpenChannel,
     ) -> None:
         self._runner = runner
-        self._step = step
-        self._migration = migration
+        self._sources = sources
         name, adapt = runner.spec.name, runner.spec.adapt
         self._adapt = find_function(adapt) if adapt else None
-        self._is_same = name in step.sources
-        self._before: Mapping[str, Any] = {}
+        self._is_same = name in sources
+        # component -> the type of its state, where `adapt` needs it
+        self._before: Mapping[str, Any] = {name: None} if self._is_same else {}
         if self._adapt is not None and self._is_same:
             check_result(self._adapt, runner.component)
         elif self._adapt is not None:
             before, after = states = types_of(self._adapt)
-            check_adapted(runner.component, name, states, step.sources)
+            check_adapted(runner.component, name, states, sources)
             self._before = before if name in after else {}
-        self._open_channel = open_channel
         self._channels: dict[str, Channel] = {}
+        for name in self._before:
+            epoch, address = sources[name]
+            self._channels[name] = open_channel(key_of(name, epoch, migration), address)
         self._requested: dict[str, Future[StateTransfer]] = {}
 
     def connect(self, deadline: float) -> None:
@@ -93,36 +112,34 @@ class StateReceiver:
         Timeout
             A source could not be reached until `deadline` [s, monotonic clock].
         """
-        sources = self._step.sources
-        for name in self._needed():
-            key = state_sender.key_of(name, sources[name], self._migration)
-            address = self._step.addresses[name]
-            self._channels[name] = self._open_channel(key, address)
         give_up_at = min(deadline, time.monotonic() + CONNECT_LIMIT)
         for name, channel in self._channels.items():
             while not channel.is_ready():
                 if time.monotonic() > give_up_at:
-                    raise Timeout(
-                        f"component '{name}' ({sources[name]}) is not reached"
-                    )
+                    epoch, _ = self._sources[name]
+                    raise Timeout(f"component '{name}' ({epoch}) is not reached")
                 time.sleep(_POLL)
-        if self._is_same and state_sender.offers_delta(self._runner.component):
+        code = type(self._runner.component)
+        has_delta = code.snapshot_delta is not Component.snapshot_delta
+        if self._is_same and has_delta:
             left = max(0.0, deadline - time.monotonic())
-            channel = self._channels[self._runner.spec.name]
-            self._restore_same(state_sender.fetch(channel, Request.STATE, left))
+            (channel,) = self._channels.values()
+            restore(self._runner, fetch(channel, Request.STATE, left), self._adapt)
 
     def request(self) -> None:
         """Request everything, so that the requests are there when the sources pause.
 
         On threads of their own, which only wait.
         """
-        state_sender.warm_up(self._runner)
+        component = self._runner.component
+        for method in (component.restore, component.restore_delta):
+            codec(type_taken_by(method))  # looked up before the pause
+        describe_type(type_taken_by(component.restore))
         for name, channel in self._channels.items():
-            requested: Future[StateTransfer] = Future()
-            self._requested[name] = requested
+            requested = self._requested[name] = Future()
             with first():
                 threading.Thread(
-                    target=_fetch,
+                    target=_fetch_all,
                     args=(channel, requested),
                     name="receiver",
                     daemon=True,
@@ -139,18 +156,18 @@ class StateReceiver:
         deadline = time.monotonic() + limit
         transfers = {}
         for name, requested in self._requested.items():
+            left = max(0.0, deadline - time.monotonic())
             try:
-                transfers[name] = requested.result(
-                    max(0.0, deadline - time.monotonic())
-                )
+                transfers[name] = requested.result(left)
             except TimeoutError:
                 text = f"component '{name}' sent no state within {limit:g} s"
                 raise Timeout(text) from None
         with ahead():  # users' code
             if self._is_same:
-                self._restore_same(transfers[self._runner.spec.name])
-            else:
-                self._restore_adapted(transfers)
+                (transfer,) = transfers.values()
+                restore(self._runner, transfer, self._adapt)
+            elif self._adapt is not None and transfers:
+                self._restore_adapted(self._adapt, transfers)
         self.close()
 
     def close(self) -> None:
@@ -159,68 +176,81 @@ class StateReceiver:
         while self._channels:
             self._channels.popitem()[1].close()
 
-    def _needed(self) -> set[str]:
-        if self._is_same:
-            return {self._runner.spec.name}
-        return set(self._before)
-
-    def _restore_same(self, transfer: StateTransfer) -> None:
-        state_sender.restore(self._runner, transfer, self._adapt)
-
-    def _restore_adapted(self, transfers: Mapping[str, StateTransfer]) -> None:
+    def _restore_adapted(
+        self, adapt: Callable[[Any], Any], transfers: Mapping[str, StateTransfer]
+    ) -> None:
         """Restore what `adapt` makes of the states of other components."""
-        runner = self._runner
-        if self._adapt is None or not self._before:
-            return
-        for name, type_ in self._before.items():
-            if transfers[name].state:
-                described = transfers[name].state_type
-                check_fits(described, type_, f"--adapt for '{name}'")
-        states = {
-            name: frame.parse(transfers[name].state).value(codec(type_))
-            for name, type_ in self._before.items()
-            if transfers[name].state
-        }
-        (parameter,) = _hints(self._adapt)[0]
-        after = self._adapt(parameter(**states))
+        runner, states = self._runner, {}
+        for name, transfer in transfers.items():
+            if transfer.state:
+                type_ = self._before[name]
+                check_fits(transfer.state_type, type_, f"--adapt for '{name}'")
+                states[name] = frame.parse(transfer.state).value(codec(type_))
+        after = adapt(type_taken_by(adapt)(**states))
         with runner.gate.borrowed():
             runner.component.restore(getattr(after, runner.spec.name))
 
 
-def _fetch(channel: Channel, requested: Future[StateTransfer]) -> None:
-    try:
-        requested.set_result(state_sender.fetch(channel, Request.ALL, REQUEST_LIMIT))
-    except Exception as error:  # noqa: BLE001, `restore` raises it
-        requested.set_exception(error)
-
-
-def types_of(
-    adapt: Callable[[Any], Any],
-) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-    """Return which states a function takes, and which it gives: component -> type.
+def fetch(channel: Channel, request: Request, limit: float) -> StateTransfer:
+    """Request the state of a source.
 
     Raises
     ------
     UsageError
-        Its parameter or its result is not annotated with a message class.
+        Its component could not give its state.
+    CallError
+        It did not answer within `limit` [s].
     """
-    parameters, result = _hints(adapt)
-    found = []
-    for type_ in (*parameters, result):
-        if not (isinstance(type_, type) and issubclass(type_, msgspec.Struct)):
-            raise UsageError(
-                f"{adapt.__qualname__}: its parameter and its result must be message "
-                "classes with a field for each component whose state it takes or gives"
-            )
-        fields = msgspec.structs.fields(type_)
-        hints = get_type_hints(type_)
-        found.append({field.name: hints[field.name] for field in fields})
-    if len(found) != 2:  # noqa: PLR2004, one in, one out
-        raise UsageError(f"{adapt.__qualname__} must take one argument: the old states")
-    return found[0], found[1]
+    pieces = frame.segments(REQUEST, (request, limit), Kind.CALL)
+    answer = channel.request(pieces, limit)
+    if answer.kind is Kind.ERROR:
+        type_name, text, _ = answer.value(frame.FAILURE)
+        raise UsageError(f"the state could not be taken: {type_name}: {text}")
+    transfer: StateTransfer = answer.value(TRANSFER)
+    return transfer
 
 
-def _hints(adapt: Callable[[Any], Any]) -> tuple[tuple[Any, ...], Any]:
-    hints = get_type_hints(adapt)
-    names = tuple(inspect.signature(adapt).parameters)
-    return tuple(hints.get(name) for name in names), hints.get("return")
+def _fetch_all(channel: Channel, requested: Future[StateTransfer]) -> None:
+    try:
+        requested.set_result(fetch(channel, Request.ALL, REQUEST_LIMIT))
+    except Exception as error:  # noqa: BLE001, `restore` raises it
+        requested.set_exception(error)
+
+
+def restore(
+    runner: Runner, transfer: StateTransfer, adapt: Callable[[Any], Any] | None = None
+) -> None:
+    """Let an inactive target go on from what the source sent just now.
+
+    Parameters
+    ----------
+    adapt
+        Turns the state of another implementation into one for this; its parameter's
+        annotation says the type that it takes.
+
+    Raises
+    ------
+    Exception
+        Whatever the component's `restore` raises; it must not be activated then.
+    """
+    component, is_fresh = runner.component, runner.spec.fresh
+    now = runner.clock.now()
+    runner.timers.begin_at({name: now + left for name, left in transfer.due.items()})
+    with runner.gate.borrowed():
+        if transfer.state and not is_fresh:
+            check_restores(component)
+            method = adapt or component.restore
+            check_fits(transfer.state_type, type_taken_by(method), method.__qualname__)
+            state = _value_of(transfer.state, method)
+            component.restore(adapt(state) if adapt else state)
+        if transfer.delta and not is_fresh:
+            delta = _value_of(transfer.delta, component.restore_delta)
+            component.restore_delta(delta)
+    for port, data in transfer.messages:
+        received = frame.parse(data)
+        value = received.value(entry_codec(runner.ports[port], received.tag))
+        runner.endpoints.preload(port, (received.tag, value))
+
+
+def _value_of(data: bytes, method: Any) -> Any:  # noqa: ANN401, a user's method
+    return frame.parse(data).value(codec(type_taken_by(method)))

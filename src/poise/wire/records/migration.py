@@ -1,173 +1,110 @@
 """What manager and containers tell each other while components move.
 
 A *source* is the incarnation that a component leaves, a *target* the one that it goes
-to. Why the steps come in this order, and what each is for: docs/design/moves.md.
+to. Why the steps come in this order: docs/design/moves.md.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import Literal
 
 from msgspec import Struct
 
 from poise.wire.migration_phases import Phase, Role
 
+StepName = Literal[
+    "offer state",
+    "pre-copy",
+    "request state",
+    "await idle",
+    "buffer",
+    "pause",
+    "drain channels",
+    "drain mailbox",
+    "send state",
+    "restore state",
+    "activate",
+    "redirect",
+    "resume",
+    "release to targets",
+    "roll back",
+    "release to sources",
+]
 
-class _Step(Struct, frozen=True):
-    component: str
-    epoch: int
+STEPS: Mapping[StepName, tuple[Role | None, Phase]] = {
+    # serve the state to the targets of this migration
+    "offer state": ("source", "prepare"),
+    # connect to the sources, and fetch a large state while they still work
+    "pre-copy": ("target", "prepare"),
+    # ask the sources for everything; they answer when they send it
+    "request state": ("target", "prepare"),
+    # wait until it has just finished its work: a pause that begins then delays nobody;
+    # succeeds at its limit, too
+    "await idle": ("source", "prepare"),
+    # send a marker over connectors, and buffer all messages after it
+    "buffer": (None, "quiesce"),
+    # finish the calls in progress, start no more, and send markers
+    "pause": ("source", "quiesce"),
+    # wait until the markers have arrived at a component over connectors
+    "drain channels": (None, "quiesce"),
+    # handle all messages that wait; no more come
+    "drain mailbox": ("source", "quiesce"),
+    # paused and drained: send the state to the targets that asked for it
+    "send state": ("source", "transfer"),
+    # restore the state as soon as the sources send it
+    "restore state": ("target", "transfer"),
+    # run `activate`, and stay paused
+    "activate": ("target", "transfer"),
+    # send callers that wait for it to the target
+    "redirect": ("source", "commit"),
+    # begin to work
+    "resume": ("target", "resume"),
+    # send buffered messages, and all that follow, to the targets
+    "release to targets": (None, "resume"),
+    # resume after a migration that failed
+    "roll back": ("source", "roll back"),
+    # send buffered messages, and all that follow, to the sources again
+    "release to sources": (None, "roll back"),
+}
+"""All steps: which party takes each, and the phase that it leads to. Steps without a
+party are taken by other components, or by connectors that begin in a container."""
 
 
-class SourceStep(_Step, frozen=True):
-    """A step of a source."""
-
-    role: ClassVar[Role] = "source"
-
-
-class TargetStep(_Step, frozen=True):
-    """A step of a target."""
-
-    role: ClassVar[Role] = "target"
-
-
-class OfferState(SourceStep, frozen=True, tag="offer state"):
-    """Source: serve the state to the targets of this migration."""
-
-    phase: ClassVar[Phase] = "prepare"
-
-
-class PreCopy(TargetStep, frozen=True, tag="pre-copy"):
-    """Target: connect to the sources, and fetch a large state while they still work.
-
-    From a source of the same component it takes state, buffered messages and timers;
-    from other components what `adapt` (`ComponentSpec`) makes of their states.
+class Step(Struct, frozen=True, omit_defaults=True):
+    """A step of a migration.
 
     Parameters
     ----------
+    component, epoch
+        The incarnation that takes it; empty for a step of connectors.
+    connectors
+        Names, for `buffer` and `drain channels`; keys, for a release.
     sources
-        The components that transfer their state, and their epochs.
-    addresses
-        Where their containers are reached.
+        For `pre-copy`: component -> epoch and address of the incarnations that
+        transfer their state. From a source of the same component a target takes state,
+        buffered messages and timers; from others what `adapt` (`ComponentSpec`) makes
+        of their states.
+    limit
+        For `await idle` [s].
     """
 
-    phase: ClassVar[Phase] = "prepare"
-    sources: Mapping[str, int]
-    addresses: Mapping[str, str]
+    name: StepName
+    component: str = ""
+    epoch: int = 0
+    connectors: tuple[str, ...] = ()
+    sources: Mapping[str, tuple[int, str]] = {}
+    limit: float = 0.0
 
+    @property
+    def role(self) -> Role | None:
+        """The party that takes it."""
+        return STEPS[self.name][0]
 
-class RequestState(TargetStep, frozen=True, tag="request state"):
-    """Target: ask the sources for everything; they answer when they send it."""
-
-    phase: ClassVar[Phase] = "prepare"
-
-
-class AwaitIdle(SourceStep, frozen=True, tag="await idle"):
-    """Source: wait until it has just finished its work, at most for `limit` [s].
-
-    A pause that begins then delays nobody. The step succeeds without it, too.
-    """
-
-    phase: ClassVar[Phase] = "prepare"
-    limit: float
-
-
-class Buffer(Struct, frozen=True, tag="buffer"):
-    """Send a marker over these connectors, and buffer all messages after it."""
-
-    phase: ClassVar[Phase] = "quiesce"
-    connectors: tuple[str, ...]
-
-
-class Pause(SourceStep, frozen=True, tag="pause"):
-    """Source: finish the calls in progress, start no more, and send markers."""
-
-    phase: ClassVar[Phase] = "quiesce"
-
-
-class DrainChannels(_Step, frozen=True, tag="drain channels"):
-    """Wait until the markers have arrived at a component over these connectors."""
-
-    phase: ClassVar[Phase] = "quiesce"
-    connectors: tuple[str, ...]
-
-
-class DrainMailbox(SourceStep, frozen=True, tag="drain mailbox"):
-    """Source, to which no message comes any more: handle all that wait."""
-
-    phase: ClassVar[Phase] = "quiesce"
-
-
-class SendState(SourceStep, frozen=True, tag="send state"):
-    """Source, paused and drained: send the state to the targets that asked for it."""
-
-    phase: ClassVar[Phase] = "transfer"
-
-
-class RestoreState(TargetStep, frozen=True, tag="restore state"):
-    """Target: restore the state as soon as the sources send it."""
-
-    phase: ClassVar[Phase] = "transfer"
-
-
-class Activate(TargetStep, frozen=True, tag="activate"):
-    """Target, with its state restored: run `activate`, and stay paused."""
-
-    phase: ClassVar[Phase] = "transfer"
-
-
-class Redirect(SourceStep, frozen=True, tag="redirect"):
-    """Source: send callers that wait for it to the target."""
-
-    phase: ClassVar[Phase] = "commit"
-
-
-class Resume(TargetStep, frozen=True, tag="resume"):
-    """Target: begin to work."""
-
-    phase: ClassVar[Phase] = "resume"
-
-
-class RollBack(SourceStep, frozen=True, tag="roll back"):
-    """Source: resume after a migration that failed."""
-
-    phase: ClassVar[Phase] = "roll back"
-
-
-class Release(Struct, frozen=True, tag="release"):
-    """Send buffered messages, and all that follow, over the connectors with these keys.
-
-    `phase` is ``resume`` or ``roll back``: the keys lead to the targets or the sources.
-    """
-
-    keys: tuple[str, ...]
-    phase: Phase
-
-
-ComponentStep = (
-    OfferState
-    | PreCopy
-    | RequestState
-    | AwaitIdle
-    | Pause
-    | DrainChannels
-    | DrainMailbox
-    | SendState
-    | RestoreState
-    | Activate
-    | Redirect
-    | Resume
-    | RollBack
-)
-"""A step of one component."""
-SenderStep = Buffer | Release
-"""A step of connectors that begin in a container."""
-MigrationStep = ComponentStep | SenderStep
-
-
-def name_of_step(step: MigrationStep) -> str:
-    """Return the name of a step, as people see it: ``drain channels``."""
-    return str(step.__struct_config__.tag)
+    @property
+    def phase(self) -> Phase:
+        """The phase that it leads to."""
+        return STEPS[self.name][1]
 
 
 class MigrationSteps(Struct, frozen=True, tag=True):
@@ -186,7 +123,7 @@ class MigrationSteps(Struct, frozen=True, tag=True):
     number: int
     migration: int
     container: str
-    steps: tuple[MigrationStep, ...]
+    steps: tuple[Step, ...]
     limit: float
 
 
@@ -202,7 +139,7 @@ class StepTaken(Struct, frozen=True):
     """
 
     who: str
-    step: str
+    step: StepName
     phase: Phase
     began: float
     ended: float

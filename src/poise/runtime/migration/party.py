@@ -1,0 +1,120 @@
+"""One incarnation's part in one migration, as source or target."""
+
+from __future__ import annotations
+
+import time
+
+from poise.errors import PoiseError, RunError, Timeout
+from poise.priority import as_usual
+from poise.runtime.hosting.runner import Runner
+from poise.runtime.hosting.wiring import Transports
+from poise.runtime.migration.state_receiver import StateReceiver
+from poise.runtime.migration.state_sender import StateSender
+from poise.wire.migration_phases import MigrationPhases, Role
+from poise.wire.records.migration import Step
+
+_POLL = 0.001
+"""A mailbox does not tell when it is empty; look this often [s]."""
+_PAUSE_SHARE = 0.8
+"""A pause may take this share of its time, so that targets learn why they get no state
+before they give up."""
+
+
+class Party:
+    """One incarnation's part in one migration; any thread may use it."""
+
+    def __init__(
+        self, runner: Runner, role: Role, migration: int, transports: Transports
+    ) -> None:
+        self.migration = migration
+        self.phases = MigrationPhases(role, f"component '{runner.spec.name}'")
+        self._runner = runner
+        self._transports = transports
+        self._sender: StateSender | None = None
+        self._receiver: StateReceiver | None = None
+
+    def take(self, step: Step, deadline: float) -> None:  # noqa: C901, a table
+        """Take a step until `deadline` [s, monotonic clock]."""
+        runner = self._runner
+        match step.name:
+            case "offer state":
+                self.close()
+                server = self._transports.server
+                self._sender = StateSender(runner, self.migration, server)
+            case "pre-copy":
+                self.close()
+                with as_usual():  # a large state takes its time, and nobody waits
+                    self._receiver = StateReceiver(
+                        runner, step.sources, self.migration, self._transports.channel
+                    )
+                    self._receiver.connect(deadline)
+            case "request state":
+                self._receiving().request()
+            case "await idle":
+                runner.gate.wait_idle(min(step.limit, _left(deadline)))
+            case "pause":
+                self._pause(_left(deadline))
+            case "drain mailbox":
+                self._drain_mailbox(deadline)
+            case "send state":
+                self._sending().send()
+            case "restore state":
+                self._receiving().restore(_left(deadline))
+            case "activate":
+                self._activate(_left(deadline))
+            case "redirect":
+                runner.exclusion.redirect()
+            case "resume" | "roll back":
+                runner.aim("active")
+                self._refuse("it is at work again")
+
+    def close(self) -> None:
+        """Transfer nothing any more; harmless when repeated."""
+        if self._sender is not None:
+            self._sender.close()
+        if self._receiver is not None:
+            self._receiver.close()
+        self._sender = self._receiver = None
+
+    def _sending(self) -> StateSender:
+        if self._sender is None:
+            raise RunError(f"component '{self._runner.spec.name}' offers no state")
+        return self._sender
+
+    def _receiving(self) -> StateReceiver:
+        if self._receiver is None:
+            raise RunError(f"component '{self._runner.spec.name}' receives no state")
+        return self._receiver
+
+    def _refuse(self, reason: str) -> None:
+        """Tell targets, if there are any, why they get no state."""
+        if self._sender is not None:
+            self._sender.refuse(reason)
+
+    def _pause(self, limit: float) -> None:
+        try:
+            self._runner.gate.pause_for_migration(_PAUSE_SHARE * limit)
+        except PoiseError as error:
+            self._refuse(str(error))
+            raise
+        for sender in list(self._runner.endpoints.senders.values()):
+            sender.send_marker(self.migration)
+
+    def _drain_mailbox(self, deadline: float) -> None:
+        while not self._runner.endpoints.is_empty():
+            if time.monotonic() > deadline:
+                name = self._runner.spec.name
+                text = f"component '{name}' did not handle all messages that wait"
+                raise Timeout(text)
+            time.sleep(_POLL)
+
+    def _activate(self, limit: float) -> None:
+        runner = self._runner
+        runner.aim("ready")
+        if runner.life_cycle.wait_state({"active", "failed"}, limit) != "active":
+            error = runner.status().error or f"waited {limit:g} s"
+            raise RunError(f"component '{runner.spec.name}' is not activated: {error}")
+
+
+def _left(deadline: float) -> float:
+    return max(0.0, deadline - time.monotonic())
