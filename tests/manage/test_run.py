@@ -169,7 +169,7 @@ def test_a_computer_that_may_be_out_of_reach_is_not_waited_for(
     run.excused.add("right")
     run.raise_on_lost()
     agents.deaf.add("right")
-    run.tell(run.placed.values(), run.computers())
+    run.tell(run.placed.values())
     run.wait([run.placed["grabber"]], 1.0)
 
 

@@ -47,7 +47,7 @@ def initial(bounds: Bounds, bug: str = "") -> State:
 
 
 def prepare(bounds: Bounds) -> list[tuple[Order, ...]]:
-    """Return `MigrationRounds.prepare`."""
+    """Return `MigrationPlan.prepare`."""
     steps = ("offer state", "old"), ("pre-copy", "new"), ("request state", "new")
     return [
         _orders({f"{side} {k}": (step,) for k in range(bounds.movers)})
@@ -56,7 +56,7 @@ def prepare(bounds: Bounds) -> list[tuple[Order, ...]]:
 
 
 def transfer(bounds: Bounds, bug: str) -> list[tuple[Order, ...]]:
-    """Return `MigrationRounds.transfer`: callers pause before their callees."""
+    """Return `MigrationPlan.transfer`: callers pause before their callees."""
     movers = range(bounds.movers)
     levels = [list(movers)] if bug == "pause at once" else bounds.levels()
     rounds: list[tuple[Order, ...]] = []
@@ -77,7 +77,7 @@ def transfer(bounds: Bounds, bug: str) -> list[tuple[Order, ...]]:
 
 
 def resuming(side: Side, bounds: Bounds) -> tuple[Order, ...]:
-    """Return `MigrationRounds.resume`, or `MigrationRounds.roll_back`."""
+    """Return `MigrationPlan.resume`, or `MigrationPlan.roll_back`."""
     movers = range(bounds.movers)
     step = "resume" if side == "new" else "roll back"
     steps: dict[str, tuple[str, ...]] = {f"{side} {k}": (step,) for k in movers}
@@ -128,7 +128,7 @@ class Protocol:
         yield from self._deployments(s)
         yield from self._faults.successors(s)
 
-    # poise.manage.migration.coordinator.MigrationCoordinator
+    # poise.manage.migration.coordinator.migrate
 
     def _manager(self, s: State) -> Iterator[tuple[str, State]]:
         if s.round in {"remove", "end"}:
@@ -303,7 +303,7 @@ class Protocol:
                     done = s.with_one(side, which, after)
                     yield f"{side} {which} works", done.flowing(side, which + 1, item)
 
-    # `Container._apply` of what `MigrationCoordinator._remove` deploys
+    # `Container._apply` of what `coordinator.migrate` deploys
 
     def _deployments(self, s: State) -> Iterator[tuple[str, State]]:
         if s.spec == "both":

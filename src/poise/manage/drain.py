@@ -1,19 +1,39 @@
-"""Deactivates components from sources to targets, so that what was sent arrives."""
+"""Deactivates components in an order, so that calls and messages still arrive."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
 from functools import partial
+from typing import TYPE_CHECKING
 
 from poise.manage.deployment import name_of
-from poise.manage.run import REST_LIMIT, Run
-from poise.manage.statuses import components_of, connectors_of
+from poise.manage.statuses import calling_ports, components_of, connectors_of
 from poise.manage.topological_order import levels
 from poise.wire.records.deployment import ConnectorStatus
 
+if TYPE_CHECKING:
+    from poise.manage.run import Run
+
+Leads = list[tuple[str, str]]
+"""Pairs of components of which the first calls the second, or publishes to it."""
+
+REST_LIMIT = 1.0
+"""Components become inactive within this time [s], or are not waited for any longer."""
 ARRIVAL_LIMIT = 2.5
 """Messages of a source that was deactivated are processed within this time [s]:
 containers report their counts once a second, agents twice."""
+
+
+def deactivate_callers(run: Run) -> None:
+    """Make callers inactive before those whom they call: no call goes nowhere."""
+    calls = calling_ports(run.agents.statuses())
+    ends = [connector.between for connector in run.layout.connectors(run.placed)]
+    leads = [
+        (s.component, t.component) for s, t in ends if (s.component, s.port) in calls
+    ]
+    callees = {callee for _, callee in leads}
+    if callees:
+        next(inactive for inactive in _deactivate(run, leads) if callees <= inactive)
 
 
 def drain(run: Run) -> None:
@@ -27,21 +47,27 @@ def drain(run: Run) -> None:
     RunError
         A computer was lost.
     """
-    leads = [
-        (connector.between[0].component, connector.between[1].component)
-        for connector in run.layout.connectors(run.placed)
-    ]
+    ends = [connector.between for connector in run.layout.connectors(run.placed)]
+    leads = [(source.component, target.component) for source, target in ends]
+    for inactive in _deactivate(run, leads):
+        fed = {target for source, target in leads if source in inactive} - inactive
+        run.agents.wait_news(partial(_is_processed, run, fed), ARRIVAL_LIMIT)
+
+
+def _deactivate(run: Run, leads: Leads) -> Iterator[set[str]]:
+    """Make components inactive, each before those to which it leads; yield which are.
+
+    A component whose handler does not end is not waited for any longer.
+    """
     inactive: set[str] = set()
     for level in levels(run.placed, leads):
         inactive |= set(level)
-        wanted = [
+        run.tell(
             each.with_goal("inactive") if each.component in inactive else each
             for each in run.placed.values()
-        ]
-        run.tell(wanted, run.computers())
+        )
         run.agents.wait_news(partial(_are_inactive, run, inactive), REST_LIMIT)
-        fed = {target for source, target in leads if source in inactive} - inactive
-        run.agents.wait_news(partial(_is_processed, run, fed), ARRIVAL_LIMIT)
+        yield inactive
 
 
 def _are_inactive(run: Run, names: Collection[str]) -> bool:

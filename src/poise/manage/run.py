@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Callable, Collection, Iterable
-from functools import partial
 
 from poise.errors import RunError
 from poise.manage.agents import Agents
@@ -18,17 +17,16 @@ from poise.manage.deployment import (
     Placement,
     name_of,
 )
+from poise.manage.drain import deactivate_callers
 from poise.manage.journal import Journal
 from poise.manage.observe.faults import fault_sentence, faults_after, last_numbers
 from poise.manage.statuses import (
-    calling_ports,
     components_of,
     containers_left,
     gateways,
     missing,
     unreached,
 )
-from poise.manage.topological_order import levels
 from poise.model.robot import Robot
 from poise.wire.records.deployment import (
     AgentStatus,
@@ -40,9 +38,6 @@ READY_LIMIT = 20.0
 """All components are configured and all connectors joined within this time [s]."""
 ACTIVE_LIMIT = 10.0
 STOP_LIMIT = 5.0
-REST_LIMIT = 1.0
-"""Components that call others become inactive within this time [s], or are not waited
-for any longer."""
 RETURN_LIMIT = 3.0
 """A stop waits this long for computers that are out of reach [s]."""
 
@@ -133,7 +128,7 @@ class Run:
         self._has_stopped = True
         self.excused |= self.agents.out_of_reach().keys()
         with contextlib.suppress(RunError):  # it is only for quiet
-            self._come_to_rest()
+            deactivate_callers(self)
         reached = self.computers()
         self.end_all(reached)
         away = {computer.name for computer in self.robot.computers} - reached
@@ -171,7 +166,7 @@ class Run:
         Raise RunError when its agent obeys another manager, or does not answer.
         """
         self._reclaim({computer})
-        self.tell(self.placed.values(), self.computers())
+        self.tell(self.placed.values())
 
     def _reclaim(self, computers: Iterable[str]) -> None:
         """Claim again those whose agents were restarted, and tell all of them again."""
@@ -205,43 +200,33 @@ class Run:
             running = ", ".join(self._running(computers))
             raise RunError(f"{running} still ran {STOP_LIMIT:g} s after the stop")
 
-    def _come_to_rest(self) -> None:
-        """Make callers inactive before those whom they call: no call goes nowhere."""
-        calls = calling_ports(self.agents.statuses())
-        leads = [
-            (connector.between[0].component, connector.between[1].component)
-            for connector in self.layout.connectors(self.placed)
-            if (connector.between[0].component, connector.between[0].port) in calls
-        ]
-        callees = {callee for _, callee in leads}
-        resting: set[str] = set()
-        for level in levels(self.placed, leads):
-            if callees <= resting:
-                break
-            resting |= set(level)
-            wanted = [
-                each.with_goal("inactive") if each.component in resting else each
-                for each in self.placed.values()
-            ]
-            self.tell(wanted, self.computers())
-            self.agents.wait_news(partial(self._do_rest, resting), REST_LIMIT)
-
-    def _do_rest(self, names: Collection[str]) -> bool:
-        self.raise_on_lost()
-        return not any(
-            component.name in names and component.state == "active"
-            for component in components_of(self.current())
-        )
-
     def reach(self, goal: Goal, limit: float) -> None:
         """Bring every component to a goal within `limit` [s]; `start` says the rest."""
-        wanted = [each.with_goal(goal) for each in self.placed.values()]
-        self.tell(wanted, self.computers())
-        self.wait(wanted, limit)
+        self.bring([each.with_goal(goal) for each in self.placed.values()], limit)
         self.journal.note("done", f"all components are {goal}")
 
-    def tell(self, wanted: Iterable[Incarnation], computers: Iterable[str]) -> None:
+    def bring(self, wanted: Collection[Incarnation], limit: float) -> None:
+        """Tell agents what should run beside all other components, and wait for it.
+
+        Raises
+        ------
+        RunError
+            As `tell` and `wait` do.
+        """
+        names = {each.component for each in wanted}
+        others = [each for name, each in self.placed.items() if name not in names]
+        self.tell([*others, *wanted])
+        self.wait(wanted, limit)
+
+    def tell(
+        self, wanted: Iterable[Incarnation], computers: Iterable[str] | None = None
+    ) -> None:
         """Tell the agents of `computers` what should run, where that has changed.
+
+        Parameters
+        ----------
+        computers
+            None: all that are reached.
 
         Raises
         ------
@@ -257,7 +242,7 @@ class Run:
         specs = self.layout.specs(self.wanted, self._generation, gateways(statuses))
         news = {
             computer: specs[computer]
-            for computer in computers
+            for computer in (self.computers() if computers is None else computers)
             if computer not in self._told
             or self._told[computer].containers != specs[computer].containers
         }

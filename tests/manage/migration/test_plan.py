@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from poise.manage.deployment import DeploymentPlan, Incarnation
-from poise.manage.migration.plan import MigrationPlan, MigrationRounds
+from poise.manage.migration.plan import MigrationPlan
 from poise.model.robot import Architecture, Component, Connector, End, Robot
 from poise.wire.records.migration import Step
 
@@ -12,7 +12,7 @@ GATEWAYS = {"left": "10.0.0.1:4001", "right": "10.0.0.2:4002"}
 
 def rounds_of(
     robot: Robot, olds: dict[str, str], news: dict[str, str], **others: str
-) -> MigrationRounds:
+) -> MigrationPlan:
     """Return the rounds when all components call over ports named ``calls``."""
 
     def placed(where: dict[str, str], epoch: int) -> tuple[Incarnation, ...]:
@@ -20,10 +20,11 @@ def rounds_of(
             Incarnation(component=n, computer=c, epoch=epoch) for n, c in where.items()
         )
 
-    change = MigrationPlan(what="it", sources=placed(olds, 0), targets=placed(news, 1))
     rest = {each.component: each for each in placed(others, 0)}
     calls = {(component.name, "calls") for component in robot.components()}
-    return MigrationRounds(DeploymentPlan(robot, "/run"), change, rest, calls, GATEWAYS)
+    layout = DeploymentPlan(robot, "/run")
+    sources, targets = placed(olds, 0), placed(news, 1)
+    return MigrationPlan(layout, sources, targets, rest, calls, GATEWAYS)
 
 
 def steps(

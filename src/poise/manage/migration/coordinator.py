@@ -18,7 +18,7 @@ from msgspec import Struct
 
 from poise.errors import RunError
 from poise.manage.deployment import Incarnation
-from poise.manage.migration.plan import MigrationPlan, MigrationRounds, PlacedStep
+from poise.manage.migration.plan import MigrationPlan, PlacedStep
 from poise.manage.observe.deviations import explain
 from poise.manage.run import Run
 from poise.manage.statuses import calling_ports, components_of, gateways
@@ -29,6 +29,7 @@ from poise.wire.records.migration import (
     MigrationSteps,
     Step,
     StepsDone,
+    StepsOutcome,
     StepTaken,
 )
 
@@ -77,29 +78,58 @@ class MigrationReport(Struct, frozen=True, kw_only=True):
         """How long it took before the pause [s]."""
         return self.phases.get("prepare", 0.0)
 
+    @property
+    def times(self) -> str:
+        """Downtime and phases in words."""
+        phases = ", ".join(f"{n} {s * 1e3:.1f}" for n, s in self.phases.items())
+        return f"downtime {self.downtime * 1e3:.1f} ms ({phases} ms)"
 
-class MigrationCoordinator:
-    """One migration. Use it once."""
 
-    def __init__(self, run: Run, plan: MigrationPlan) -> None:
+def migrate(
+    run: Run, what: str, sources: Sequence[Incarnation], targets: Sequence[Incarnation]
+) -> MigrationReport:
+    """Let targets take the place of sources, or roll back.
+
+    Never raises for what goes wrong on the way.
+
+    Parameters
+    ----------
+    what
+        For people: ``component 'localiser'``.
+    """
+    return _Migration(run, what, sources, targets).run()
+
+
+class _Migration:
+    """One migration."""
+
+    def __init__(
+        self,
+        run: Run,
+        what: str,
+        sources: Sequence[Incarnation],
+        targets: Sequence[Incarnation],
+    ) -> None:
         self._run = run
-        self._plan = plan
-        gone = {each.component for each in plan.sources}
+        self._what = what
+        self._sources = sources
+        self._targets = targets
+        gone = {each.component for each in sources}
         self._others = {n: each for n, each in run.placed.items() if n not in gone}
         statuses = run.agents.statuses()
-        self._rounds = MigrationRounds(
+        self._plan = MigrationPlan(
             run.layout,
-            plan,
+            sources,
+            targets,
             self._others,
             calling_ports(statuses),
             gateways(statuses),
         )
         self._number = next(_numbers)
-        self._phases = MigrationPhases("manager", f"migration of {plan.what}")
+        self._phases = MigrationPhases("manager", f"migration of {what}")
         self._taken: list[StepTaken] = []
 
     def run(self) -> MigrationReport:
-        """Migrate, or roll back; never raises for what goes wrong on the way."""
         downtime, reason = 0.0, ""
         self._phases.enter("prepare")
         try:
@@ -115,7 +145,7 @@ class MigrationCoordinator:
         phases = self._phases.seconds()
         if not reason:
             time.sleep(LINGER)
-        self._remove(self._plan.targets if reason else self._plan.sources)
+        self._remove(self._targets if reason else self._sources)
         return MigrationReport(
             committed=not reason,
             reason=reason,
@@ -126,38 +156,34 @@ class MigrationCoordinator:
 
     def _prepare(self) -> None:
         self._raise_on_failed()
-        run, plan = self._run, self._plan
-        staying = [source.with_goal("stay") for source in plan.sources]
-        run.tell([*self._others.values(), *staying, *plan.targets], run.computers())
-        run.wait(plan.targets, PREPARE_LIMIT, self._raise_on_failed)
-        for steps in self._rounds.prepare():
+        staying = [source.with_goal("stay") for source in self._sources]
+        self._run.tell([*self._others.values(), *staying, *self._targets])
+        self._run.wait(self._targets, PREPARE_LIMIT, self._raise_on_failed)
+        for steps in self._plan.prepare():
             self._take(steps, PREPARE_LIMIT, self._raise_on_failed)
 
     def _switch(self, deadline: float) -> str:
         """Pause, and let the targets go on, or the sources again; return why those."""
         self._phases.enter("quiesce")
         try:
-            for steps in self._rounds.transfer():
+            for steps in self._plan.transfer():
                 began = time.monotonic()
                 quiesced = began + self._take(steps, _left(deadline))
         except RunError as error:
             self._phases.enter("roll back")
-            self._resume(self._rounds.roll_back())
+            self._resume(self._plan.roll_back())
             return str(error)
         self._phases.enter("transfer", quiesced)
         self._phases.enter("commit")
-        self._commit()
-        self._phases.enter("resume")
-        self._resume(self._rounds.resume())
-        return ""
-
-    def _commit(self) -> None:
-        """Go on with the targets; nothing rolls back any more."""
+        # nothing rolls back any more
         placed = self._run.placed
-        for source in self._plan.sources:
+        for source in self._sources:
             del placed[source.component]
-        for target in self._plan.targets:
+        for target in self._targets:
             placed[target.component] = target.with_goal("active")
+        self._phases.enter("resume")
+        self._resume(self._plan.resume())
+        return ""
 
     def _take(
         self,
@@ -182,8 +208,7 @@ class MigrationCoordinator:
             One failed; others may still be under way.
         """
         quiesce = 0.0
-        for outcome in self._run.agents.take_steps(self._batches(steps, limit), check):
-            self._taken += outcome.taken
+        for outcome in self._outcomes(steps, limit, check):
             if not isinstance(outcome, StepsDone):
                 raise RunError(outcome.reason)
             quiescing = [t for t in outcome.taken if t.phase == "quiesce"]
@@ -196,51 +221,53 @@ class MigrationCoordinator:
         A container that is not reached follows the next deployment: it then has one
         route only, and sends there what it buffered.
         """
-        for outcome in self._run.agents.take_steps(self._batches(steps, RESUME_LIMIT)):
-            self._taken += outcome.taken
+        for outcome in self._outcomes(steps, RESUME_LIMIT, lambda: None):
             if not isinstance(outcome, StepsDone):
                 self._note_failure(outcome.reason)
 
-    def _batches(
-        self, steps: Sequence[PlacedStep], limit: float
-    ) -> Iterator[tuple[str, MigrationSteps]]:
-        """Yield the steps of each container, and its computer."""
-        by_container: dict[tuple[str, str], list[Step]] = {}
+    def _outcomes(
+        self, steps: Sequence[PlacedStep], limit: float, check: Callable[[], object]
+    ) -> Iterator[StepsOutcome]:
+        """Send each container its steps; yield the outcomes as they are known."""
+        batches: dict[tuple[str, str], list[Step]] = {}
         for incarnation, step in steps:
             container = self._run.layout.container_of(incarnation.component)
-            key = incarnation.computer, container
-            by_container.setdefault(key, []).append(step)
-        for (computer, container), batch in by_container.items():
-            number = next(_numbers)
-            yield (
+            batches.setdefault((incarnation.computer, container), []).append(step)
+        told = [
+            (
                 computer,
-                MigrationSteps(number, self._number, container, tuple(batch), limit),
+                MigrationSteps(
+                    next(_numbers), self._number, container, tuple(batch), limit
+                ),
             )
+            for (computer, container), batch in batches.items()
+        ]
+        for outcome in self._run.agents.take_steps(told, check):
+            self._taken += outcome.taken
+            yield outcome
 
     def _remove(self, gone: Sequence[Incarnation]) -> None:
         """Let only what is placed run, and wait until `gone` have ended."""
         run = self._run
-
-        def have_ended() -> bool:
-            return all(map(run.has_ended, gone))
-
         try:
-            run.tell(run.placed.values(), run.computers())
-            if not run.agents.wait_news(have_ended, REMOVE_LIMIT):
+            run.tell(run.placed.values())
+            if not run.agents.wait_news(
+                lambda: all(map(run.has_ended, gone)), REMOVE_LIMIT
+            ):
                 hanging = [e.component for e in gone if not run.has_ended(e)]
                 self._note_failure(f"'{', '.join(hanging)}' does not end")
         except RunError as error:
             self._note_failure(f"telling what should run: {error}")
 
     def _note_failure(self, reason: str) -> None:
-        self._run.journal.note("failed", f"migration of {self._plan.what}: {reason}")
+        self._run.journal.note("failed", f"migration of {self._what}: {reason}")
 
     def _raise_on_failed(self) -> bool:
         run = self._run
         run.look()
-        run.raise_on_unreached([*self._plan.sources, *self._plan.targets])
-        targets = {(t.component, t.epoch): t for t in self._plan.targets}
-        sources = {(s.component, s.epoch): s for s in self._plan.sources}
+        run.raise_on_unreached([*self._sources, *self._targets])
+        targets = {(t.component, t.epoch): t for t in self._targets}
+        sources = {(s.component, s.epoch): s for s in self._sources}
         for component in components_of(run.current()):
             key = component.name, component.epoch
             if key in targets and component.state == "failed":
@@ -259,12 +286,6 @@ class MigrationCoordinator:
         return (
             f"{explain(source, found, of_container)}: its state cannot be transferred"
         )
-
-
-def describe(report: MigrationReport) -> str:
-    """Return downtime and phases of a migration in words."""
-    phases = ", ".join(f"{n} {s * 1e3:.1f}" for n, s in report.phases.items())
-    return f"downtime {report.downtime * 1e3:.1f} ms ({phases} ms)"
 
 
 def _left(deadline: float) -> float:

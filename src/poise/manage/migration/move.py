@@ -6,19 +6,15 @@ command-line component makes a cold move: it is stopped, and started at the targ
 
 from __future__ import annotations
 
+import time
+
 from msgspec import structs
 
-from poise.errors import UsageError
+from poise.errors import RunError, UsageError
 from poise.manage.deployment import Incarnation
 from poise.manage.journal import Kind
-from poise.manage.migration.cold_move import cold_move
-from poise.manage.migration.coordinator import (
-    MigrationCoordinator,
-    MigrationReport,
-    describe,
-)
-from poise.manage.migration.plan import MigrationPlan
-from poise.manage.run import Run
+from poise.manage.migration.coordinator import MigrationReport, migrate
+from poise.manage.run import ACTIVE_LIMIT, READY_LIMIT, Run
 from poise.model.check.hosts import allowed_hosts
 from poise.model.robot import Component
 
@@ -109,11 +105,9 @@ def replace(
 def _migrate(run: Run, old: Incarnation, new: Incarnation) -> MoveReport:
     is_command = bool(_component(run, old.component).command)
     if is_command:
-        done = cold_move(run, old, new)
+        done = _move_cold(run, old, new)
     else:
-        what = f"component '{old.component}'"
-        plan = MigrationPlan(what=what, sources=(old,), targets=(new,))
-        done = MigrationCoordinator(run, plan).run()
+        done = migrate(run, f"component '{old.component}'", (old,), (new,))
     report = MoveReport(
         component=old.component,
         source=old.computer,
@@ -124,6 +118,51 @@ def _migrate(run: Run, old: Incarnation, new: Incarnation) -> MoveReport:
     kind: Kind = "done" if report.committed else "failed"
     run.journal.note(kind, _sentence(report), move=report)
     return report
+
+
+def _move_cold(run: Run, old: Incarnation, new: Incarnation) -> MigrationReport:
+    """Stop a command and start it elsewhere, or here again.
+
+    Its process has no state that could be transferred, and must not run twice. So the
+    target is prepared first; then the component is away for a moment. Never raises for
+    a failure; ``downtime`` is how long it was away [s].
+    """
+    started = time.monotonic()
+    try:
+        try:
+            run.tell([*run.placed.values(), new])
+            run.wait([new], READY_LIMIT)
+        except RunError as error:
+            run.tell(run.placed.values())
+            seconds = time.monotonic() - started
+            return MigrationReport(reason=str(error), phases={"prepare": seconds})
+        stopped = time.monotonic()
+        reason = _swap(run, old, new)
+    except RunError as error:
+        return MigrationReport(reason=f"telling what should run: {error}")
+    return MigrationReport(
+        committed=not reason,
+        reason=reason,
+        downtime=time.monotonic() - stopped,
+        phases={"prepare": stopped - started},
+    )
+
+
+def _swap(run: Run, old: Incarnation, new: Incarnation) -> str:
+    """Return why `old` runs again; empty: `new` runs."""
+    others = [each for each in run.placed.values() if each != old]
+    active = new.with_goal("active")
+    try:
+        run.tell([*others, new])
+        run.wait_ended(old)
+        run.bring([active], ACTIVE_LIMIT)
+    except RunError as error:
+        again = structs.replace(old, epoch=run.next_epoch(old.component))
+        run.placed[old.component] = again
+        run.tell(run.placed.values())
+        return str(error)
+    run.placed[new.component] = active
+    return ""
 
 
 def _placed(run: Run, component: str) -> Incarnation:
@@ -155,12 +194,12 @@ def _component(run: Run, name: str) -> Component:
 def _sentence(report: MoveReport) -> str:
     if report.source == report.target:
         done = "replaced" if report.committed else "did not replace"
-        down = f"; {describe(report)}"
+        down = f"; {report.times}"
         why = down if report.committed else f": {report.reason}"
         return f"{done} component '{report.component}' on '{report.source}'{why}"
     way = f"component '{report.component}' from '{report.source}' to '{report.target}'"
     if report.committed and report.cold:
         return f"moved {way} by a cold move; downtime {report.downtime:.2f} s"
     if report.committed:
-        return f"moved {way}; {describe(report)}"
+        return f"moved {way}; {report.times}"
     return f"did not move {way}: {report.reason}"

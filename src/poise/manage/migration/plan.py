@@ -7,10 +7,8 @@ whatever container, so no two containers wait for each other.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
-
-from msgspec import Struct
 
 from poise.manage.deployment import DeploymentPlan, Incarnation, name_of
 from poise.manage.topological_order import levels
@@ -22,27 +20,16 @@ IDLE_LIMIT = 0.25
 
 PlacedStep = tuple[Incarnation, Step]
 """A step, and an incarnation whose container takes it."""
+Round = list[PlacedStep]
 
 
-class MigrationPlan(Struct, frozen=True, kw_only=True):
-    """Incarnations that go, and those that come instead.
-
-    Parameters
-    ----------
-    what
-        For people: ``component 'localiser'``.
-    """
-
-    what: str
-    sources: tuple[Incarnation, ...]
-    targets: tuple[Incarnation, ...]
-
-
-class MigrationRounds:
-    """The steps of one migration.
+class MigrationPlan:
+    """The steps by which targets take the place of sources.
 
     Parameters
     ----------
+    sources, targets
+        Incarnations that go, and those that come instead.
     others
         All other incarnations that run, by component.
     calls
@@ -54,7 +41,8 @@ class MigrationRounds:
     def __init__(
         self,
         layout: DeploymentPlan,
-        plan: MigrationPlan,
+        sources: Iterable[Incarnation],
+        targets: Iterable[Incarnation],
         others: Mapping[str, Incarnation],
         calls: Collection[tuple[str, str]],
         gateways: Mapping[str, str],
@@ -62,14 +50,24 @@ class MigrationRounds:
         self._layout = layout
         self._gateways = gateways
         self._others = others
-        self._sources = {each.component: each for each in plan.sources}
-        self._targets = {each.component: each for each in plan.targets}
+        self._calls = calls
+        self._sources = {each.component: each for each in sources}
+        self._targets = {each.component: each for each in targets}
         self._is_move = self._sources.keys() == self._targets.keys()
         self._before = layout.connectors({*others, *self._sources})
-        self._after = layout.connectors({*others, *self._targets})
-        self._calls = calls
+        into_sources = self._into(self._before, self._sources)
+        into_targets = self._into(
+            layout.connectors({*others, *self._targets}), self._targets
+        )
+        # from others to the sources, and by the same ends of others to the targets
+        slots = set(map(layout.slot_of, into_sources))
+        slots &= set(map(layout.slot_of, into_targets))
+        self._from, self._to = (
+            [connector for connector in into if layout.slot_of(connector) in slots]
+            for into in (into_sources, into_targets)
+        )
 
-    def prepare(self) -> list[list[PlacedStep]]:
+    def prepare(self) -> list[Round]:
         """Return the rounds during which the sources still work."""
         sources, targets = self._sources.values(), self._targets.values()
         rounds = [
@@ -81,41 +79,41 @@ class MigrationRounds:
             rounds.append([_step("await idle", s, limit=IDLE_LIMIT) for s in sources])
         return rounds
 
-    def transfer(self) -> list[list[PlacedStep]]:
+    def transfer(self) -> list[Round]:
         """Return the rounds from the pause until the targets are ready.
 
         A move takes one round; more when callers must pause before their callees. An
         architecture that is replaced first works on all that was sent to it, in a round
         for each step of the way that messages take.
         """
-        rounds: list[list[PlacedStep]] = []
+        rounds: list[Round] = []
         paused: set[str] = set()
         for level in self._levels():
-            rounds.append([] if rounds else list(self._buffers()))
+            rounds.append([] if rounds else self._buffer())
             if not self._is_move:
-                rounds[-1] += self._drains_mailboxes(level, paused)
+                rounds[-1] += self._drain_mailboxes(level, paused)
             rounds[-1] += [_step("pause", self._sources[name]) for name in level]
             paused |= set(level)
         targets = self._targets.values()
-        rounds[-1] += self._drains_channels(self._before)
+        rounds[-1] += self._drain_channels(self._before)
         rounds[-1] += [_step("send state", s) for s in self._sources.values()]
         rounds[-1] += [_step("restore state", t) for t in targets]
         rounds[-1] += [_step("activate", t) for t in targets]
         return rounds
 
-    def resume(self) -> list[PlacedStep]:
+    def resume(self) -> Round:
         """Return the steps after which the targets work."""
         return [
             *(_step("resume", t) for t in self._targets.values()),
-            *self._releases(self._after, self._targets, "release to targets"),
+            *self._release("release to targets", self._to, self._targets),
             *(_step("redirect", s) for s in self._sources.values()),
         ]
 
-    def roll_back(self) -> list[PlacedStep]:
+    def roll_back(self) -> Round:
         """Return the steps after which the sources work again."""
         return [
             *(_step("roll back", s) for s in self._sources.values()),
-            *self._releases(self._before, self._sources, "release to sources"),
+            *self._release("release to sources", self._from, self._sources),
         ]
 
     def _reached_from(self, target: Incarnation) -> dict[str, tuple[int, str]]:
@@ -126,19 +124,8 @@ class MigrationRounds:
             for name, s in self._sources.items()
         }
 
-    def _buffered(self) -> list[Connector]:
-        """Return the connectors from others to the sources that go to targets, too."""
-        slots = {
-            self._layout.slot_of(c) for c in self._into(self._after, self._targets)
-        }
-        return [
-            connector
-            for connector in self._into(self._before, self._sources)
-            if self._layout.slot_of(connector) in slots
-        ]
-
     def _into(
-        self, connectors: list[Connector], ends: Mapping[str, Incarnation]
+        self, connectors: list[Connector], ends: Collection[str]
     ) -> list[Connector]:
         return [
             connector
@@ -147,55 +134,48 @@ class MigrationRounds:
             and connector.between[1].component in ends
         ]
 
-    def _buffers(self) -> Iterator[PlacedStep]:
-        for sender, connectors in self._by_sender(self._buffered()).items():
-            yield sender, Step("buffer", connectors=tuple(map(name_of, connectors)))
+    def _buffer(self) -> Round:
+        return [
+            (sender, Step("buffer", connectors=tuple(map(name_of, connectors))))
+            for sender, connectors in self._by_container(self._from)
+        ]
 
-    def _drains_mailboxes(
+    def _drain_mailboxes(
         self, names: Collection[str], paused: Collection[str]
     ) -> Iterator[PlacedStep]:
         """Let all arrive from senders that send no more, and be worked on."""
-        into = [
+        silent = {*self._others, *paused}
+        yield from self._drain_channels(
             connector
             for connector in self._before
             if connector.between[1].component in names
-            and connector.between[0].component in {*self._others, *paused}
-        ]
-        yield from self._drains_channels(into)
+            and connector.between[0].component in silent
+        )
         for name in names:
             yield _step("drain mailbox", self._sources[name])
 
-    def _drains_channels(self, connectors: list[Connector]) -> Iterator[PlacedStep]:
-        """Wait for the markers over those connectors that get one.
+    def _drain_channels(self, connectors: Iterable[Connector]) -> Iterator[PlacedStep]:
+        """Wait for the markers, over those connectors that get one.
 
         Others' connectors get one only when they lead to a target, too.
         """
-        marked = set(map(name_of, self._buffered()))
-        marked |= {
-            name_of(c) for c in self._before if c.between[0].component in self._sources
-        }
         by_receiver: dict[str, list[str]] = {}
         for connector in connectors:
-            if name_of(connector) in marked:
-                receiver = connector.between[1].component
-                by_receiver.setdefault(receiver, []).append(name_of(connector))
+            source, receiver = connector.between
+            if source.component in self._sources or connector in self._from:
+                names = by_receiver.setdefault(receiver.component, [])
+                names.append(name_of(connector))
         for name, names in by_receiver.items():
             receiving = self._sources.get(name) or self._others[name]
             yield _step("drain channels", receiving, connectors=tuple(names))
 
-    def _releases(
+    def _release(
         self,
+        name: StepName,
         connectors: list[Connector],
         ends: Mapping[str, Incarnation],
-        step: StepName,
     ) -> Iterator[PlacedStep]:
-        buffered = {self._layout.slot_of(connector) for connector in self._buffered()}
-        released = [
-            connector
-            for connector in self._into(connectors, ends)
-            if self._layout.slot_of(connector) in buffered
-        ]
-        for sender, theirs in self._by_sender(released).items():
+        for sender, theirs in self._by_container(connectors):
             keys = (
                 self._layout.joined(
                     connector,
@@ -205,11 +185,11 @@ class MigrationRounds:
                 ).key
                 for connector in theirs
             )
-            yield sender, Step(step, connectors=tuple(keys))
+            yield sender, Step(name, connectors=tuple(keys))
 
-    def _by_sender(
+    def _by_container(
         self, connectors: list[Connector]
-    ) -> dict[Incarnation, list[Connector]]:
+    ) -> Iterable[tuple[Incarnation, list[Connector]]]:
         """Return connectors by one sender for each container that they begin in."""
         found: dict[tuple[str, str], tuple[Incarnation, list[Connector]]] = {}
         for connector in connectors:
@@ -217,7 +197,7 @@ class MigrationRounds:
             container = self._layout.container_of(sender.component)
             key = (sender.computer, container)
             found.setdefault(key, (sender, []))[1].append(connector)
-        return dict(found.values())
+        return found.values()
 
     def _levels(self) -> list[list[str]]:
         """Return the sources in the order in which they pause.
@@ -226,15 +206,11 @@ class MigrationRounds:
         subscribers.
         """
         leads = (
-            (connector.between[0].component, connector.between[1].component)
-            for connector in self._before
-            if not self._is_move or self._is_call(connector)
+            (source.component, target.component)
+            for source, target in (connector.between for connector in self._before)
+            if not self._is_move or (source.component, source.port) in self._calls
         )
         return levels(self._sources, leads)
-
-    def _is_call(self, connector: Connector) -> bool:
-        source = connector.between[0]
-        return (source.component, source.port) in self._calls
 
 
 def _step(name: StepName, taker: Incarnation, **more: Any) -> PlacedStep:  # noqa: ANN401, fields of `Step`

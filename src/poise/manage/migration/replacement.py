@@ -11,12 +11,7 @@ from poise import plan
 from poise.errors import UsageError
 from poise.manage.deployment import Incarnation, Placement
 from poise.manage.journal import Kind
-from poise.manage.migration.coordinator import (
-    MigrationCoordinator,
-    MigrationReport,
-    describe,
-)
-from poise.manage.migration.plan import MigrationPlan
+from poise.manage.migration.coordinator import MigrationReport, migrate
 from poise.manage.run import Run
 from poise.manage.statuses import calling_ports, components_of
 from poise.model.robot import Architecture, Robot
@@ -63,23 +58,20 @@ def replace_architecture(
     if not adapt and not fresh:
         _check_stateless(run, old)
     where = _placement(run, old, new)
-    migration = MigrationPlan(
-        what=f"architecture '{architecture}'",
-        sources=tuple(run.placed[component.name] for component in old.components),
-        targets=tuple(
-            Incarnation(
-                component=component.name,
-                computer=where[component.name],
-                epoch=run.next_epoch(component.name),
-                goal="inactive",
-                adapt=adapt,
-                fresh=fresh,
-                gently=True,
-            )
-            for component in new.components
-        ),
-    )
-    done = MigrationCoordinator(run, migration).run()
+    sources = [run.placed[component.name] for component in old.components]
+    targets = [
+        Incarnation(
+            component=component.name,
+            computer=where[component.name],
+            epoch=run.next_epoch(component.name),
+            goal="inactive",
+            adapt=adapt,
+            fresh=fresh,
+            gently=True,
+        )
+        for component in new.components
+    ]
+    done = migrate(run, f"architecture '{architecture}'", sources, targets)
     report = ReplaceReport(
         architecture=architecture,
         by=by,
@@ -200,5 +192,5 @@ def _architecture(robot: Robot, name: str) -> Architecture:
 def _sentence(report: ReplaceReport) -> str:
     what = f"architecture '{report.architecture}' by '{report.by}'"
     if report.committed:
-        return f"replaced {what}; {describe(report)}"
+        return f"replaced {what}; {report.times}"
     return f"did not replace {what}: {report.reason}"

@@ -90,20 +90,17 @@ class _Transition:
 
     def _start(self, component: str, computer: str) -> None:
         run = self._run
-        others = tuple(run.placed.values())
         new = Incarnation(
             component=component,
             computer=computer,
             epoch=run.next_epoch(component),
             implementation=self._implementations.get(component, ""),
         )
-        ready = new.with_goal("inactive")
         try:
-            for wanted, limit in ((ready, READY_LIMIT), (new, ACTIVE_LIMIT)):
-                run.tell([*others, wanted], run.computers())
-                run.wait([wanted], limit)
+            run.bring([new.with_goal("inactive")], READY_LIMIT)
+            run.bring([new], ACTIVE_LIMIT)
         except RunError:
-            run.tell(others, run.computers())
+            run.tell(run.placed.values())
             raise
         run.placed[component] = new
 
@@ -112,14 +109,14 @@ class _Transition:
         old = run.placed.pop(component)
         self._implementations[component] = old.implementation
         try:
-            run.tell(run.placed.values(), run.computers())
+            run.tell(run.placed.values())
             run.wait_ended(old)
         except RunError:
             # the old one has lost its state by now, if it listens at all
             run.placed[component] = structs.replace(
                 old, epoch=run.next_epoch(component)
             )
-            run.tell(run.placed.values(), run.computers())
+            run.tell(run.placed.values())
             raise
 
 
