@@ -55,7 +55,7 @@ class Asked:
         self._core = core
         self.names: list[str] = []
 
-    def __getattr__(self, name: str) -> Any:  # noqa: ANN401, whatever the core has
+    def __getattr__(self, name: str) -> Any:
         self.names.append(name)
         return getattr(self._core, name)
 
