@@ -8,8 +8,6 @@ import msgspec
 from msgspec import Struct
 
 from poise.errors import Problem, RobotError
-from poise.model import sections
-from poise.model.build import build
 from poise.model.check import check
 from poise.model.robot import Robot
 from poise.model.yaml.include import read_tree
@@ -47,12 +45,12 @@ def load_source(path: str | Path) -> Source:
         raise RobotError(problems=problems)
     # Names of a file that could not be included would seem unknown.
     is_whole = not problems
-    values = validate(root, msgspec.inspect.type_info(sections.RobotSection), problems)
+    values = validate(root, msgspec.inspect.type_info(Robot), problems)
     if values is None or not is_whole:
         raise RobotError(problems=sorted(problems))
-    robot = build(
-        msgspec.convert(values, sections.RobotSection), str(path.resolve().parent)
-    )
+    values["folder"] = str(path.resolve().parent)
+    values["quality_weight"] = values.get("objective", {}).pop("quality", 1.0)
+    robot = msgspec.convert(values, Robot)
     positions = Positions(root)
     problems += [positions.problem(finding) for finding in check(robot)]
     if problems:

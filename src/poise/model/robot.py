@@ -1,237 +1,88 @@
-"""The records of a robot: pure, frozen, in SI units.
+"""The records of a robot: pure, frozen, in SI units (cores, bytes, seconds, bytes/s).
 
-`poise.model.load` reads them from a robot file. Names are unique within their kind;
-names of components are unique in the whole robot. Resources have any names; ``cpu``
-[cores of the reference computer] and ``memory`` [bytes] always exist.
+`poise.model.load` reads them from a robot file; `says` describes the keys of the file.
+Names are unique within their kind; names of components are unique in the whole robot.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Annotated, Literal, Protocol, TypeVar
 
 from msgspec import Struct
 
-Layer = Literal["deliberative", "sequencing", "reactive"]
+from poise.model.forms import COMMAND, PortKind, by_name, by_port
+from poise.model.hardware import Computer, Device, Link
+from poise.model.keys import (
+    Amount,
+    Bytes,
+    Name,
+    Rate,
+    Reference,
+    Seconds,
+    Share,
+    note,
+    says,
+    written,
+)
+from poise.model.software import (
+    Architecture,
+    Component,
+    Connector,
+    DeclaredPort,
+    End,
+    Layer,
+)
+
+__all__ = [
+    "Action",
+    "Architecture",
+    "Arrivals",
+    "Chain",
+    "Component",
+    "Computer",
+    "Connector",
+    "DeclaredPort",
+    "Device",
+    "End",
+    "Generated",
+    "Layer",
+    "Link",
+    "Objective",
+    "PortKind",
+    "Robot",
+    "Simulator",
+    "Task",
+    "Workload",
+]
+
 Scale = Literal["normalised", "paper"]
 Spread = Literal["range", "variance"]
 Arrivals = Literal["regular", "poisson"]
-PortKind = Literal["provides", "requires", "publishes", "subscribes"]
-
-
-class Computer(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A computer of the robot (the paper's SBC).
-
-    Parameters
-    ----------
-    capacity
-        Resource -> amount [cores, bytes, or the resource's own unit], before `speed`.
-    speed
-        How fast one core is, relative to the reference computer; > 0. It scales
-        ``cpu`` capacity only.
-    reserve
-        Resource -> share of the capacity that placements leave free, in [0, 1).
-    price
-        What it costs, in any unit; the smallest set of computers is the cheapest.
-    address
-        Host name or IP address of its agent, or None when it is to be emulated.
-    """
-
-    name: str
-    capacity: Mapping[str, float] = {}
-    speed: float = 1.0
-    reserve: Mapping[str, float] = {}
-    price: float = 1.0
-    address: str | None = None
-
-    def usable(self, resource: str) -> float:
-        """Return the usable amount of `resource`: capacity x speed - reserve."""
-        speed = self.speed if resource == "cpu" else 1.0
-        return (
-            self.capacity.get(resource, 0.0)
-            * speed
-            * (1 - self.reserve.get(resource, 0.0))
-        )
-
-
-class Device(Struct, frozen=True, kw_only=True):
-    """A sensor or actuator, fixed to one computer.
-
-    `path` is passed to the components that need the device: a device node, a socket.
-    """
-
-    name: str
-    computer: str
-    path: str = ""
-
-
-class Link(Struct, frozen=True, kw_only=True):
-    """A network link between two computers.
-
-    Parameters
-    ----------
-    bandwidth
-        [bytes/s], each way; infinite when the file gives none.
-    latency
-        One way [s].
-    distance
-        What a unit of overhead costs over this link in the objective; >= 0.
-    """
-
-    between: tuple[str, str]
-    bandwidth: float = float("inf")
-    latency: float = 0.0
-    distance: float = 1.0
-
-
-class DeclaredPort(Struct, frozen=True, kw_only=True):
-    """A port as the robot file declares it, for components whose code cannot be read.
-
-    `type` is ``package.module:Class`` of the message or interface.
-    """
-
-    name: str
-    kind: PortKind
-    type: str
-
-
-class Component(Struct, frozen=True, kw_only=True):
-    """A unit that has ports, a demand and, when it runs, state.
-
-    Parameters
-    ----------
-    implementation
-        ``package.module:Class``; empty when `command` is given, or for planning only.
-    command
-        The command line of a component that is any executable.
-    demand
-        Resource -> amount on the reference computer [cores, bytes, ...]. A resource
-        that neither the robot file nor a profile gives counts as 0.
-    devices
-        Names of the devices it needs; it runs where all of them are.
-    only
-        The computers it may run on; empty means any.
-    movable
-        Whether it may be moved while it runs.
-    isolated
-        Whether it gets a container of its own.
-    state
-        Size of its snapshot [bytes].
-    parameters
-        Passed to the component when it is configured.
-    """
-
-    name: str
-    implementation: str = ""
-    command: tuple[str, ...] = ()
-    demand: Mapping[str, float] = {}
-    devices: tuple[str, ...] = ()
-    only: tuple[str, ...] = ()
-    movable: bool = True
-    isolated: bool = False
-    state: float = 0.0
-    ports: tuple[DeclaredPort, ...] = ()
-    parameters: Mapping[str, Any] = {}
-
-
-class End(Struct, frozen=True):
-    """One end of a connector: a component and one of its ports ("" if not named)."""
-
-    component: str
-    port: str = ""
-
-    def __str__(self) -> str:
-        return f"{self.component}.{self.port}" if self.port else self.component
-
-
-class Connector(Struct, frozen=True, kw_only=True):
-    """Joins two ports: publisher or caller first, subscriber or callee second.
-
-    Parameters
-    ----------
-    overhead
-        Relative overhead when its ends are on different computers; a calibrated profile
-        provides it (`poise.estimate.overhead`). None: the traffic [MB/s] (the paper's
-        "system-dependent value").
-    message
-        Size of one message or call, both ways together [bytes].
-    rate
-        Messages or calls per second [1/s].
-    limit
-        Time limit of a call [s]; > 0.
-    record
-        A file in which messages or calls are recorded; empty: none. Set by
-        `poise run --record`, not by the robot file.
-    """
-
-    between: tuple[End, End]
-    overhead: float | None = None
-    message: float = 0.0
-    rate: float = 0.0
-    limit: float = 1.0
-    record: str = ""
-
-    @property
-    def traffic(self) -> float:
-        """Its traffic over a link when its ends are apart [bytes/s]."""
-        return self.message * self.rate
-
-    @property
-    def cost(self) -> float:
-        """Its overhead in the objective: as declared, or else its traffic [MB/s]."""
-        return self.traffic / 1e6 if self.overhead is None else self.overhead
-
-    def __str__(self) -> str:
-        return f"{self.between[0]} -> {self.between[1]}"
-
-
-class Architecture(Struct, frozen=True, kw_only=True):
-    """A sub-architecture: provides one function by a set of components.
-
-    Parameters
-    ----------
-    function
-        The function that it provides; several architectures may provide the same.
-    layer
-        Only components of the sequencing layer move (paper, section II-A).
-    priority
-        The architecture with the lowest priority is dropped first when not all fit.
-    quality
-        How well it provides its function, in (0, 1].
-    home
-        The computer on which static placement puts it.
-    """
-
-    name: str
-    function: str
-    layer: Layer = "sequencing"
-    priority: int = 0
-    quality: float = 1.0
-    home: str | None = None
-    components: tuple[Component, ...] = ()
-    connectors: tuple[Connector, ...] = ()
 
 
 class Chain(Struct, frozen=True, kw_only=True):
-    """An end-to-end deadline [s] over a chain of components, first to last."""
+    """An end-to-end deadline over a chain of components."""
 
     name: str
-    through: tuple[str, ...]
-    deadline: float
+    through: Annotated[
+        tuple[Name, ...], says("The components, first to last.", min_length=2)
+    ]
+    deadline: Annotated[Seconds, says("200 ms.", gt=0)]
 
 
 class Action(Struct, frozen=True, kw_only=True):
-    """A step of a task: the functions it needs, by name."""
+    """A step of a task."""
 
-    name: str
-    functions: tuple[str, ...]
+    name: Annotated[Name, says("What the step is called.")]
+    functions: Annotated[tuple[Name, ...], says("The functions that it needs.")]
 
 
 class Task(Struct, frozen=True, kw_only=True):
     """A sequence of actions."""
 
     name: str
-    actions: tuple[Action, ...]
+    actions: Annotated[tuple[Action, ...], says("In order.", min_length=1)]
 
     @property
     def functions(self) -> tuple[str, ...]:
@@ -240,115 +91,165 @@ class Task(Struct, frozen=True, kw_only=True):
 
 
 class Objective(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The weights of F (docs/design/objective.md); all finite and >= 0.
+    """The weights of a good placement.
 
-    Parameters
-    ----------
-    communication, balance
-        The paper's omega_1 and omega_2.
-    weights
-        Resource -> weight of its spread in the balance term.
-    sizes
-        Resource -> weight in a component's size, by which the greedy orders.
+    All are finite and >= 0 (docs/design/objective.md); `communication` and `balance`
+    are the paper's omega_1 and omega_2. The greedy orders components by size.
     """
 
-    communication: float = 0.5
-    balance: float = 0.5
-    scale: Scale = "normalised"
-    spread: Spread = "range"
-    weights: Mapping[str, float] = {}
-    sizes: Mapping[str, float] = {}
+    communication: Annotated[
+        Amount, says("Weight of the communication between computers.")
+    ] = 0.5
+    balance: Annotated[
+        Amount, says("Weight of how unevenly the free capacity is spread.")
+    ] = 0.5
+    scale: Annotated[
+        Scale, says("Shares of capacity and of all overhead, or raw units.")
+    ] = "normalised"
+    spread: Annotated[
+        Spread, says("Largest minus smallest residue, or its population variance.")
+    ] = "range"
+    weights: Annotated[
+        Mapping[Name, Amount], says("Weight of each resource in the balance.")
+    ] = {}
+    sizes: Annotated[
+        Mapping[Name, Amount], says("Weight of each resource in a component's size.")
+    ] = {}
+
+
+class ObjectiveKeys(Objective, frozen=True, kw_only=True):
+    """The weights of a good placement."""
+
+    quality: Annotated[
+        Amount, says("Weight of the quality lost by a lesser alternative.")
+    ] = 1.0
 
 
 class Simulator(Struct, frozen=True, kw_only=True):
-    """The simulated world of an emulated robot: a command line.
+    """The simulated world of an emulated robot.
 
     It runs outside every emulated computer's limits, with the run's folder in the
     environment variable ``POISE_RUN``; devices' paths are relative to that folder. The
     last line it prints is a JSON object that goes into the run's report.
     """
 
-    command: tuple[str, ...]
+    command: Annotated[tuple[str, ...], COMMAND, says("Its command line.")]
 
 
 class Generated(Struct, frozen=True, kw_only=True):
-    """Messages that are generated for a subscribed port.
-
-    Parameters
-    ----------
-    rate
-        On average [1/s]; > 0.
-    arrivals
-        ``regular``: at equal distances; ``poisson``: at random ones.
-    size
-        Mean encoded size [bytes]; 0: as small as can be.
-    variation
-        Sizes vary evenly within this share of `size`, in [0, 1).
-    message
-        ``package.module:function`` that makes one; empty: fields are filled at random.
-    """
+    """Messages that are generated for a port while components are measured."""
 
     port: End
-    rate: float
-    arrivals: Arrivals = "regular"
-    size: float = 0.0
-    variation: float = 0.0
-    message: str = ""
-    seed: int = 0
+    rate: Annotated[Rate, says("On average: 10 Hz.", gt=0)]
+    arrivals: Annotated[
+        Arrivals, says("At equal distances, or at random ones (Poisson).")
+    ] = "regular"
+    size: Annotated[
+        Bytes, says("Mean size, encoded: 1.5 kB. Without it, as small as can be.")
+    ] = 0.0
+    variation: Annotated[
+        Share, says("Sizes vary evenly within this share of the mean: 20%.", lt=1)
+    ] = 0.0
+    message: Annotated[
+        Reference,
+        says(
+            "package.module:function that makes a message of a random.Random and a "
+            "size [bytes]; without it, its fields are filled at random.",
+            is_nullable=True,
+        ),
+    ] = ""
+    seed: Annotated[int, says("The same seed makes the same messages.")] = 0
 
 
 class Workload(Struct, frozen=True, kw_only=True):
-    """The input of components while they are measured.
+    """What components work on while `poise profile` measures them."""
 
-    Parameters
-    ----------
-    command
-        Runs instead of the simulator; empty: the simulator does.
-    recording
-        File of a recording, relative to the robot's folder; empty: none.
-    """
+    command: Annotated[
+        tuple[str, ...],
+        COMMAND,
+        says("A command line that runs instead of the simulator.", is_nullable=True),
+    ] = ()
+    recording: Annotated[
+        str,
+        says(
+            "A file of `poise run --record`, relative to this one: what other "
+            "architectures published then comes from there.",
+            is_nullable=True,
+        ),
+    ] = ""
+    generate: Annotated[
+        tuple[Generated, ...],
+        by_port(Generated),
+        says("Subscribed component.port -> messages that are generated for it."),
+    ] = ()
 
-    command: tuple[str, ...] = ()
-    recording: str = ""
-    generate: tuple[Generated, ...] = ()
+
+Set = Annotated[tuple[Name, ...], note(min_length=2)]
 
 
 class Robot(Struct, frozen=True, kw_only=True):
-    """The whole robot.
+    """A robot: its computers, its software and its tasks.
 
-    Parameters
-    ----------
-    connectors
-        Connectors between components of different architectures.
-    together, apart
-        Sets of components that must share a computer, or must not.
-    quality_weight
-        What F grows by for every unit of quality lost by choosing an architecture
-        that is not the best one for its function; >= 0.
-    workload
-        Input of components while they are profiled; None: from the simulator and the
-        other components.
-    profile
-        The profile's file, relative to `folder`; empty when there is none.
-    folder
-        Folder of the robot file, from which implementations are imported.
+    Implementations are imported from `folder`, that of the file. F grows by
+    `quality_weight`, the objective's `quality`, for every unit of quality lost by
+    choosing an architecture that is not the best one for its function.
     """
 
-    name: str
-    computers: tuple[Computer, ...] = ()
-    devices: tuple[Device, ...] = ()
-    links: tuple[Link, ...] = ()
-    architectures: tuple[Architecture, ...] = ()
-    connectors: tuple[Connector, ...] = ()
-    chains: tuple[Chain, ...] = ()
-    tasks: tuple[Task, ...] = ()
-    objective: Objective = Objective()
+    name: Annotated[Name, says("The robot's name.", key="robot")]
+    include: Annotated[
+        tuple[str, ...],
+        says("Further files, relative to this one; sections are merged."),
+    ] = ()
+    computers: Annotated[
+        tuple[Computer, ...],
+        by_name(Computer),
+        says("The computers by name.", is_required=True, min_length=1),
+    ] = ()
+    devices: Annotated[
+        tuple[Device, ...], by_name(Device), says("Sensors and actuators.")
+    ] = ()
+    links: Annotated[tuple[Link, ...], says("Network links between computers.")] = ()
+    architectures: Annotated[
+        tuple[Architecture, ...],
+        by_name(Architecture),
+        says("The software, one entry per function."),
+    ] = ()
+    connectors: Annotated[
+        tuple[Connector, ...], says("Connectors between architectures.")
+    ] = ()
+    chains: Annotated[
+        tuple[Chain, ...], by_name(Chain), says("End-to-end deadlines.")
+    ] = ()
+    tasks: Annotated[
+        tuple[Task, ...], by_name(Task), says("The tasks of the robot.")
+    ] = ()
+    objective: Annotated[
+        Objective,
+        written(ObjectiveKeys, dict),
+        says("The weights of a good placement."),
+    ] = Objective()
     quality_weight: float = 1.0
-    together: tuple[tuple[str, ...], ...] = ()
-    apart: tuple[tuple[str, ...], ...] = ()
-    simulator: Simulator | None = None
-    workload: Workload | None = None
-    profile: str = ""
+    together: Annotated[
+        tuple[Set, ...], says("Sets of components that share a computer.")
+    ] = ()
+    apart: Annotated[
+        tuple[Set, ...], says("Sets of components that are on different computers.")
+    ] = ()
+    simulator: Annotated[
+        Simulator | None, says("The simulated world of an emulated robot.")
+    ] = None
+    workload: Annotated[
+        Workload | None,
+        says("What components work on while `poise profile` measures them."),
+    ] = None
+    profile: Annotated[
+        str,
+        says(
+            "The file, relative to this one, that `poise profile` writes; demands, "
+            "states and traffic that are not given here come from it.",
+            is_nullable=True,
+        ),
+    ] = ""
     folder: str = ""
 
     def components(self) -> Iterator[Component]:

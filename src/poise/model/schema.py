@@ -1,30 +1,47 @@
-"""The JSON Schema (draft 2020-12) of robot files, from the types of `sections`."""
+"""The JSON Schema (draft 2020-12) of robot files, from the keys of the records."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import Any
 
-import msgspec
+from msgspec import inspect as types
 
-from poise.model import sections
-from poise.units import DIMENSIONS, NUMBER
+from poise.model.keys import FileKey, keys_of
+from poise.model.robot import Robot
+from poise.units import NUMBER
 
+Schema = dict[str, Any]
 _NUMBER = r"\s*\+?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?\s*"
+_LIMITS = {
+    "gt": "exclusiveMinimum",
+    "ge": "minimum",
+    "lt": "exclusiveMaximum",
+    "le": "maximum",
+    "pattern": "pattern",
+}
+_SINGLE = {
+    types.StrType: "string",
+    types.IntType: "integer",
+    types.BoolType: "boolean",
+    types.NoneType: "null",
+}
 
 
-def schema() -> dict[str, Any]:
+def schema() -> Schema:
     """Return the schema as plain data.
 
     It requires no key at the top, because each may be in another included file.
     """
-    text = json.dumps(msgspec.json.schema(sections.RobotSection))
-    made = json.loads(text.replace('Section"', '"'))  # names for people
-    made["$defs"]["Robot"]["required"] = []
+    records: dict[str, Schema] = {}
+    top = _schema(types.type_info(Robot), {}, records)
+    records["Robot"]["required"] = []
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "Poise robot file",
-        **_quantities({key: value for key, value in made.items() if key != "title"}),
+        **top,
+        "$defs": records,
     }
 
 
@@ -33,20 +50,91 @@ def schema_text() -> str:
     return json.dumps(schema(), indent=2, ensure_ascii=False) + "\n"
 
 
-def _quantities(value: Any) -> Any:  # noqa: ANN401, any part of a schema
-    """Allow every number with a unit to be a number or a text with its unit."""
-    if isinstance(value, list):
-        return [_quantities(item) for item in value]
-    if not isinstance(value, dict):
-        return value
-    made = {key: _quantities(item) for key, item in value.items()}
-    dimension = made.pop("x-dimension", None)
-    if dimension is None:
-        return made
-    if "exclusiveMinimum" not in made:
-        made["minimum"] = 0
-    if dimension == NUMBER.name:
-        return {**made, "type": "number"}
-    units = "|".join(sorted(u for u in DIMENSIONS[dimension].units if u))
+def _schema(
+    kind: types.Type, notes: Mapping[str, Any], records: dict[str, Schema]
+) -> Schema:
+    """Return the schema of a type with its notes; add its records to `records`."""
+    if isinstance(kind, types.Metadata):
+        return _noted(kind, notes, records)
+    if isinstance(kind, types.StructType):
+        return _record(kind, records)
+    if isinstance(kind, types.UnionType):
+        return {"anyOf": [_schema(each, notes, records) for each in kind.types]}
+    if isinstance(kind, types.DictType):
+        return {
+            "type": "object",
+            "propertyNames": _schema(kind.key_type, {}, records),
+            "additionalProperties": _schema(kind.value_type, {}, records),
+            **_limits(notes, "Properties"),
+        }
+    if isinstance(kind, types.VarTupleType | types.ListType):
+        items = _schema(kind.item_type, {}, records)
+        return {"type": "array", "items": items, **_limits(notes, "Items")}
+    return _single(kind, notes, records)
+
+
+def _single(
+    kind: types.Type, notes: Mapping[str, Any], records: dict[str, Schema]
+) -> Schema:
+    if isinstance(kind, types.TupleType):
+        both = [_schema(item, {}, records) for item in kind.item_types]
+        length = {"minItems": len(both), "maxItems": len(both)}
+        return {"type": "array", **length, "prefixItems": both, "items": False}
+    if isinstance(kind, types.FloatType):
+        return _quantity(notes)
+    if isinstance(kind, types.LiteralType):
+        return {"enum": list(kind.values)}
+    made = {"type": _SINGLE[type(kind)]} if type(kind) in _SINGLE else {}
+    return {**made, **_limits(notes, "Length")}
+
+
+def _noted(
+    kind: types.Metadata, around: Mapping[str, Any], records: dict[str, Schema]
+) -> Schema:
+    own = kind.extra or {}
+    made = _schema(own.get("form", kind.type), {**around, **own}, records)
+    if "is_nullable" in own:
+        made = {"anyOf": [*made.get("anyOf", [made]), {"type": "null"}]}
+    if "examples" in own:
+        made = {"examples": list(own["examples"]), **made}
+    return {"description": own["says"], **made} if "says" in own else made
+
+
+def _record(kind: types.StructType, records: dict[str, Schema]) -> Schema:
+    name = kind.cls.__name__.removesuffix("Keys")
+    if name not in records:
+        records[name] = {}  # keeps its place before the records in it
+        keys = keys_of(kind.cls)
+        records[name].update(
+            title=name,
+            description=(kind.cls.__doc__ or "").partition("\n")[0],
+            type="object",
+            properties={key: _property(each, records) for key, each in keys.items()},
+            required=[key for key, each in keys.items() if each.is_required],
+            additionalProperties=False,
+        )
+    return {"$ref": f"#/$defs/{name}"}
+
+
+def _property(key: FileKey, records: dict[str, Schema]) -> Schema:
+    made = _schema(key.kind, {}, records)
+    is_plain = isinstance(key.default, str | float | int) and key.default != ""
+    return {**made, "default": key.default} if is_plain else made
+
+
+def _quantity(notes: Mapping[str, Any]) -> Schema:
+    """Allow a number with a unit to be a number or a text with its unit."""
+    limits = _limits(notes, "")
+    if "exclusiveMinimum" not in limits:
+        limits["minimum"] = 0
+    if notes["dimension"] is NUMBER:
+        return {"type": "number", **limits}
+    units = "|".join(sorted(unit for unit in notes["dimension"].units if unit))
     pattern = f"^{_NUMBER}({units})?\\s*$"
-    return {**made, "type": ["number", "string"], "pattern": pattern}
+    return {"type": ["number", "string"], **limits, "pattern": pattern}
+
+
+def _limits(notes: Mapping[str, Any], counted: str) -> Schema:
+    lengths = {"min_length": f"min{counted}", "max_length": f"max{counted}"}
+    words = {**_LIMITS, **lengths}
+    return {word: notes[name] for name, word in words.items() if name in notes}

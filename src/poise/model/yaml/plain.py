@@ -8,13 +8,8 @@ from typing import Any
 from poise.model.yaml.tree import Node, Scalar
 from poise.units import quoted
 
-_WORDS: dict[str, Any] = {
-    "": None,
-    "~": None,
-    "null": None,
-    "true": True,
-    "false": False,
-}
+NULLS = ("", "~", "null")
+_WORDS = dict.fromkeys(NULLS) | {"true": True, "false": False}
 _INTEGER = re.compile(r"[+-]?[0-9]+")
 _FLOAT = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _LARGEST = 2**63

@@ -1,26 +1,29 @@
-"""Checks a tree of nodes against the types of `poise.model.sections`.
+"""Checks a tree of nodes against the keys of records (`poise.model.keys`).
 
-The validator knows msgspec's types and nothing of robots. It finds every problem in one
-pass.
+The validator knows nothing of robots. It finds every problem in one pass.
 """
 
 from __future__ import annotations
 
+import operator
 import re
 from collections.abc import Callable, Mapping
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias
 
 from msgspec import Struct
 from msgspec import inspect as types
 
 from poise.errors import Problem
+from poise.model.keys import FileKey, keys_of
 from poise.model.suggest import did_you_mean, listed
-from poise.model.yaml.plain import plain_value
+from poise.model.yaml.plain import NULLS, plain_value
 from poise.model.yaml.tree import Location, Node, Scalar
-from poise.units import DIMENSIONS, NUMBER, parse, quoted
+from poise.units import parse, quoted
 
 Value: TypeAlias = Any
 """A plain value of the right type, or `_INVALID`."""
+Notes: TypeAlias = Mapping[str, Any]
+ListType: TypeAlias = types.ListType | types.VarTupleType | types.TupleType
 _INVALID: Any = object()
 """Stands for a value that has a problem."""
 
@@ -32,14 +35,14 @@ class Where(Struct, frozen=True):
     ----------
     name
         Its keys from the top, with dots.
-    extra
-        Notes that `sections` attaches to its type.
+    notes
+        The notes on its type.
     """
 
     name: str
     place: Location
     problems: list[Problem]
-    extra: Mapping[str, Any] = {}
+    notes: Notes = {}
 
     def inner(self, key: str | int, node: Node) -> Where:
         """Return an entry of this mapping or list."""
@@ -47,9 +50,9 @@ class Where(Struct, frozen=True):
         name = f"{self.name}{step}".removeprefix(".")
         return Where(name, node.place, self.problems)
 
-    def noted(self, extra: Mapping[str, Any]) -> Where:
+    def noted(self, notes: Notes) -> Where:
         """Return a copy with further notes."""
-        return Where(self.name, self.place, self.problems, {**self.extra, **extra})
+        return Where(self.name, self.place, self.problems, {**self.notes, **notes})
 
     def wrong(self, text: str) -> Value:
         """Add a problem that names the key; return no value."""
@@ -71,52 +74,71 @@ def validate(node: Node, kind: types.Type, problems: list[Problem]) -> Value:
 
 def _value(node: Node, kind: types.Type, where: Where) -> Value:
     if isinstance(kind, types.Metadata):
-        return _value(node, kind.type, where.noted(kind.extra or {}))
-    return _READERS[type(kind)](node, kind, where)
+        return _noted(node, kind, where)
+    if type(kind) in _COLLECTIONS:
+        return _COLLECTIONS[type(kind)](node, kind, where)
+    scalar = node.value
+    if not isinstance(scalar, Scalar) or (scalar.plain and not scalar.text):
+        return where.wrong(f"must be a single value, not {_kind(node)}")
+    try:
+        return _SINGLE[type(kind)](scalar.text, kind, where.notes)
+    except ValueError as error:
+        return where.wrong(str(error))
+
+
+def _noted(node: Node, kind: types.Metadata, where: Where) -> Value:
+    notes = kind.extra or {}
+    if "is_nullable" in notes and _is_null(node):
+        return None
+    form = notes.get("form", kind.type)
+    value = _value(node, form, where.noted(notes))
+    if value is _INVALID or "read" not in notes:
+        return value
+    try:
+        return notes["read"](value)
+    except ValueError as error:
+        return where.wrong(str(error))
 
 
 def _struct(node: Node, kind: types.StructType, where: Where) -> Value:
-    fields = {field.encode_name: field for field in kind.fields}
+    keys = keys_of(kind.cls)
+    noun = kind.cls.__name__.removesuffix("Keys").lower()
     if not isinstance(node.value, dict):
-        return where.wrong(
-            f"must be a mapping with {listed(fields)}, not {_kind(node)}"
+        return where.wrong(f"must be a mapping with {listed(keys)}, not {_kind(node)}")
+    for name in [name for name in node.value if name not in keys]:
+        where.inner(name, node.value[name]).wrong(
+            f"the {noun} has the unknown key {quoted(name)}"
+            f"{did_you_mean(name, keys)}; keys: {listed(keys)}"
         )
-    _refuse_unknown(node.value, kind, where)
-    values = {}
-    for key, field in fields.items():
-        if key in node.value:
-            entry = node.value[key]
-            values[key] = _value(entry, field.type, where.inner(key, entry))
-        elif field.required:
-            thing = _noun(kind)
-            values[key] = where.wrong(f"the {thing} lacks the key '{key}'")
-    wrong = [key for key, value in values.items() if value is _INVALID]
-    if any(fields[k].required or _shape(fields[k].type) != "scalar" for k in wrong):
-        return _INVALID
-    return {key: value for key, value in values.items() if key not in wrong}
+    values: dict[str, Value] = {}
+    is_right = True
+    for name, key in keys.items():
+        if name in node.value:
+            entry = node.value[name]
+            value = _value(entry, key.kind, where.inner(name, entry))
+            if value is not _INVALID:
+                _keep(values, name, key, value)
+            elif key.is_required or _shape(key.kind) is not Scalar:
+                is_right = False
+        elif key.is_required:
+            where.wrong(f"the {noun} lacks the key '{name}'")
+            is_right = False
+    return values if is_right else _INVALID
 
 
-def _refuse_unknown(
-    entries: Mapping[str, Node], kind: types.StructType, where: Where
-) -> None:
-    thing = _noun(kind)
-    known = [field.encode_name for field in kind.fields]
-    for key in entries:
-        if key not in known:
-            where.inner(key, entries[key]).wrong(
-                f"the {thing} has the unknown key {quoted(key)}"
-                f"{did_you_mean(key, known)}; keys: {listed(known)}"
-            )
-
-
-def _noun(kind: types.StructType) -> str:
-    return kind.cls.__name__.removesuffix("Section").lower()
+def _keep(values: dict[str, Value], name: str, key: FileKey, value: Value) -> None:
+    """Keep the value of a key as its field, or as entries of its field."""
+    if key.is_entry and value is not None:
+        entries = value if isinstance(value, dict) else {name: value}
+        values.setdefault(key.field, {}).update(entries)
+    elif value is not None:
+        values[key.field] = value
 
 
 def _dict(node: Node, kind: types.DictType, where: Where) -> Value:
     if not isinstance(node.value, dict):
         return where.wrong(f"must be a mapping, as in {{a: ...}}, not {_kind(node)}")
-    right = _has_length(len(node.value), kind, where)
+    right = _has_length(len(node.value), where)
     values = {}
     for key, entry in node.value.items():
         inner = where.inner(key, entry)
@@ -126,94 +148,28 @@ def _dict(node: Node, kind: types.DictType, where: Where) -> Value:
     return values if right and _INVALID not in values.values() else _INVALID
 
 
-def _list(node: Node, kind: types.ListType, where: Where) -> Value:
-    if not isinstance(node.value, list):
-        return where.wrong(f"must be a list, as in [a, b], not {_kind(node)}")
-    right = _has_length(len(node.value), kind, where)
-    values = [
-        _value(item, kind.item_type, where.inner(i, item))
-        for i, item in enumerate(node.value)
-    ]
-    return values if right and _INVALID not in values else _INVALID
-
-
-def _tuple(node: Node, kind: types.TupleType, where: Where) -> Value:
-    wanted = len(kind.item_types)
-    if not isinstance(node.value, list) or len(node.value) != wanted:
-        return where.wrong(
-            f"must be a list of {wanted}, as in [a, b], not {_kind(node)}"
-        )
-    pairs = zip(node.value, kind.item_types, strict=True)
+def _list(node: Node, kind: ListType, where: Where) -> Value:
+    pair = kind.item_types if isinstance(kind, types.TupleType) else ()
+    items = node.value if isinstance(node.value, list) else None
+    if items is None or (pair and len(items) != len(pair)):
+        of = f" of {len(pair)}" if pair else ""
+        return where.wrong(f"must be a list{of}, as in [a, b], not {_kind(node)}")
+    right = _has_length(len(items), where)
+    kinds = pair or [kind.item_type] * len(items)  # type: ignore[union-attr]
     values = [
         _value(item, item_kind, where.inner(i, item))
-        for i, (item, item_kind) in enumerate(pairs)
+        for i, (item, item_kind) in enumerate(zip(items, kinds, strict=True))
     ]
-    return _INVALID if _INVALID in values else values
+    return values if right and _INVALID not in values else _INVALID
 
 
 def _union(node: Node, kind: types.UnionType, where: Where) -> Value:
     """Choose the member by the shape of the node: no two members share one."""
     members = {_shape(member): member for member in kind.types}
-    if "null" in members and _is_null(node):
+    if None in members and _is_null(node):
         return None
-    shape = _node_shape(node)
-    if shape not in members:
-        shape = next(iter(members))
+    shape = type(node.value) if type(node.value) in members else next(iter(members))
     return _value(node, members[shape], where)
-
-
-def _text(node: Node, kind: types.StrType, where: Where) -> Value:
-    text = _scalar(node, where)
-    if text is None:
-        return _INVALID
-    if len(text) < (kind.min_length or 0):
-        return where.wrong("is empty")
-    if kind.pattern is not None and not re.fullmatch(kind.pattern, text):
-        wanted = where.extra.get("expected", kind.pattern)
-        return where.wrong(f"{quoted(text)} is not allowed; write {wanted}")
-    try:
-        where.extra.get("parse", str)(text)
-    except ValueError as error:
-        return where.wrong(str(error))
-    return text
-
-
-def _number(node: Node, kind: types.FloatType, where: Where) -> Value:
-    text = _scalar(node, where)
-    if text is None:
-        return _INVALID
-    dimension = DIMENSIONS[where.extra.get("dimension", NUMBER.name)]
-    try:
-        value = parse(text, dimension)
-    except ValueError as error:
-        return where.wrong(str(error))
-    return _in_range(value, text, kind, where)
-
-
-def _integer(node: Node, kind: types.IntType, where: Where) -> Value:
-    text = _scalar(node, where)
-    if text is None:
-        return _INVALID
-    if not re.fullmatch(r"[+-]?[0-9]{1,15}", text):
-        return where.wrong(f"{quoted(text)} is not a whole number")
-    return _in_range(int(text), text, kind, where)
-
-
-def _truth(node: Node, _kind: types.BoolType, where: Where) -> Value:
-    text = _scalar(node, where)
-    if text is None or text in ("true", "false"):
-        return _INVALID if text is None else text == "true"
-    return where.wrong(f"{quoted(text)} is neither 'true' nor 'false'")
-
-
-def _choice(node: Node, kind: types.LiteralType, where: Where) -> Value:
-    text = _scalar(node, where)
-    choices = [str(value) for value in kind.values]
-    if text is None or text in choices:
-        return _INVALID if text is None else text
-    return where.wrong(
-        f"{quoted(text)} is not one of {listed(choices)}{did_you_mean(text, choices)}"
-    )
 
 
 def _anything(node: Node, _kind: types.AnyType, where: Where) -> Value:
@@ -223,18 +179,8 @@ def _anything(node: Node, _kind: types.AnyType, where: Where) -> Value:
         return where.wrong(str(error))
 
 
-def _scalar(node: Node, where: Where) -> str | None:
-    """Return the text of a single value, or add a problem and return None."""
-    if isinstance(node.value, Scalar) and (node.value.text or not node.value.plain):
-        return node.value.text
-    where.wrong(f"must be a single value, not {_kind(node)}")
-    return None
-
-
-def _has_length(
-    length: int, kind: types.DictType | types.ListType, where: Where
-) -> bool:
-    least, most = kind.min_length or 0, kind.max_length
+def _has_length(length: int, where: Where) -> bool:
+    least, most = where.notes.get("min_length", 0), where.notes.get("max_length")
     if least <= length and (most is None or length <= most):
         return True
     wanted = f"at least {least}" if length < least else f"at most {most}"
@@ -242,21 +188,51 @@ def _has_length(
     return False
 
 
+def _text(text: str, _kind: types.StrType, notes: Notes) -> str:
+    if len(text) < notes.get("min_length", 0):
+        raise ValueError("is empty")
+    if "pattern" in notes and not re.fullmatch(notes["pattern"], text):
+        wanted = notes.get("expected", notes["pattern"])
+        raise ValueError(f"{quoted(text)} is not allowed; write {wanted}")
+    return text
+
+
+def _number(text: str, _kind: types.FloatType, notes: Notes) -> float:
+    return _in_range(parse(text, notes["dimension"]), text, notes)
+
+
+def _integer(text: str, _kind: types.IntType, notes: Notes) -> float:
+    if not re.fullmatch(r"[+-]?[0-9]{1,15}", text):
+        raise ValueError(f"{quoted(text)} is not a whole number")
+    return _in_range(int(text), text, notes)
+
+
+def _truth(text: str, _kind: types.BoolType, _notes: Notes) -> bool:
+    if text not in ("true", "false"):
+        raise ValueError(f"{quoted(text)} is neither 'true' nor 'false'")
+    return text == "true"
+
+
+def _choice(text: str, kind: types.LiteralType, _notes: Notes) -> str:
+    choices = [str(value) for value in kind.values]
+    if text not in choices:
+        likely = did_you_mean(text, choices)
+        raise ValueError(f"{quoted(text)} is not one of {listed(choices)}{likely}")
+    return text
+
+
 _LIMITS: Mapping[str, tuple[str, Callable[[float, float], bool]]] = {
-    "gt": ("above", lambda value, limit: value > limit),
-    "ge": ("at least", lambda value, limit: value >= limit),
-    "lt": ("below", lambda value, limit: value < limit),
-    "le": ("at most", lambda value, limit: value <= limit),
+    "gt": ("above", operator.gt),
+    "ge": ("at least", operator.ge),
+    "lt": ("below", operator.lt),
+    "le": ("at most", operator.le),
 }
 
 
-def _in_range(
-    value: float, text: str, kind: types.FloatType | types.IntType, where: Where
-) -> Value:
+def _in_range(value: float, text: str, notes: Notes) -> float:
     for name, (words, holds) in _LIMITS.items():
-        limit = getattr(kind, name)
-        if limit is not None and not holds(value, limit):
-            return where.wrong(f"{quoted(text)} must be {words} {limit}")
+        if name in notes and not holds(value, notes[name]):
+            raise ValueError(f"{quoted(text)} must be {words} {notes[name]}")
     return value
 
 
@@ -269,46 +245,38 @@ def _kind(node: Node) -> str:
 
 
 def _is_null(node: Node) -> bool:
-    return (
-        isinstance(node.value, Scalar)
-        and node.value.plain
-        and node.value.text in ("", "~", "null")
-    )
+    scalar = node.value
+    return isinstance(scalar, Scalar) and scalar.plain and scalar.text in NULLS
 
 
-def _node_shape(node: Node) -> str:
-    if isinstance(node.value, dict):
-        return "mapping"
-    return "list" if isinstance(node.value, list) else "scalar"
-
-
-def _shape(kind: types.Type) -> str:
+def _shape(kind: types.Type) -> type | None:
+    """Return the type of `Node.value` in which a value of `kind` is written."""
     if isinstance(kind, types.Metadata):
-        return _shape(kind.type)
-    shapes: dict[type, str] = {
-        types.StructType: "mapping",
-        types.DictType: "mapping",
-        types.ListType: "list",
-        types.TupleType: "list",
-        types.NoneType: "null",
-    }
-    return shapes.get(type(kind), "scalar")
+        return _shape((kind.extra or {}).get("form", kind.type))
+    return _SHAPES.get(type(kind), Scalar)
 
 
-_Reader = Callable[[Node, Any, Where], Value]
-_READERS = cast(
-    "Mapping[type, _Reader]",
-    {
-        types.StructType: _struct,
-        types.DictType: _dict,
-        types.ListType: _list,
-        types.TupleType: _tuple,
-        types.UnionType: _union,
-        types.StrType: _text,
-        types.FloatType: _number,
-        types.IntType: _integer,
-        types.BoolType: _truth,
-        types.LiteralType: _choice,
-        types.AnyType: _anything,
-    },
-)
+_SHAPES = {
+    types.StructType: dict,
+    types.DictType: dict,
+    types.ListType: list,
+    types.VarTupleType: list,
+    types.TupleType: list,
+    types.NoneType: None,
+}
+_COLLECTIONS: Mapping[type, Any] = {
+    types.StructType: _struct,
+    types.DictType: _dict,
+    types.ListType: _list,
+    types.VarTupleType: _list,
+    types.TupleType: _list,
+    types.UnionType: _union,
+    types.AnyType: _anything,
+}
+_SINGLE: Mapping[type, Any] = {
+    types.StrType: _text,
+    types.FloatType: _number,
+    types.IntType: _integer,
+    types.BoolType: _truth,
+    types.LiteralType: _choice,
+}

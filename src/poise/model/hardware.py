@@ -1,0 +1,106 @@
+"""The computers of a robot, their devices and links; in SI units.
+
+Resources have any names; ``cpu`` [cores of the reference computer] and ``memory``
+[bytes] always exist.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated
+
+from msgspec import Struct
+
+from poise.model.forms import RESERVE
+from poise.model.keys import (
+    Address,
+    Amount,
+    Bandwidth,
+    Bytes,
+    Cores,
+    Name,
+    Resource,
+    Seconds,
+    entries,
+    says,
+)
+
+
+class CapacityKeys(Struct):
+    """How the capacity of a computer is written."""
+
+    cpu: Annotated[Cores, says("Its cores: 4, or 150%.", gt=0)]
+    memory: Annotated[Bytes, says("Its memory for components: 1 GiB.", gt=0)]
+    resources: Annotated[
+        Mapping[Resource, Amount],
+        says("Any other resource that components share, by name: {gpu: 1}."),
+    ] = {}
+
+
+class Computer(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A computer of the robot and its capacity.
+
+    `capacity` [cores, bytes, or the resource's own unit] is before `speed`, which
+    scales ``cpu`` only.
+    """
+
+    name: str
+    capacity: Annotated[Mapping[str, float], entries(CapacityKeys)] = {}
+    speed: Annotated[
+        Amount, says("How fast one core is; the reference computer's are 1.", gt=0)
+    ] = 1.0
+    reserve: Annotated[
+        Mapping[str, float],
+        RESERVE,
+        says(
+            "The share that placements leave free: 5% of cpu and memory, or by "
+            "resource, as in {cpu: 5%, disk: 10%}."
+        ),
+    ] = {}
+    price: Annotated[
+        Amount,
+        says("What it costs, in any unit; `poise plan --smallest` seeks the least."),
+    ] = 1.0
+    address: Annotated[
+        Address | None,
+        says("Host or host:port of its agent. Without it the computer is emulated."),
+    ] = None
+
+    def usable(self, resource: str) -> float:
+        """Return the usable amount of `resource`: capacity x speed - reserve."""
+        speed = self.speed if resource == "cpu" else 1.0
+        return (
+            self.capacity.get(resource, 0.0)
+            * speed
+            * (1 - self.reserve.get(resource, 0.0))
+        )
+
+
+class Device(Struct, frozen=True, kw_only=True):
+    """A sensor or actuator, fixed to one computer."""
+
+    name: str
+    computer: Annotated[Name, says("The computer that it is plugged into.")]
+    path: Annotated[
+        str,
+        says("A device node, or a socket of the simulator, for its components."),
+    ] = ""
+
+
+class Link(Struct, frozen=True, kw_only=True):
+    """A network link between two computers."""
+
+    between: Annotated[tuple[Name, Name], says("The two computers it joins.")]
+    bandwidth: Annotated[
+        Bandwidth,
+        says(
+            "Each way: 100 Mbit/s. Without it there is no limit.",
+            gt=0,
+            is_nullable=True,
+        ),
+    ] = math.inf
+    latency: Annotated[Seconds, says("One way: 0.2 ms.")] = 0.0
+    distance: Annotated[
+        Amount, says("Cost of a unit of overhead over it in the objective.")
+    ] = 1.0

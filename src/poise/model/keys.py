@@ -1,0 +1,134 @@
+"""How the fields of a robot's records are written in its file.
+
+A field of a record in `poise.model.robot` whose type has a description (`says`) is a
+key of the file. The validator (`poise.model.yaml.validate`), the published JSON Schema
+(`poise.model.schema`) and the loader follow from these notes. They bind files only:
+msgspec ignores them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Annotated, Any
+
+from msgspec import Meta, Struct, structs
+from msgspec import inspect as types
+
+from poise import units
+
+_NAME = r"[A-Za-z][A-Za-z0-9_-]{0,62}"
+_NAME_SAYS = "a letter, then up to 62 letters, digits, '_' or '-'"
+
+
+def says(text: str, **notes: object) -> Meta:
+    """Return the description of a key, which an editor shows, and further notes.
+
+    Parameters
+    ----------
+    key
+        The key, where it is not the name of the field.
+    is_required
+        Whether the file must have the key although the field has a default.
+    gt, ge, lt, le, min_length, max_length
+        Limits.
+    is_nullable
+        Whether null may stand for no value.
+    """
+    return Meta(extra={"says": text, **notes})
+
+
+def note(**notes: object) -> Meta:
+    """Return notes for a type within a field's type."""
+    return Meta(extra=notes)
+
+
+def written(form: object, read: Callable[[Any], Any]) -> Meta:
+    """Return a note that a field is written as `form`.
+
+    Parameters
+    ----------
+    read
+        Returns the field's value for the one that is written; raises ValueError when
+        that is wrong.
+    """
+    return Meta(extra={"form": types.type_info(form), "read": read})
+
+
+def entries(record: type[Struct]) -> Meta:
+    """Return a note that a mapping is written as the keys of `record`."""
+    return Meta(extra={"entries": record})
+
+
+def _text(pattern: str, expected: str, *examples: str) -> Meta:
+    return note(pattern=f"^{pattern}$", expected=expected, examples=examples)
+
+
+def _quantity(dimension: units.Dimension) -> Meta:
+    return note(dimension=dimension, examples=tuple(dimension.example.split(" or ")))
+
+
+Name = Annotated[str, _text(_NAME, _NAME_SAYS, "main", "laser_scanner")]
+Resource = Annotated[
+    str,
+    _text(
+        rf"(?!(cpu|memory)$){_NAME}",
+        f"{_NAME_SAYS}; cpu and memory have keys of their own",
+        "gpu",
+    ),
+]
+PortName = Annotated[str, note(pattern=r"^\w{1,63}$")]
+Reference = Annotated[
+    str,
+    _text(r"\w+(\.\w+)*:\w+(\.\w+)*", *2 * ("package.module:Class",)),
+]
+EndText = Annotated[
+    str,
+    _text(
+        rf"{_NAME}(\.\w{{1,63}})?",
+        "component.port, or only component",
+        "localiser.scan",
+    ),
+]
+Cores = Annotated[float, _quantity(units.CORES)]
+Bytes = Annotated[float, _quantity(units.BYTES)]
+Seconds = Annotated[float, _quantity(units.SECONDS)]
+Rate = Annotated[float, _quantity(units.RATE)]
+Bandwidth = Annotated[float, _quantity(units.BANDWIDTH)]
+Share = Annotated[float, _quantity(units.RATIO)]
+Amount = Annotated[float, _quantity(units.NUMBER)]
+Address = Annotated[str, note(examples=("10.0.0.1", "[fd00::2]:7447"))]
+
+
+class FileKey(Struct, frozen=True):
+    """A key of the file, and the field of the record that it belongs to.
+
+    Several keys may belong to one `field`, a mapping (`is_entry`).
+    """
+
+    field: str
+    kind: types.Metadata
+    default: object
+    is_required: bool
+    is_entry: bool = False
+
+
+@cache
+def keys_of(record: type[Struct]) -> Mapping[str, FileKey]:
+    """Return the keys of a record in the file, by name."""
+    found: dict[str, FileKey] = {}
+    for field in types.type_info(record).fields:  # type: ignore[attr-defined]
+        if not isinstance(field.type, types.Metadata):
+            continue
+        notes = field.type.extra or {}
+        if "entries" in notes:
+            for name, entry in keys_of(notes["entries"]).items():
+                found[name] = structs.replace(entry, field=field.name, is_entry=True)
+        elif "says" in notes:
+            found[notes.get("key", field.name)] = FileKey(
+                field.name,
+                field.type,
+                field.default,
+                field.required or "is_required" in notes,
+            )
+    return found

@@ -1,0 +1,177 @@
+"""The software of a robot: architectures, components and connectors; in SI units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from msgspec import Struct
+
+from poise.model.forms import COMMAND, ENDS, PORTS, PortKind, by_name
+from poise.model.keys import (
+    Amount,
+    Bytes,
+    Cores,
+    Name,
+    Rate,
+    Reference,
+    Resource,
+    Seconds,
+    Share,
+    entries,
+    says,
+)
+
+Layer = Literal["deliberative", "sequencing", "reactive"]
+
+
+class DeclaredPort(Struct, frozen=True, kw_only=True):
+    """A port as the robot file declares it, for components whose code cannot be read.
+
+    `type` is ``package.module:Class`` of the message or interface.
+    """
+
+    name: str
+    kind: PortKind
+    type: str
+
+
+class DemandKeys(Struct):
+    """How the demand of a component is written."""
+
+    cpu: Annotated[
+        Cores | None,
+        says(
+            "Its demand on the reference computer: 20%, 1.5 cores. Default: from the "
+            "profile, else 0."
+        ),
+    ] = None
+    memory: Annotated[
+        Bytes | None, says("Its demand: 512 MiB. Default: as for cpu.")
+    ] = None
+    resources: Annotated[
+        Mapping[Resource, Amount], says("Its demand of other resources: {gpu: 1}.")
+    ] = {}
+
+
+class Component(Struct, frozen=True, kw_only=True):
+    """A unit that has ports, a demand and, when it runs, state.
+
+    Without `implementation` and `command` it is for planning only. A resource that
+    neither `demand` nor a profile gives counts as 0.
+    """
+
+    name: str
+    implementation: Annotated[
+        Reference,
+        says("Its Python class: package.module:Class.", is_nullable=True),
+    ] = ""
+    command: Annotated[
+        tuple[str, ...],
+        COMMAND,
+        says(
+            "The command line of a component that is any executable.", is_nullable=True
+        ),
+    ] = ()
+    demand: Annotated[Mapping[str, float], entries(DemandKeys)] = {}
+    devices: Annotated[
+        tuple[Name, ...], says("Devices it needs; it runs where they are.")
+    ] = ()
+    only: Annotated[
+        tuple[Name, ...], says("The computers it may run on; without it, any.")
+    ] = ()
+    movable: Annotated[bool, says("Whether it may be moved while it runs.")] = True
+    isolated: Annotated[bool, says("Whether it gets a container of its own.")] = False
+    state: Annotated[Bytes, says("The size of its state, which a move transfers.")] = (
+        0.0
+    )
+    ports: Annotated[
+        tuple[DeclaredPort, ...],
+        PORTS,
+        says("Its ports, if no Python class declares them."),
+    ] = ()
+    parameters: Annotated[
+        Mapping[str, Any], says("Passed to it when it is configured.")
+    ] = {}
+
+
+class End(Struct, frozen=True):
+    """One end of a connector: a component and one of its ports ("" if not named)."""
+
+    component: str
+    port: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.component}.{self.port}" if self.port else self.component
+
+
+class Connector(Struct, frozen=True, kw_only=True):
+    """Joins two ports.
+
+    A calibrated profile provides the `overhead` that a file does not give
+    (`poise.estimate.overhead`); without both it is the traffic [MB/s] (the paper's
+    "system-dependent value"). `record` is a file in which messages or calls are
+    recorded, set by `poise run --record`; empty: none.
+    """
+
+    between: Annotated[
+        tuple[End, End],
+        ENDS,
+        says("Publisher or caller first, subscriber or callee second."),
+    ]
+    overhead: Annotated[
+        Amount | None,
+        says(
+            "Relative overhead when its ends are apart, in hundredths of a core. "
+            "Default: from `poise calibrate`, else MB/s."
+        ),
+    ] = None
+    message: Annotated[
+        Bytes, says("Size of one message or call, both ways together: 1.5 kB.")
+    ] = 0.0
+    rate: Annotated[Rate, says("Messages or calls per second: 10 Hz.")] = 0.0
+    limit: Annotated[Seconds, says("Time limit of a call: 100 ms.", gt=0)] = 1.0
+    record: str = ""
+
+    @property
+    def traffic(self) -> float:
+        """Its traffic over a link when its ends are apart [bytes/s]."""
+        return self.message * self.rate
+
+    @property
+    def cost(self) -> float:
+        """Its overhead in the objective: as declared, or else its traffic [MB/s]."""
+        return self.traffic / 1e6 if self.overhead is None else self.overhead
+
+    def __str__(self) -> str:
+        return f"{self.between[0]} -> {self.between[1]}"
+
+
+class Architecture(Struct, frozen=True, kw_only=True):
+    """Provides one function by a set of components and connectors.
+
+    Several architectures may provide the same function.
+    """
+
+    name: str
+    function: Annotated[Name, says("The function that it provides.")]
+    layer: Annotated[Layer, says("Only components of the sequencing layer move.")] = (
+        "sequencing"
+    )
+    priority: Annotated[
+        int, says("The lowest is dropped first when not all fit.", ge=-1000, le=1000)
+    ] = 0
+    quality: Annotated[
+        Share, says("How well it provides its function: above 0, up to 1.", gt=0, le=1)
+    ] = 1.0
+    home: Annotated[
+        Name | None, says("The computer on which static placement puts it.")
+    ] = None
+    components: Annotated[
+        tuple[Component, ...],
+        by_name(Component),
+        says("Its components by name.", is_required=True),
+    ] = ()
+    connectors: Annotated[
+        tuple[Connector, ...], says("Connectors between its own components.")
+    ] = ()
