@@ -92,7 +92,13 @@ class FakeAgents:
         self.states: dict[str, ComponentStatus] = {}
         self.faults: tuple[Fault, ...] = ()
         self._statuses = {
-            name: AgentStatus(computer=name, generation=generation, uptime=0, cpu=0)
+            name: AgentStatus(
+                computer=name,
+                generation=generation,
+                uptime=0,
+                cpu=0,
+                gateway=f"{name}:7000",
+            )
             for name in computers
         }
 
@@ -102,6 +108,10 @@ class FakeAgents:
             name: replace(status, faults=faults)
             for name, status in self._statuses.items()
         }
+
+    def forget(self, computer: str) -> None:
+        """Let one have come back that has not reported yet."""
+        del self._statuses[computer]
 
     def statuses(self) -> dict[str, AgentStatus]:
         return dict(self._statuses)
@@ -164,6 +174,7 @@ class FakeAgents:
             generation=deployment.generation,
             uptime=0,
             cpu=0,
+            gateway=f"{computer}:7000",
             containers=containers,
             faults=self.faults,
         )

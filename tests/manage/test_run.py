@@ -193,3 +193,17 @@ def test_a_computer_that_came_back_is_told_again(
     run.synchronise("right")
     assert [computer for computer, _ in agents.deployed[told:]] == ["right"]
     assert agents.claimed == ["left", "right", "right"]
+
+
+def test_a_computer_that_has_not_reported_again_keeps_its_address(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    """Else what is told meanwhile breaks the components whose connectors lead there."""
+    placement = {"filter": "left", "thinker": "right"}
+    journal = Journal(":memory:")
+    run = Run(robot, placement, cast("Agents", agents), journal, "/run")
+    run.start()
+    agents.forget("right")
+    run.tell([each.with_goal("inactive") for each in run.placed.values()], {"left"})
+    (container,) = agents.deployed[-1][1].containers
+    assert [c.address for c in container.connectors] == ["right:7000/mind"]

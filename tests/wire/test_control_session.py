@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
+import struct
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from poise.endpoint import Endpoint
 from poise.errors import RunError
 from poise.wire.control_session import locator, open_session
+from tests.runtime.conftest import free_port
+from tests.waiting import wait_until
 
 
 @pytest.mark.slow
@@ -25,3 +31,37 @@ def test_an_address_that_cannot_be_had_is_an_error(address: str, why: str) -> No
 
 def test_the_last_part_of_an_ipv6_address_is_no_port() -> None:
     assert locator(Endpoint.parse("fd00::2")) == "tcp/[fd00::2]:7447"
+
+
+@pytest.mark.slow
+def test_closing_a_link_to_a_computer_that_is_cut_off_keeps_nobody_waiting() -> None:
+    """Zenoh's own SO_LINGER keeps the threads that receive waiting for 10 s."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with open_session(listen=[endpoint]), open_session(connect=[endpoint]):
+        wait_until(lambda: len(connections(endpoint)) == 2)
+        wait_until(lambda: not any(map(lingers, connections(endpoint))))
+
+
+def connections(endpoint: str) -> list[int]:
+    """Return this process's descriptors of connections to or from an endpoint."""
+    found, port = [], int(endpoint.rpartition(":")[2])
+    for name in [int(each.name) for each in Path("/proc/self/fd").iterdir()]:
+        with contextlib.suppress(OSError), of_descriptor(name) as each:
+            if port in {each.getsockname()[1], each.getpeername()[1]}:
+                found.append(name)
+    return found
+
+
+@contextlib.contextmanager
+def of_descriptor(fd: int) -> Iterator[socket.socket]:
+    found = socket.socket(fileno=fd)
+    try:
+        yield found
+    finally:
+        found.detach()
+
+
+def lingers(fd: int) -> bool:
+    with of_descriptor(fd) as each:
+        option = each.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, 8)
+    return bool(struct.unpack("ii", option)[0])

@@ -108,7 +108,7 @@ class DeploymentPlan:
         container = self._containers[target.component]
         if target.computer == computer:
             return container
-        return f"{gateways.get(target.computer)}/{container}"
+        return f"{gateways[target.computer]}/{container}"
 
     def specs(
         self,

@@ -81,6 +81,7 @@ class Run:
         self.faults_before = last_numbers(agents.statuses())
         self._faults_before_tell = self.faults_before
         self._generation = 0
+        self._gateways: dict[str, str] = {}
         self.wanted: tuple[Incarnation, ...] = ()
         """What the agents were told last to run; amid a move also what is prepared."""
         self._told: dict[str, Deployment] = {}
@@ -239,7 +240,7 @@ class Run:
         # later than any that the agents ever saw, from whatever manager
         seen = [status.generation for status in statuses.values()]
         self._generation = max(self._generation, *seen, 0) + 1
-        specs = self.layout.specs(self.wanted, self._generation, gateways(statuses))
+        specs = self.layout.specs(self.wanted, self._generation, self.gateways())
         news = {
             computer: specs[computer]
             for computer in (self.computers() if computers is None else computers)
@@ -251,6 +252,14 @@ class Run:
         if refusals:
             self.raise_on_lost()  # which explains a silence
             raise RunError("; ".join(refusals.values()))
+
+    def gateways(self) -> dict[str, str]:
+        """Return where other computers reach each computer's containers.
+
+        It is known also of a computer that is out of reach, or back without a report.
+        """
+        self._gateways |= gateways(self.agents.statuses())
+        return self._gateways
 
     def next_epoch(self, component: str) -> int:
         """Return an epoch that no incarnation of the component has had."""

@@ -21,7 +21,7 @@ from poise.manage.deployment import Incarnation
 from poise.manage.migration.plan import MigrationPlan, PlacedStep
 from poise.manage.observe.deviations import explain
 from poise.manage.run import Run
-from poise.manage.statuses import calling_ports, components_of, gateways
+from poise.manage.statuses import calling_ports, components_of
 from poise.priority import first
 from poise.wire.migration_phases import MigrationPhases
 from poise.wire.records.deployment import ComponentStatus
@@ -123,7 +123,7 @@ class _Migration:
             targets,
             self._others,
             calling_ports(statuses),
-            gateways(statuses),
+            run.gateways(),
         )
         self._number = next(_numbers)
         self._phases = MigrationPhases("manager", f"migration of {what}")
