@@ -36,15 +36,15 @@ from poise.estimate.overhead import apart, kinds_together
 from poise.estimate.profile import Profile
 from poise.manage.journal import Journal
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.measure import measure
-from poise.manage.observe.profiling import Subject, figures
 from poise.manage.observe.recording import Recording
 from poise.model.robot import Robot
 from poise.runtime._calls import ComponentCounters
 from poise.session.placement import place
 from poise.session.profiles import read_profile
+from poise.session.profiling.figures import Subject, figures
 from poise.session.profiling.measurement import measure_alone
 from poise.session.profiling.rig import EMPTY, rig_of
+from poise.session.profiling.usage import measure
 from poise.session.robot_file import load
 from poise.session.start import Sampling, started
 from poise.wire.records.deployment import AgentStatus

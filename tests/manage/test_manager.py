@@ -9,8 +9,9 @@ import pytest
 from poise.manage.agents import Agents
 from poise.manage.control_socket.records import MoveCommand, Moved
 from poise.manage.journal import Journal
-from poise.manage.manager import Manager, SampleQueue
+from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
+from poise.manage.observe.recording import Recording
 from poise.manage.run import Run
 from poise.model.robot import Robot
 from poise.wire.records.deployment import ComponentStatus, Fault
@@ -30,9 +31,7 @@ class Managed:
         self.run = Run(robot, PLACEMENT, agents, self.journal, "/run")
         self.run.start()
         estimates = Estimates(robot, None, emulated=True)
-        self.manager = Manager(
-            self.run, "work", estimates, SampleQueue(), lambda _: None
-        )
+        self.manager = Manager(self.run, "work", estimates, Recording(), lambda _: None)
 
     def sentences_of_move(self) -> list[str]:
         """Return what the journal got while a component was to move, in order."""

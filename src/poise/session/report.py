@@ -11,16 +11,17 @@ from rich.console import RenderableType
 
 from poise.errors import RunError
 from poise.manage.drain import unprocessed
-from poise.manage.observe.failures import (
+from poise.manage.observe.faults import faults_after
+from poise.model.robot import Robot
+from poise.session.failures import (
     ComponentError,
     HungHandler,
+    SilentPort,
     component_errors,
     hung_handlers,
     refused_messages,
+    silent_ports,
 )
-from poise.manage.observe.faults import faults_after
-from poise.manage.observe.silence import SilentPort, silent_ports
-from poise.model.robot import Robot
 from poise.session.placement import Placement
 from poise.session.render.report import report_parts
 from poise.session.render.shown import Shown

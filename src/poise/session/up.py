@@ -14,7 +14,7 @@ from poise.errors import RunError, UsageError
 from poise.manage.control_socket.records import StopCommand
 from poise.manage.control_socket.server import ControlServer
 from poise.manage.journal import Journal
-from poise.manage.manager import Manager, SampleQueue
+from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.prometheus import MetricsServer
 from poise.manage.observe.recording import Recording, save
@@ -112,7 +112,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
                     Recorded(robot=robot.name, samples=recording.take()), record
                 )
             )
-        waiting = SampleQueue()
+        waiting = Recording()
         it = stack.enter_context(
             started(robot, placed.where, book, say, Sampling(waiting.add), check)
         )

@@ -11,7 +11,7 @@ from poise.estimate.profile import ComponentProfile, Profile
 from poise.estimate.profile.spread import Spread
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.prometheus import MetricsServer, to_prometheus
-from poise.manage.observe.recording import Recording, load, replay, save
+from poise.manage.observe.recording import Recording, load, save
 from poise.model.robot import Robot
 from poise.wire.records.deployment import (
     AgentStatus,
@@ -96,7 +96,8 @@ def test_a_replay_gives_the_same_estimates(
     recorded = Recorded(robot="r", samples=recording.take())
     save(recorded, tmp_path / "run.samples")
     again = Estimates(robot, None, emulated=True)
-    replay(load(tmp_path / "run.samples").samples, again.take)
+    for sample in load(tmp_path / "run.samples").samples:
+        again.take(sample)
     assert again.demand_estimates() == live.demand_estimates()
     assert recording.take() == []
 

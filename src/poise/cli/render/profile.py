@@ -10,8 +10,8 @@ from rich.table import Table
 from poise.estimate.overhead import overheads
 from poise.estimate.profile import ComponentProfile, ConnectorProfile, Profile
 from poise.estimate.rule import cpu_demand, memory_demand
-from poise.manage.observe.profiling import AGREE_CORES, AGREE_SHARE
 from poise.model.robot import Robot
+from poise.session.profiling.figures import AGREE_CORES, AGREE_SHARE
 from poise.session.render.tables import NamedRows, table
 from poise.units import format_bytes, format_seconds
 

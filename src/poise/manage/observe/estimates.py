@@ -10,7 +10,6 @@ from msgspec import Struct
 from poise.estimate.online import Drift, Estimate, RunningEstimate
 from poise.estimate.profile import ConnectorProfile, Profile
 from poise.estimate.window import Reading
-from poise.manage.observe.measure import traffic_between
 from poise.model.robot import Robot
 from poise.wire.records.samples import AgentSample, ComponentSample, ConnectorSample
 
@@ -156,3 +155,22 @@ class Estimates:
         teller, _ = self._traffic.get(now.name, ("", None))
         if found.rate or teller == key:
             self._traffic[now.name] = key, found
+
+
+def traffic_between(
+    before: ConnectorSample, after: ConnectorSample, seconds: float
+) -> ConnectorProfile:
+    """Return the traffic of one end of a connector between two samples."""
+    calls, messages = after.calls - before.calls, after.messages - before.messages
+    if seconds <= 0 or min(calls, messages) < 0 or not calls + messages:
+        return ConnectorProfile()
+    return ConnectorProfile(
+        calls=calls / seconds,
+        messages=messages / seconds,
+        size=(_bytes(after) - _bytes(before)) / (calls + messages),
+    )
+
+
+def _bytes(end: ConnectorSample) -> int:
+    """Return the traffic in both directions [bytes]."""
+    return end.bytes_out + end.bytes_in

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
+from functools import partial
 
 from opentelemetry.exporter.otlp.proto.http.metric_exporter import OTLPMetricExporter
 from opentelemetry.metrics import CallbackOptions, Observation
@@ -11,26 +12,13 @@ from opentelemetry.sdk.metrics.export import PeriodicExportingMetricReader
 from opentelemetry.sdk.resources import Resource
 
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.prometheus import (
-    COUNTERS,
-    ERRORS,
-    GAUGES,
-    SUMMARIES,
-    Sample,
-    Statuses,
-    counters,
-    errors,
-    gauges,
-    summaries,
-)
+from poise.manage.observe.metrics import METRICS, Statuses, kind_of, samples
 
 EVERY = 5.0
 """Metrics go out so often [s]."""
 _LIMIT = 2.0
 _PATH = "/v1/metrics"
 _UNITS = {"cores": "{core}", "share": "1", "bytes": "By", "seconds": "s"}
-
-Read = Callable[[], Iterable[Sample]]
 
 
 class Telemetry:
@@ -72,39 +60,29 @@ class Telemetry:
             ),
             shutdown_on_exit=False,
         )
+        self._estimates = estimates
+        self._statuses = statuses
         meter = self._provider.get_meter("poise")
-        shown: tuple[tuple[Mapping[str, str], Read], ...] = (
-            (GAUGES, lambda: gauges(estimates)),
+        for name, says in METRICS.items():
             # quantiles come from the connectors' ends: here they are gauges
-            (SUMMARIES, lambda: summaries(statuses())),
-            (ERRORS, lambda: errors(statuses())),
-        )
-        for names, read_all in shown:
-            for name, says in names.items():
-                read = _reader(name, read_all)
-                meter.create_observable_gauge(name, [read], _unit(name), says)
-        for name, says in COUNTERS.items():
-            read = _reader(name, lambda: counters(statuses()))
-            meter.create_observable_counter(name, [read], _unit(name), says)
+            create = (
+                meter.create_observable_counter
+                if kind_of(name) == "counter"
+                else meter.create_observable_gauge
+            )
+            create(name, [partial(self._observe, name)], _unit(name), says)
 
     def close(self) -> None:
         """Send what there is, within a few seconds, and end."""
         self._provider.shutdown(1000 * _LIMIT)
 
-
-def _reader(
-    name: str, read: Read
-) -> Callable[[CallbackOptions], Iterable[Observation]]:
-    def observe(_: CallbackOptions) -> list[Observation]:
-        # while a component moves, an end may be told of twice
+    def _observe(self, metric: str, _: CallbackOptions) -> list[Observation]:
         found = {
             tuple(labels.items()): Observation(value, labels)
-            for each, labels, value in read()
-            if each == name
+            for name, labels, value in samples(self._estimates, self._statuses())
+            if name == metric
         }
         return list(found.values())
-
-    return observe
 
 
 def _unit(name: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import msgspec
@@ -55,11 +54,3 @@ def load(path: Path) -> Recorded:
         raise UsageError(f"recording {path} cannot be read: {error}") from error
     except msgspec.DecodeError as error:
         raise UsageError(f"{path} is no recording: {error}") from error
-
-
-def replay(
-    samples: Iterable[AgentSample], take: Callable[[AgentSample], object]
-) -> None:
-    """Hand samples to an estimator, say, in the order of their times."""
-    for sample in sorted(samples, key=lambda each: each.at):
-        take(sample)

@@ -8,11 +8,11 @@ from collections.abc import Callable
 from poise.errors import RunError
 from poise.estimate.profile.spread import WINDOW
 from poise.manage.journal import Journal
-from poise.manage.observe.measure import measure
-from poise.manage.observe.profiling import Observed
 from poise.manage.observe.recording import Recording
 from poise.manage.run import ACTIVE_LIMIT
+from poise.session.profiling.figures import Observed
 from poise.session.profiling.rig import ProfilingRig
+from poise.session.profiling.usage import measure
 from poise.session.say import Check, Say, nothing
 from poise.session.start import Sampling, Started, started
 

@@ -16,7 +16,11 @@ from poise.errors import UsageError
 from poise.estimate.profile import Profile
 from poise.estimate.profile import file as profile_file
 from poise.estimate.profile.version import version_of
-from poise.manage.observe.profiling import (
+from poise.model.robot import Robot
+from poise.runtime.component.implementation import find
+from poise.runtime.component.ports import ports_of
+from poise.session.profiles import check_keepable, read_profile, store_of
+from poise.session.profiling.figures import (
     Figures,
     Observed,
     Subject,
@@ -24,10 +28,6 @@ from poise.manage.observe.profiling import (
     figures,
     silent_inputs,
 )
-from poise.model.robot import Robot
-from poise.runtime.component.implementation import find
-from poise.runtime.component.ports import ports_of
-from poise.session.profiles import check_keepable, read_profile, store_of
 from poise.session.profiling.measurement import Tick, measure_alone
 from poise.session.profiling.rig import EMPTY, ProfilingRig, rig_of
 from poise.session.say import Check, Say, log, nothing

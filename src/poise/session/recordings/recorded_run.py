@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 from poise.errors import UsageError
 from poise.manage.observe.estimates import DemandEstimate, Estimates
-from poise.manage.observe.export import COLUMNS, Which, export, rows
-from poise.manage.observe.recording import load, replay
+from poise.manage.observe.recording import load
 from poise.model.robot import Robot
 from poise.session.profiles import read_profile
+from poise.session.recordings.export import Which, export, rows
 from poise.session.say import Say, log
-from poise.wire.records.samples import AgentSample
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,8 +43,7 @@ class RecordedRun:
 
     def rows(self, of: Which = "components") -> list[dict[str, Any]]:
         """Return a row for every component, or end of a connector, in every sample."""
-        found = rows(self._recorded.samples, of)
-        return [dict(zip(COLUMNS[of], row, strict=True)) for row in found]
+        return list(rows(self._recorded.samples, of))
 
     def to_pandas(self, of: Which = "components") -> pd.DataFrame:
         """Return `rows` as a data frame; pandas must be installed."""
@@ -82,12 +80,10 @@ class RecordedRun:
         samples = self._recorded.samples
         began = min((sample.at for sample in samples), default=0.0)
 
-        def take(sample: AgentSample) -> None:
+        for sample in sorted(samples, key=lambda each: each.at):
             for name, drift in estimates.take(sample):
                 say(
                     f"{sample.at - began:.1f} s: '{name}' needs {drift.after:.1%} "
                     f"of a core, {drift.before:.1%} before"
                 )
-
-        replay(samples, take)
         return estimates.demand_estimates()

@@ -11,7 +11,8 @@ from msgspec import Struct, structs
 from poise.estimate.profile import ConnectorProfile
 from poise.estimate.profile.spread import Spread, spread_of
 from poise.estimate.window import Reading, window_between
-from poise.wire.records.samples import AgentSample, ConnectorSample, ContainerSample
+from poise.manage.observe.estimates import traffic_between
+from poise.wire.records.samples import AgentSample, ContainerSample
 
 
 class Measured(Struct, frozen=True, kw_only=True):
@@ -122,25 +123,6 @@ def _connectors(seen: list[ContainerSample]) -> dict[str, ConnectorProfile]:
             began, before = first[now.name]
             found[now.name] = traffic_between(before, now, seen[-1].at - began)
     return found
-
-
-def traffic_between(
-    before: ConnectorSample, after: ConnectorSample, seconds: float
-) -> ConnectorProfile:
-    """Return the traffic of one end of a connector between two samples."""
-    calls, messages = after.calls - before.calls, after.messages - before.messages
-    if seconds <= 0 or min(calls, messages) < 0 or not calls + messages:
-        return ConnectorProfile()
-    return ConnectorProfile(
-        calls=calls / seconds,
-        messages=messages / seconds,
-        size=(_bytes(after) - _bytes(before)) / (calls + messages),
-    )
-
-
-def _bytes(end: ConnectorSample) -> int:
-    """Return the traffic in both directions [bytes]."""
-    return end.bytes_out + end.bytes_in
 
 
 def _busier(one: ConnectorProfile | None, other: ConnectorProfile) -> ConnectorProfile:

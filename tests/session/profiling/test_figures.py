@@ -3,15 +3,15 @@ from msgspec.structs import replace
 
 from poise.estimate.profile import ConnectorProfile
 from poise.estimate.profile.spread import Spread
-from poise.manage.observe.measure import Measured
-from poise.manage.observe.profiling import (
+from poise.model.robot import Architecture, Component, Computer, Connector, End, Robot
+from poise.session.profiling.figures import (
     Observed,
     Subject,
     disagreeing,
     figures,
     silent_inputs,
 )
-from poise.model.robot import Architecture, Component, Computer, Connector, End, Robot
+from poise.session.profiling.usage import Measured
 from poise.wire.records.deployment import AgentStatus, ComponentStatus, ContainerStatus
 
 NAMES = ("eye", "mind")

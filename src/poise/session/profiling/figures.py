@@ -14,8 +14,9 @@ from poise.estimate.profile import (
 )
 from poise.estimate.profile.spread import Spread
 from poise.manage.deployment import name_of
-from poise.manage.observe.measure import Measured
+from poise.manage.statuses import components_of, connectors_of
 from poise.model.robot import Connector, Robot
+from poise.session.profiling.usage import Measured
 from poise.wire.records.deployment import AgentStatus, ComponentStatus, Summary
 
 AGREE_SHARE = 0.05
@@ -95,9 +96,9 @@ def figures(subject: Subject, runs: Sequence[Observed], apart: Observed) -> Figu
     names, speed = subject.names, subject.speed
     typical = sorted(runs, key=lambda run: _total(run, names))[(len(runs) - 1) // 2]
     memory = _memory(typical, apart, names, subject.empty)
-    states = {s.name: s for s in _components(apart.statuses)}
-    timed = {s.name: s for s in _components(typical.statuses)}
-    timed |= {s.name: s for s in _components(typical.working)}
+    states = {s.name: s for s in components_of(apart.statuses)}
+    timed = {s.name: s for s in components_of(typical.statuses)}
+    timed |= {s.name: s for s in components_of(typical.working)}
     found = {}
     for name in names:
         own, base = memory[name]
@@ -213,12 +214,6 @@ def _by_component(measured: Measured) -> dict[str, float]:
     }
 
 
-def _components(statuses: Mapping[str, AgentStatus]) -> Iterator[ComponentStatus]:
-    for status in statuses.values():
-        for container in status.containers:
-            yield from container.components
-
-
 def _timers(status: ComponentStatus | None) -> dict[str, TimerProfile]:
     return {
         timer.name: TimerProfile(
@@ -266,9 +261,7 @@ def _key(subject: Subject, connector: Connector) -> str:
 def _sizes(statuses: Mapping[str, AgentStatus]) -> dict[str, Summary]:
     """Return the sizes of connectors' traffic, from the end that counted the most."""
     found: dict[str, Summary] = {}
-    for status in statuses.values():
-        for container in status.containers:
-            for end in container.connectors:
-                known = found.setdefault(end.name, end.size)
-                found[end.name] = max(known, end.size, key=lambda each: each.count)
+    for end in connectors_of(statuses):
+        known = found.setdefault(end.name, end.size)
+        found[end.name] = max(known, end.size, key=lambda each: each.count)
     return found

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from poise.manage.observe.failures import (
+from poise.model import Architecture, Component, Computer, Connector, End, Robot
+from poise.session.failures import (
     component_errors,
     hung_handlers,
     refused_messages,
+    silent_ports,
 )
-from poise.manage.observe.silence import silent_ports
-from poise.model import Architecture, Component, Computer, Connector, End, Robot
 from poise.wire.records.deployment import (
     AgentStatus,
     ComponentStatus,

@@ -1,0 +1,71 @@
+"""Computers that are out of reach, or whose agents were restarted; brings them back."""
+
+from __future__ import annotations
+
+import time
+
+from poise.errors import RunError
+from poise.manage.observe.deviations import Deviation
+from poise.manage.run import Run
+
+_RETRY_AFTER = 1.0
+"""A computer that came back, but refuses, is asked again after this time [s]."""
+
+
+class LostComputers:
+    """The computers of a running robot that do not obey its manager."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self._reached = set(run.computers())
+        self._retry_at: dict[str, float] = {}
+        self._refusals: dict[str, Deviation] = {}
+
+    def note(self) -> None:
+        """Journal which computers were lost, and go on without them."""
+        run = self._run
+        obeying = {c for c in run.computers() if run.agents.obey(c)}
+        for computer in self._reached - obeying:
+            self._reached.discard(computer)
+            run.excused.add(computer)
+            back = f"computer '{computer}' was cut off, or its agent was restarted"
+            run.journal.note("wrong", run.unreached().get(computer, back))
+
+    def deviations(self) -> list[Deviation]:
+        """Return what is known of each; from any thread."""
+        since = self._run.agents.out_of_reach()
+        refusals = [r for c, r in list(self._refusals.items()) if c not in since]
+        return refusals + [
+            Deviation(what=what, computer=computer, since=since[computer])
+            for computer, what in self._run.unreached().items()
+            if computer in since
+        ]
+
+    def bring_back(self) -> None:
+        """Let those that returned run what they should run now."""
+        run, now = self._run, time.monotonic()
+        for computer in run.computers() - self._reached:
+            is_there = computer in run.agents.statuses()
+            if is_there and self._retry_at.get(computer, 0.0) <= now:
+                self._bring_back(computer, now)
+
+    def _bring_back(self, computer: str, now: float) -> None:
+        run = self._run
+        is_same = run.agents.obey(computer)
+        try:
+            run.synchronise(computer)
+        except RunError as error:
+            self._retry_at[computer] = now + _RETRY_AFTER
+            what = f"computer '{computer}' is reached again, but: {error}"
+            before = self._refusals.get(computer)
+            if before is None or before.what != what:
+                self._refusals[computer] = Deviation(
+                    what=what, computer=computer, since=time.time()
+                )
+                run.journal.note("failed", what)
+            return
+        self._refusals.pop(computer, None)
+        self._reached.add(computer)
+        run.excused.discard(computer)
+        how = "" if is_same else "; its agent is another one: components begin anew"
+        run.journal.note("right", f"computer '{computer}' is reached again{how}")

@@ -1,0 +1,109 @@
+"""What is not as it should be on a running robot: told as it begins and as it ends.
+
+This is where a trigger of adaptation finds the facts.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+
+from poise.manage.journal import Kind
+from poise.manage.observe.deviations import (
+    Deviation,
+    find_deviations,
+    find_unjoined,
+)
+from poise.manage.observe.faults import FaultFilter
+from poise.manage.run import Run
+from poise.wire.records.deployment import AgentStatus
+
+_JOIN_WITHIN = 2.0
+"""A connector that is not joined for so long is a deviation [s]."""
+
+
+class Watch:
+    """Compares what a run wants with what its agents report."""
+
+    def __init__(self, run: Run) -> None:
+        self.deviations: tuple[Deviation, ...] = ()
+        """What is not as it should be now."""
+        self._run = run
+        self._unjoined: dict[str, Deviation] = {}
+        self._faults = FaultFilter(run.faults_before)
+
+    @property
+    def num_faults(self) -> int:
+        """How many faults there were since the start."""
+        return self._faults.count
+
+    def look(self) -> None:
+        """Journal each deviation and fault when it begins, and when it ends.
+
+        A deviation that a container's fault caused is told by that fault; what is just
+        being moved is for the move to judge.
+        """
+        run = self._run
+        run.note_refused()
+        self._note_faults()
+        reached = run.computers()
+        statuses = {c: status for c, status in run.current().items() if c in reached}
+        before = {each.key: each for each in self.deviations}
+        found = self._found(statuses, before)
+        for key, each in found.items():
+            if key in before and before[key].what == each.what:
+                found[key] = before[key]
+            elif not each.container:
+                run.journal.note("wrong", each.what)
+        for key in before.keys() - found.keys():
+            if not before[key].container:
+                run.journal.note("right", before[key].end())
+        self.deviations = tuple(found.values())
+        self._note_recoveries(statuses)
+
+    def _found(
+        self, statuses: Mapping[str, AgentStatus], before: Mapping[str, Deviation]
+    ) -> dict[str, Deviation]:
+        """Return what deviates now, by key; of what is being moved, what did before."""
+        run, now, wanted = self._run, time.time(), set(self._run.wanted)
+        settled = {n: each for n, each in run.placed.items() if each in wanted}
+        moving = run.placed.keys() - settled.keys()
+        found = {key: before[key] for key in before.keys() & moving}
+        deviations = find_deviations(
+            settled.values(), wanted, run.layout, statuses, now
+        )
+        found |= {each.key: each for each in deviations}
+        there = [
+            each
+            for name, each in settled.items()
+            if name not in found and each.computer in statuses
+        ]
+        unjoined = find_unjoined(there, run.layout, statuses, now)
+        self._unjoined = {e.key: self._unjoined.get(e.key, e) for e in unjoined}
+        return found | {
+            key: each
+            for key, each in self._unjoined.items()
+            if now - each.since >= _JOIN_WITHIN
+        }
+
+    def _note_faults(self) -> None:
+        """Journal what broke on computers since the last time."""
+        run = self._run
+        for new in self._faults.new(run.agents.statuses(), time.monotonic()):
+            kind: Kind = "right" if new.fault.is_over else "wrong"
+            run.journal.note(kind, new.sentence, fault=new.fault)
+
+    def _note_recoveries(self, statuses: Mapping[str, AgentStatus]) -> None:
+        """Journal which containers run as they should again after a fault."""
+        run = self._run
+        deviating = {
+            run.layout.container_of(each.component)
+            for each in self.deviations
+            if each.component
+        }
+        for computer, status in statuses.items():
+            for each in status.health:
+                is_well = each.state == "running" and each.name not in deviating
+                if is_well and self._faults.close(computer, each.name):
+                    what = f"container '{each.name}' on '{computer}'"
+                    run.journal.note("right", f"{what} runs as it should again")
