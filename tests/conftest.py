@@ -10,12 +10,11 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
-import msgspec
 import pytest
 from hypothesis import HealthCheck, settings
 
 from poise.emulate import sweep
-from poise.emulate.cleanup import Cleanup, registry
+from poise.emulate.registry import registered
 from poise.session.temporary_folders import scratch_folder
 from tests import busy, order, quick
 from tests.command import Poise, run_poise
@@ -89,10 +88,9 @@ def _files(place: Path) -> list[Path]:
     return [*(path for path in place.iterdir() if path != desk), *desk.glob("*")]
 
 
-def _emulations(place: Path) -> list[Path]:
+def _emulations(place: Path) -> list[str]:
     return [
-        file
-        for file in registry().glob("*.json")
-        if str(place)
-        in str(msgspec.json.decode(file.read_bytes(), type=Cleanup).folders)
+        layout.run
+        for layout in registered()
+        if any(computer.folder.startswith(str(place)) for computer in layout.computers)
     ]

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from poise.cli.commands import build
 from poise.cli.run import run_command
-from poise.emulate.cleanup import sweep
+from poise.emulate import sweep
 from poise.errors import PoiseError
 from poise.runtime.waker import wait_readable
 from tests.command import POISE, run_poise

@@ -13,10 +13,12 @@ import pytest
 
 from poise.emulate import Emulation, look, sweep
 from poise.emulate.cgroup.files import mounts
-from poise.emulate.cgroup.group import MarkedGroups
+from poise.emulate.cgroup.groups import Group, Groups
 from poise.emulate.cgroup.v2 import V2
-from poise.emulate.cleanup import Cleanup, registry
+from poise.emulate.layout import EmulationLayout
+from poise.emulate.limits import Limits
 from poise.emulate.probe import Probe
+from poise.emulate.registry import registered
 from poise.errors import RobotError, RunError, UsageError
 from poise.model.robot import Computer, Robot
 
@@ -28,29 +30,30 @@ STUBBORN = (
 )
 
 
-def cleanup_list() -> Cleanup:
-    """Return the list of this process's latest emulation."""
-    own = registry().glob(f"poise-{os.getpid()}-*.json")
-    latest = max(own, key=lambda file: file.stat().st_mtime_ns)
-    return msgspec.json.decode(latest.read_bytes(), type=Cleanup)
+def own_layout() -> EmulationLayout:
+    """Return what is registered of this process's latest emulation."""
+    own = [layout for layout in registered() if layout.owner.pid == os.getpid()]
+    return max(own, key=lambda layout: int(layout.run.rpartition("-")[2]))
 
 
-def left_of(listed: Cleanup) -> list[str]:
-    """Return what is still there of what was listed."""
+def left_of(layout: EmulationLayout) -> list[str]:
+    """Return what is still there of an emulation."""
+    network = layout.network
     paths = [
-        *map(Path, listed.groups + listed.aside + listed.folders),
-        *(Path("/run/netns", name) for name in listed.namespaces),
-        *(Path("/sys/class/net", name) for name in listed.interfaces),
-        registry() / f"{listed.run}.json",
+        *(path for c in layout.computers for path in (*c.groups, c.folder)),
+        *layout.aside,
+        *(f"/run/netns/{name}" for name in (network.namespaces if network else ())),
+        *([f"/sys/class/net/{network.owner}"] if network else []),
     ]
-    return [str(path) for path in paths if path.exists()]
+    entries = [each.run for each in registered() if each.run == layout.run]
+    return [*(path for path in paths if Path(path).exists()), *entries]
 
 
 def bare() -> Probe:
     """Return a host that allows nothing."""
     return Probe(
         cpus=look().cpus,
-        groups=MarkedGroups(),
+        groups=Groups(),
         tools=frozenset(),
         may_make_namespaces=False,
     )
@@ -62,8 +65,9 @@ def test_nothing_is_left_after_close(
     two_computers: Robot, tmp_path: Path, host: Probe | None
 ) -> None:
     emulation = Emulation(two_computers, tmp_path, probe=host)
-    listed = cleanup_list()
-    assert set(map(str, listed.groups + listed.folders)) <= set(left_of(listed))
+    listed = own_layout()
+    made = {path for c in listed.computers for path in (*c.groups, c.folder)}
+    assert made <= set(left_of(listed))
     argv = [sys.executable, "-c", STUBBORN]
     child = emulation.computers["brain"].popen(argv, stdout=subprocess.PIPE)
     assert child.stdout
@@ -96,7 +100,7 @@ def test_nothing_is_left_after_an_exception(
 
     def fail() -> None:
         with Emulation(two_computers, tmp_path) as emulation:
-            listed.append(cleanup_list())
+            listed.append(own_layout())
             emulation.computers["legs"].popen(["sleep", "60"])
             raise ZeroDivisionError
 
@@ -118,12 +122,12 @@ def test_process_that_is_just_starting_is_ended_too(
 def test_nothing_is_left_when_it_cannot_be_made(
     two_computers: Robot, tmp_path: Path
 ) -> None:
-    class Refusing(MarkedGroups):
-        listed: Cleanup
+    class Refusing(Groups):
+        listed: EmulationLayout
 
-        def make(self, name: str, limits: object) -> MarkedGroups:  # type: ignore[override]
+        def make(self, name: str, limits: Limits) -> Group:
             """Refuse, as a kernel may."""
-            Refusing.listed = cleanup_list()
+            Refusing.listed = own_layout()
             raise PermissionError(name, limits)
 
     host = msgspec.structs.replace(look(), groups=Refusing())
@@ -141,7 +145,7 @@ from poise.model.robot import Robot
 robot = msgspec.json.decode(sys.stdin.buffer.readline(), type=Robot)
 emulation = Emulation(robot, Path(sys.argv[1]))
 child = emulation.computers["brain"].popen(["sleep", "60"])
-print(emulation._cleanup.run, child.pid, flush=True)
+print(emulation._layout.run, child.pid, flush=True)
 time.sleep(60)
 """
 
@@ -160,10 +164,9 @@ def test_sweep_removes_what_a_killed_owner_left(
         owner.stdin.write(msgspec.json.encode(two_computers) + b"\n")
         owner.stdin.flush()
         run, pid = owner.stdout.readline().decode().split()
-        file = registry() / f"{run}.json"
-        listed = msgspec.json.decode(file.read_bytes(), type=Cleanup)
+        (listed,) = [layout for layout in registered() if layout.run == run]
         assert listed.owner not in sweep()  # it still lives
-        assert file.exists()
+        assert run in left_of(listed)
         owner.kill()
     assert Path("/proc", pid).exists()
     deadline = time.monotonic() + LIMIT

@@ -43,8 +43,8 @@ def test_infinite_memory_is_no_limit() -> None:
 
 def test_small_quota_has_a_longer_period() -> None:
     # The kernel hands out 1 ms at least: 0.05 cores need 20 ms.
-    assert Limits(quota=0.05, cpus=(0,)).period == pytest.approx(0.02)
-    assert Limits(quota=0.5, cpus=(0,)).period == pytest.approx(0.01)
+    assert Limits(quota=0.05, cpus=(0,)).period_us == 20_000
+    assert Limits(quota=0.5, cpus=(0,)).period_us == 10_000
 
 
 @pytest.mark.parametrize("cores", [0.0, 0.0009, -1.0, math.inf])

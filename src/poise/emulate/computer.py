@@ -10,7 +10,7 @@ from typing import IO
 
 import msgspec
 
-from poise.emulate.cgroup.group import Group
+from poise.emulate.cgroup.groups import Group
 from poise.emulate.layout import ComputerLayout
 from poise.emulate.network.namespaces import NAMESPACES
 from poise.emulate.processes import MARK
@@ -51,17 +51,18 @@ class EmulatedComputer:
     """
 
     def __init__(
-        self, place: ComputerLayout, group: Group, *, pin: bool, has_quota: bool
+        self, layout: ComputerLayout, group: Group, *, pin: bool, has_quota: bool
     ) -> None:
-        self.name = place.name
-        self.address = place.address
-        self.folder = place.folder
-        self.limits = place.limits
+        self.name = layout.name
+        self.address = layout.address
+        self.folder = Path(layout.folder)
+        self.limits = layout.limits
         self._group = group
-        self._mark = place.mark
-        self._prefix = _prefix(place, pin=pin)
-        self.slowdown = 1.0 if has_quota else _too_fast(place)
-        self._stolen = stolen_time(place.limits.cpus)
+        self._mark = layout.mark
+        self._prefix = _prefix(layout, pin=pin)
+        too_fast = len(layout.limits.cpus) / layout.limits.quota
+        self.slowdown = 1.0 if has_quota else max(1.0, too_fast)
+        self._stolen = stolen_time(layout.limits.cpus)
         self._children: list[subprocess.Popen[bytes]] = []
 
     def popen(
@@ -137,15 +138,10 @@ class EmulatedComputer:
         }
 
 
-def _too_fast(place: ComputerLayout) -> float:
-    """Return how many times faster the computer is than it should be, without quota."""
-    return max(1.0, len(place.limits.cpus) / place.limits.quota)
-
-
-def _prefix(place: ComputerLayout, *, pin: bool) -> list[str]:
+def _prefix(layout: ComputerLayout, *, pin: bool) -> list[str]:
     """Return the command that enters namespace and CPU set, and becomes the program."""
-    namespace, cpus = place.namespace, ",".join(map(str, place.limits.cpus))
+    namespace = layout.namespace
     return [
         *(["nsenter", f"--net={NAMESPACES / namespace}"] if namespace else []),
-        *(["taskset", "--cpu-list", cpus] if pin else []),
+        *(["taskset", "--cpu-list", layout.limits.cpu_list] if pin else []),
     ]

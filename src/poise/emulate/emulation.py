@@ -9,14 +9,15 @@ from types import MappingProxyType, TracebackType
 from typing import Self
 
 from poise.emulate import processes
-from poise.emulate.cgroup.group import Groups, MarkedGroups
-from poise.emulate.cleanup import sweep
+from poise.emulate.cgroup import files as cgroup_files
+from poise.emulate.cgroup.groups import Groups
 from poise.emulate.computer import EmulatedComputer
 from poise.emulate.layout import EmulationLayout, lay_out
 from poise.emulate.limits import shortages
 from poise.emulate.network import namespaces
 from poise.emulate.network.plan import NetworkPlan
 from poise.emulate.probe import Probe, look
+from poise.emulate.registry import register, remove, sweep
 from poise.errors import RunError
 from poise.model.robot import Robot
 
@@ -66,12 +67,11 @@ class Emulation:
     ) -> None:
         sweep()
         host = probe or look()
-        layout = lay_out(robot, folder, host, next(_numbers))
+        self._layout = lay_out(robot, folder, host, next(_numbers))
         self.computers = {}
-        self._cleanup = layout.cleanup
-        self._cleanup.write_down()
+        register(self._layout)
         try:
-            self._make(layout, host)
+            self._make(self._layout, host)
         except BaseException as error:
             self.close()
             if isinstance(error, OSError):
@@ -93,10 +93,12 @@ class Emulation:
             When something could not be ended or removed.
         """
         try:
-            self._cleanup.lift_quotas()
+            for computer in self._layout.computers:
+                for group in computer.groups:  # to end takes CPU time
+                    cgroup_files.lift(group)
             processes.stop(self._running, ask)
         finally:
-            self._cleanup.remove()
+            remove(self._layout)
 
     def __enter__(self) -> Self:
         return self
@@ -113,11 +115,11 @@ class Emulation:
         groups, refused = _prepared(host.groups, layout.run)
         pin = "cpuset" not in groups.controls and "taskset" in host.tools
         computers = {}
-        for place in layout.places:
-            place.folder.mkdir(parents=True)
-            group = groups.make(place.mark, place.limits)
-            computers[place.name] = EmulatedComputer(
-                place, group, pin=pin, has_quota="cpu" in groups.controls
+        for each in layout.computers:
+            Path(each.folder).mkdir(parents=True)
+            group = groups.make(each.mark, each.limits)
+            computers[each.name] = EmulatedComputer(
+                each, group, pin=pin, has_quota="cpu" in groups.controls
             )
         self.computers = MappingProxyType(computers)
         unshaped = _wire(layout.network, host) if layout.network else []
@@ -125,7 +127,7 @@ class Emulation:
         self.without = (
             *(refused or host.without_groups()),
             *([_PINNED] if pin else []),
-            *shortages({place.name: place.limits for place in layout.places}),
+            *shortages({each.name: each.limits for each in layout.computers}),
             *([_BLIND] if _is_blind(computers.values()) else []),
             *host.without_network(),
             *unshaped,
@@ -153,7 +155,7 @@ def _prepared(groups: Groups, run: str) -> tuple[Groups, list[str]]:
         groups.prepare(run)
     except OSError as error:
         reason = f"quota, CPU set and memory limit: the kernel refuses cgroups: {error}"
-        return MarkedGroups(), [reason]
+        return Groups(), [reason]
     return groups, []
 
 

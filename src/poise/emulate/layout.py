@@ -1,4 +1,7 @@
-"""The layout of an emulation, decided before anything is made."""
+"""The layout of an emulation: all that it makes on the host, decided before.
+
+The registry keeps it on disk, so that another process can find or remove it.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,6 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from poise.emulate.cleanup import Cleanup
 from poise.emulate.limits import Limits, share_out
 from poise.emulate.network.plan import NetworkPlan, plan_network
 from poise.emulate.owner import Owner
@@ -21,11 +23,13 @@ class ComputerLayout(Struct, frozen=True, kw_only=True):
     Parameters
     ----------
     mark
-        Names its group, and marks its processes.
+        Names its group; its processes inherit it.
     address
         The IP address at which its processes listen.
     folder
         Its private folder.
+    groups
+        Its cgroup folders.
     namespace
         Its network namespace; None: the owner's.
     """
@@ -33,18 +37,30 @@ class ComputerLayout(Struct, frozen=True, kw_only=True):
     name: str
     mark: str
     address: str
-    folder: Path
+    folder: str
     limits: Limits
+    groups: tuple[str, ...] = ()
     namespace: str | None = None
 
 
 class EmulationLayout(Struct, frozen=True, kw_only=True):
-    """The whole emulation; `network` is None where there are no namespaces."""
+    """The whole emulation.
 
+    Parameters
+    ----------
+    run
+        Its name; unique on this machine.
+    network
+        None where there are no namespaces.
+    aside
+        Cgroup folders with processes that were in the way; they go back at the end.
+    """
+
+    owner: Owner
     run: str
-    places: tuple[ComputerLayout, ...]
-    network: NetworkPlan | None
-    cleanup: Cleanup
+    computers: tuple[ComputerLayout, ...] = ()
+    network: NetworkPlan | None = None
+    aside: tuple[str, ...] = ()
 
 
 def lay_out(robot: Robot, folder: Path, host: Probe, number: int) -> EmulationLayout:
@@ -71,53 +87,39 @@ def lay_out(robot: Robot, folder: Path, host: Probe, number: int) -> EmulationLa
     network = (
         plan_network(owner, number, names, robot.links) if host.has_namespaces else None
     )
-    places = tuple(
-        ComputerLayout(
-            name=name,
-            mark=f"{run}-{index}",
-            address=network.cables[index].address
-            if network
-            else _loopback(owner.pid + number, index),
-            folder=_private(folder, name),
-            limits=limits[index],
-            namespace=network.cables[index].namespace if network else None,
+    computers = []
+    for index, name in enumerate(names):
+        mark = f"{run}-{index}"
+        cable = network.cables[index] if network else None
+        groups = dict.fromkeys(map(str, host.groups.homes(mark).values()))
+        computers.append(
+            ComputerLayout(
+                name=name,
+                mark=mark,
+                address=cable.address
+                if cable
+                else _loopback(owner.pid + number, index),
+                folder=_private(folder, name),
+                limits=limits[index],
+                groups=tuple(groups),
+                namespace=cable.namespace if cable else None,
+            )
         )
-        for index, name in enumerate(names)
-    )
     return EmulationLayout(
-        run=run,
-        places=places,
-        network=network,
-        cleanup=_cleanup(owner, run, places, network, host),
-    )
-
-
-def _cleanup(
-    owner: Owner,
-    run: str,
-    places: tuple[ComputerLayout, ...],
-    network: NetworkPlan | None,
-    host: Probe,
-) -> Cleanup:
-    groups = [path for place in places for path in host.groups.folders(place.mark)]
-    return Cleanup(
         owner=owner,
         run=run,
-        marks=tuple(place.mark for place in places),
-        groups=tuple(map(str, groups)),
+        computers=tuple(computers),
+        network=network,
         aside=tuple(map(str, host.groups.aside(run))),
-        interfaces=(network.owner,) if network else (),
-        namespaces=network.namespaces if network else (),
-        folders=tuple(str(place.folder) for place in places),
     )
 
 
-def _private(folder: Path, name: str) -> Path:
+def _private(folder: Path, name: str) -> str:
     private = folder.absolute() / name
     if private.exists():
         message = f"{private} exists: give each run a folder of its own"
         raise UsageError(message)
-    return private
+    return str(private)
 
 
 def _loopback(run: int, index: int) -> str:

@@ -36,9 +36,20 @@ class Limits(Struct, frozen=True, kw_only=True):
     memory: int | None = None
 
     @property
-    def period(self) -> float:
-        """The period of its quota [s]: `PERIOD`, longer for a very small quota."""
-        return max(PERIOD, _SMALLEST / self.quota)
+    def period_us(self) -> int:
+        """The period of its quota [us]: `PERIOD`, longer for a very small quota."""
+        return round(max(PERIOD, _SMALLEST / self.quota) * 1e6)
+
+    @property
+    def quota_us(self) -> int:
+        """Its CPU time in each period [us]; 0: no limit, as it may fill its CPUs."""
+        throttles = self.quota < len(self.cpus)
+        return round(self.quota * self.period_us) if throttles else 0
+
+    @property
+    def cpu_list(self) -> str:
+        """Its CPUs, as the kernel and ``taskset`` take them."""
+        return ",".join(map(str, self.cpus))
 
 
 def share_out(computers: Sequence[Computer], cpus: Sequence[int]) -> list[Limits]:

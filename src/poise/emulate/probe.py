@@ -9,7 +9,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from poise.emulate.cgroup.files import Mount, mounts
-from poise.emulate.cgroup.group import Groups, MarkedGroups
+from poise.emulate.cgroup.groups import Groups
 from poise.emulate.cgroup.v1 import V1
 from poise.emulate.cgroup.v2 import V2
 from poise.emulate.network.namespaces import NAMESPACES
@@ -81,11 +81,11 @@ def look() -> Probe:
 def _groups(found: list[Mount]) -> Groups:
     if any(mount.version == 1 and "cpu" in mount.controllers for mount in found):
         first = V1(found)
-        return first if first.controls else MarkedGroups()
+        return first if first.controls else Groups()
     for mount in found:
         if mount.version > 1 and os.access(mount.own, os.W_OK):
             return V2(mount)
-    return MarkedGroups()
+    return Groups()
 
 
 def _may_administer() -> bool:

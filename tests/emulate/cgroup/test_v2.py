@@ -106,11 +106,11 @@ def test_usage_is_read_in_seconds_and_bytes(tmp_path: Path) -> None:
 
 
 def test_what_was_put_aside_is_brought_back(tmp_path: Path) -> None:
-    bring_back(tmp_path / "nothing")
+    bring_back(str(tmp_path / "nothing"))
     aside = tmp_path / "aside"
     aside.mkdir()
     (tmp_path / "cgroup.subtree_control").write_text("cpu memory\n")
     # Without processes in it, even a plain folder can be removed like a cgroup.
-    bring_back(aside)
+    bring_back(str(aside))
     assert (tmp_path / "cgroup.subtree_control").read_text() == "-cpu -memory"
     assert not aside.exists()

@@ -59,26 +59,28 @@ def table(text: str) -> dict[str, int]:
     return {name: int(value) for name, value in map(str.split, text.splitlines())}
 
 
-def lift(folder: Path) -> None:
+def lift(folder: str) -> None:
     """Lift a cgroup's quota: even a killed process needs CPU to end.
 
     OSError when the kernel refuses.
     """
     for name, value in (("cpu.cfs_quota_us", "-1"), ("cpu.max", "max")):
-        with suppress(FileNotFoundError), (folder / name).open("r+") as file:
+        with suppress(FileNotFoundError), Path(folder, name).open("r+") as file:
             file.write(value)
 
 
-def remove(folder: Path) -> None:
+def remove(path: str) -> None:
     """End every process in a cgroup and remove it, if it exists."""
-    lift(folder)
+    lift(path)
+    folder = Path(path)
     stop(lambda: pids(folder), ask=0.0)
     with suppress(FileNotFoundError):
         folder.rmdir()
 
 
-def bring_back(folder: Path) -> None:
-    """Move processes from `folder` back to the cgroup above; remove `folder`."""
+def bring_back(path: str) -> None:
+    """Move processes from a cgroup back to the one above; remove it."""
+    folder = Path(path)
     if not folder.exists():
         return
     control = folder.parent / "cgroup.subtree_control"

@@ -5,7 +5,6 @@ A cable ends with its namespace, so removing the namespaces removes everything.
 
 from __future__ import annotations
 
-import math
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
@@ -58,7 +57,7 @@ def shaping(network: NetworkPlan, *, delays: bool) -> list[tuple[str, list[str]]
     ports = [
         f"qdisc add dev port{index} root {_rate(cable.bandwidth)}"
         for index, cable in enumerate(network.cables)
-        if math.isfinite(cable.bandwidth)
+        if cable.bandwidth
     ]
     return [
         (network.switch, ports),
@@ -122,7 +121,7 @@ def _leaving(cable: Cable, *, delays: bool) -> list[str]:
         delay = f"{round(cable.latency * 1e6)}us"
         commands = [f"qdisc add dev eth0 root handle 1: netem delay {delay}"]
         parent = "parent 1:1"
-    if math.isfinite(cable.bandwidth):
+    if cable.bandwidth:
         commands += [f"qdisc add dev eth0 {parent} {_rate(cable.bandwidth)}"]
     return commands
 

@@ -30,14 +30,14 @@ class Cable(Struct, frozen=True, kw_only=True):
     namespace, address
         Its network namespace and its IP address there.
     bandwidth
-        [bytes/s], each way; infinite: not shaped.
+        [bytes/s], each way; None: not shaped.
     latency
         One way [s].
     """
 
     namespace: str
     address: str
-    bandwidth: float = math.inf
+    bandwidth: float | None = None
     latency: float = 0.0
 
 
@@ -79,7 +79,7 @@ def plan_network(
         Cable(
             namespace=f"{owner}-{number}-{index}",
             address=hosts[index],
-            bandwidth=max((link.bandwidth for link in mine), default=math.inf),
+            bandwidth=_finite(max((k.bandwidth for k in mine), default=math.inf)),
             latency=max((link.latency for link in mine), default=0.0),
         )
         for index, name in enumerate(computers)
@@ -91,6 +91,10 @@ def plan_network(
         owner_address=hosts[-1],
         cables=tuple(cables),
     )
+
+
+def _finite(bandwidth: float) -> float | None:
+    return bandwidth if math.isfinite(bandwidth) else None
 
 
 def _free_subnet(start: int) -> ipaddress.IPv4Network:
