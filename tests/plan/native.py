@@ -1,16 +1,16 @@
 """The solvers of the C++ core, one by one, as the tests call them."""
 
 from poise.plan._core import Core
+from poise.plan.arrays import Arrays, Placed
 from poise.plan.solvers.portfolio import UNLIMITED, Answer
-from poise.plan.tables import Placed, Tables
 
 
 class Native:
     """A problem compiled into the core."""
 
-    def __init__(self, tables: Tables) -> None:
-        self.tables = tables
-        self.core = Core(tables)
+    def __init__(self, arrays: Arrays) -> None:
+        self.arrays = arrays
+        self.core = Core(arrays)
         self.bound = self.core.bound
         self.feasible = self.core.feasible
 

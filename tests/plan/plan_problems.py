@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from poise.model.robot import Computer, Objective
 from poise.plan import Edge, Item, LinkCapacity, Problem
-from poise.plan.reference import objective
-from poise.plan.reference.limits import violations
-from poise.plan.tables import tabulate
+from poise.plan.arrays import arrays_of
+from poise.plan.limits import violations
+from tests.plan.reference import objective
 
 AMOUNTS = st.sampled_from([0.0, 0.1, 0.25, 0.5, 1.0, 1.5, 3.0])
 SHARES = st.sampled_from([0.0, 0.5, 1.0, 2.0])
@@ -163,13 +163,13 @@ def small_robot(seed: int) -> Problem:
 
 def least(problem: Problem) -> float:
     """Return the least F of all placements that keep every limit, by trying all."""
-    tables = tabulate(problem)
-    every = map(list, product(range(tables.m), repeat=tables.n))
+    arrays = arrays_of(problem)
+    every = map(list, product(range(arrays.m), repeat=arrays.n))
     return min(
         (
-            objective.terms(tables, placed).total
+            objective.terms(arrays, placed).total
             for placed in every
-            if not violations(tables, placed, objective.loads(tables, placed))
+            if not violations(arrays, placed)
         ),
         default=inf,
     )

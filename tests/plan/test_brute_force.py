@@ -10,9 +10,9 @@ from msgspec.structs import replace
 from poise import plan
 from poise.model.robot import Computer, Objective
 from poise.plan import Bundle, Edge, Item, Problem
-from poise.plan.reference import objective
-from poise.plan.reference.limits import violations
-from poise.plan.tables import tabulate
+from poise.plan.arrays import arrays_of
+from poise.plan.limits import violations
+from tests.plan.reference import objective
 
 
 def problem(random: Random, components: int, computers: int) -> Problem:
@@ -48,13 +48,13 @@ def problem(random: Random, components: int, computers: int) -> Problem:
 
 def least(asked: Problem) -> float:
     """Return the least F of all placements that keep every limit."""
-    tables = tabulate(asked)
-    every = itertools.product(range(tables.m), repeat=tables.n)
+    arrays = arrays_of(asked)
+    every = itertools.product(range(arrays.m), repeat=arrays.n)
     return min(
         (
-            objective.terms(tables, [*x]).total
+            objective.terms(arrays, [*x]).total
             for x in every
-            if not violations(tables, [*x], objective.loads(tables, [*x]))
+            if not violations(arrays, [*x])
         ),
         default=math.inf,
     )

@@ -11,9 +11,8 @@ from benchmarks.random_robots import random_robot
 from poise import plan
 from poise.model.robot import Computer
 from poise.plan import Edge, Item, LinkCapacity, Problem
-from poise.plan.reference import objective
-from poise.plan.reference.limits import violations
-from poise.plan.tables import tabulate
+from poise.plan.arrays import arrays_of
+from poise.plan.limits import violations
 from poise.plan.why.conflict import _at_least
 from poise.plan.why.relaxation import _usual as usual_of
 from poise.plan.why.relaxation import limits_of
@@ -71,11 +70,9 @@ def test_finds_what_cannot_be_packed() -> None:
 
 def can_hold(problem: Problem) -> bool:
     """Whether any of all placements keeps every limit."""
-    tables = tabulate(problem)
-    every = itertools.product(range(tables.m), repeat=tables.n)
-    return any(
-        not violations(tables, [*x], objective.loads(tables, [*x])) for x in every
-    )
+    arrays = arrays_of(problem)
+    every = itertools.product(range(arrays.m), repeat=arrays.n)
+    return any(not violations(arrays, [*x]) for x in every)
 
 
 def relieved(problem: Problem, conflict: plan.Conflict, part: float = 1.0) -> Problem:

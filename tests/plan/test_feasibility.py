@@ -8,15 +8,14 @@ from hypothesis import strategies as st
 
 from poise.model.robot import Computer
 from poise.plan import Edge, Item, LinkCapacity, Problem
-from poise.plan.reference import objective
-from poise.plan.reference.limits import violations
-from poise.plan.tables import Placed, Tables, tabulate
+from poise.plan.arrays import Arrays, Placed, arrays_of
+from poise.plan.limits import violations
 from tests.plan.native import Native
 from tests.plan.plan_problems import problems
 
 
-def keeps_limits(tables: Tables, placed: Placed) -> bool:
-    return not violations(tables, placed, objective.loads(tables, placed))
+def keeps_limits(arrays: Arrays, placed: Placed) -> bool:
+    return not violations(arrays, placed)
 
 
 def full_robot(
@@ -68,13 +67,13 @@ def full_robot(
 def test_search_finds_a_placement_where_there_is_one(
     problem: Problem, seed: int
 ) -> None:
-    tables = tabulate(problem)
-    engine = Native(tables)
+    arrays = arrays_of(problem)
+    engine = Native(arrays)
     there_is = bool(engine.exact([]).placed)
     found = engine.search([], steps=20_000, seed=seed).placed
     assert bool(found) == there_is
     if found:
-        assert keeps_limits(tables, found)
+        assert keeps_limits(arrays, found)
 
 
 @pytest.mark.slow
@@ -83,22 +82,22 @@ def test_search_finds_a_placement_where_there_is_one(
 def test_robots_with_a_hundredth_to_spare_are_placed(
     seed: int, size: tuple[int, int]
 ) -> None:
-    tables = tabulate(full_robot(seed, *size, slack=0.01))
-    found = Native(tables).search([], steps=300_000, seed=1).placed
+    arrays = arrays_of(full_robot(seed, *size, slack=0.01))
+    found = Native(arrays).search([], steps=300_000, seed=1).placed
     assert found
-    assert keeps_limits(tables, found)
+    assert keeps_limits(arrays, found)
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_full_robots_keep_apart_what_must_be(seed: int) -> None:
-    tables = tabulate(full_robot(seed, 24, 4, slack=0.03, apart=12))
-    found = Native(tables).search([], steps=300_000, seed=1).placed
+    arrays = arrays_of(full_robot(seed, 24, 4, slack=0.03, apart=12))
+    found = Native(arrays).search([], steps=300_000, seed=1).placed
     assert found
-    assert keeps_limits(tables, found)
+    assert keeps_limits(arrays, found)
 
 
 def test_a_full_robot_is_placed_alike_for_a_seed_and_a_step_limit() -> None:
-    engine = Native(tabulate(full_robot(3, 50, 6, slack=0.01)))
+    engine = Native(arrays_of(full_robot(3, 50, 6, slack=0.01)))
     first, second = (engine.search([], steps=200_000, seed=7) for _ in range(2))
     assert first.placed
     assert first.placed == second.placed
@@ -112,7 +111,7 @@ def test_the_step_limit_ends_the_search_for_what_does_not_exist(steps: int) -> N
             Computer(name=f"h{h}", capacity={"cpu": 2.5}) for h in range(4)
         ),
     )
-    answer = Native(tabulate(problem)).search([], steps=steps)
+    answer = Native(arrays_of(problem)).search([], steps=steps)
     assert not answer.placed
     assert answer.stopped_by == "budget"
     assert answer.steps <= steps + 2000
@@ -136,8 +135,8 @@ def test_search_finds_what_a_link_without_bandwidth_leaves() -> None:
         ),
         links=(LinkCapacity(between=("h0", "h1"), bandwidth=0.0),),
     )
-    tables = tabulate(problem)
+    arrays = arrays_of(problem)
     for seed in range(4):
-        placed = Native(tables).search([], steps=20_000, seed=seed).placed
+        placed = Native(arrays).search([], steps=20_000, seed=seed).placed
         assert placed
-        assert keeps_limits(tables, placed)
+        assert keeps_limits(arrays, placed)

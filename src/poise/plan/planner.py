@@ -10,12 +10,13 @@ from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.plan import _core
+from poise.plan.arrays import arrays_of
 from poise.plan.problem import Item, Problem
 from poise.plan.records import Ask
-from poise.plan.result import Result, Snapshot
+from poise.plan.result import Result
+from poise.plan.snapshot import Snapshot
 from poise.plan.solvers import alternatives, portfolio
 from poise.plan.solvers.portfolio import METHODS, UNLIMITED, Effort
-from poise.plan.tables import placed_by_name, tabulate
 from poise.plan.what_if.change import keep_components
 
 LONGEST = 1e9
@@ -48,9 +49,9 @@ class Planner:
     def _build(self, problem: Problem) -> None:
         self._parts: dict[frozenset[str], Planner] = {}
         self._has_alternatives = alternatives.has_choice(problem)
-        tables = tabulate(problem)
-        self._snapshot = Snapshot(problem, tables)
-        self._core = _core.Core(tables)
+        arrays = arrays_of(problem)
+        self._snapshot = Snapshot(problem, arrays)
+        self._core = _core.Core(arrays)
         self._greedy = self._core.greedy
 
     @property
@@ -262,7 +263,7 @@ def evaluate(
         must share a computer do not.
     """
     choice, part = alternatives.chosen_by(problem, placement)
-    tables = tabulate(part)
-    placed = placed_by_name(tables, placement)
-    result = Result.of(Snapshot(part, tables), placed, method, given=True)
+    snapshot = Snapshot(part)
+    placed = snapshot.arrays.placed(placement)
+    result = Result.of(snapshot, placed, method, given=True)
     return result.chosen(choice)

@@ -9,14 +9,11 @@ from typing import Any, NamedTuple, cast
 
 import msgspec
 
-from poise.errors import UsageError
-from poise.plan import _core
+from poise.plan.arrays import Placed
+from poise.plan.limits import tightest, violations
 from poise.plan.problem import Problem
 from poise.plan.records import Ask, Conflict, GreedyStep, Stopped, Terms, Tightest
-from poise.plan.reference import objective
-from poise.plan.reference.greedy import dead_end, greedy
-from poise.plan.reference.limits import tightest, violations
-from poise.plan.tables import Placed, Tables, placed_by_name, tabulate
+from poise.plan.snapshot import Snapshot
 from poise.plan.why.conflict import conflict
 
 LONGEST_TRACE = 2_000
@@ -138,26 +135,14 @@ class Result:
             return f"<Result: no placement, {self.reason}>"
         return f"<Result: F = {self.objective.total:.6g} by {self.method}>"
 
-    @property
-    def _tables(self) -> Tables:
-        return self._snapshot.tables
-
     @cached_property
     def placement(self) -> Mapping[str, str]:
         """Component -> computer; empty when none was found."""
-        if not self._complete:
-            return {}
-        unit_of, problem = self._tables.unit_of, self._tables.problem
-        names = [computer.name for computer in problem.computers]
-        return {
-            c.name: names[self._placed[unit]]
-            for c, unit in zip(problem.components, unit_of, strict=True)
-        }
+        return self._snapshot.arrays.placement(self._placed) if self._complete else {}
 
     @cached_property
     def _broken(self) -> list[str]:
-        load = objective.loads(self._tables, self._placed)
-        return violations(self._tables, self._placed, load)
+        return violations(self._snapshot.arrays, self._placed)
 
     @property
     def feasible(self) -> bool:
@@ -177,7 +162,7 @@ class Result:
         if self._complete:
             return self._choice.why
         if self.method == "greedy" and not self.proven:
-            return dead_end(self._tables)
+            return self._snapshot.dead_end()
         return IMPOSSIBLE if self.proven else NONE_FOUND
 
     @property
@@ -194,7 +179,7 @@ class Result:
         aside, whole = self._choice.aside, self._choice.whole
         if self._conflict is not None or (self._complete and not aside) or self._given:
             return self._conflict
-        problem = whole if aside and whole is not None else self._tables.problem
+        problem = whole if aside and whole is not None else self.problem
         if aside and self._choice.architectures:
             return None
         self._conflict = conflict(problem, stop)
@@ -207,7 +192,7 @@ class Result:
         """The terms of F; None without a placement."""
         if not self._complete:
             return None
-        terms = objective.terms(self._tables, self._placed)
+        terms = self._snapshot.terms(self._placed)
         lost = self._choice.lost
         if not lost:
             return terms
@@ -223,7 +208,7 @@ class Result:
             return None
         bound = self._bound
         if bound is None:
-            bound = _core.Core(self._tables).bound()
+            bound = self._snapshot.core.bound()
         if bound == -inf:
             return None
         return min(bound + self._choice.lost, self.objective.total)
@@ -242,19 +227,19 @@ class Result:
         """The resource closest to its limit; None without a placement."""
         if not self._complete:
             return None
-        return tightest(self._tables, objective.loads(self._tables, self._placed))
+        return tightest(self._snapshot.arrays, self._placed)
 
     @cached_property
     def trace(self) -> tuple[GreedyStep, ...]:
         """What the greedy tries, step by step; empty beyond 2,000 trials."""
-        if self._tables.n * self._tables.m > LONGEST_TRACE:
+        if self._snapshot.size * len(self.problem.computers) > LONGEST_TRACE:
             return ()
-        return greedy(self._tables)[1]
+        return self._snapshot.greedy_trace()
 
     @property
     def problem(self) -> Problem:
         """The problem that was decided: with the architectures that were chosen."""
-        return self._tables.problem
+        return self._snapshot.problem
 
     @property
     def unknown(self) -> tuple[str, ...]:
@@ -310,79 +295,6 @@ _PUBLIC = (
     "scale",
     "spread",
 )
-
-
-class Snapshot:
-    """A problem as it was when it was decided: its tables are made when asked for.
-
-    `demand` holds what its components need now, (n_components, n_resources), when that
-    is not what the problem says.
-    """
-
-    def __init__(
-        self,
-        problem: Problem,
-        tables: Tables | None = None,
-        demand: list[float] | None = None,
-    ) -> None:
-        self._problem = problem
-        self._tables = tables
-        self._demand = demand
-        self.known = demand is not None or _is_known(problem)
-
-    def with_demand(self, demand: list[float]) -> Snapshot:
-        """Return the same problem with another demand."""
-        return Snapshot(self._problem, None, demand)
-
-    @cached_property
-    def present(self) -> Placed:
-        """Where all components run now, or nothing when some component has no place."""
-        components = self._problem.components
-        if any(c.present is None for c in components):
-            return []
-        try:
-            now = {c.name: c.present for c in components if c.present is not None}
-            return placed_by_name(self.tables, now)
-        except UsageError:  # what must share a computer does not
-            return []
-
-    @property
-    def size(self) -> int:
-        """How many components there are."""
-        return len(self._problem.components)
-
-    @property
-    def problem(self) -> Problem:
-        """The problem, with its present demand."""
-        if self._demand is not None:
-            self._problem = _with_demand(self._problem, self._demand)
-            self._demand = None
-        return self._problem
-
-    @property
-    def tables(self) -> Tables:
-        """The problem in numbers."""
-        if self._tables is None:
-            self._tables = tabulate(self.problem)
-        return self._tables
-
-
-def _is_known(problem: Problem) -> bool:
-    return not problem.components or any(c.demand for c in problem.components)
-
-
-def _with_demand(problem: Problem, demand: list[float]) -> Problem:
-    resources = problem.resources
-    if not resources:
-        return problem
-    rows = zip(*[iter(demand)] * len(resources), strict=True)
-    return msgspec.structs.replace(
-        problem,
-        components=tuple(
-            msgspec.structs.replace(c, demand=dict(zip(resources, row, strict=True)))
-            for c, row in zip(problem.components, rows, strict=True)
-        ),
-    )
 
 
 def _sentence(found: Conflict) -> str:

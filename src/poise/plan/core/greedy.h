@@ -5,7 +5,7 @@
 
 namespace poise {
 
-// Its tables are kept between runs: at 24 units, allocating costs more than deciding. Where
+// Its arrays are kept between runs: at 24 units, allocating costs more than deciding. Where
 // the compiler knows the number of computers M (0: any), it is half again as quick.
 class Greedy {
  public:

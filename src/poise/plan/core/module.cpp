@@ -20,11 +20,11 @@ namespace {
 
 constexpr double kLeast = 1e-30, kMost = 1e30;  // as in poise.plan.check
 
-// Reads the fields of `poise.plan.tables.Tables`.
-Numbers read(nb::handle tables) {
+// Reads the fields of `poise.plan.arrays.Arrays`.
+Numbers read(nb::handle arrays) {
   Numbers in;
   const auto get = [&](auto& to, const char* name) {
-    to = nb::cast<std::decay_t<decltype(to)>>(tables.attr(name));
+    to = nb::cast<std::decay_t<decltype(to)>>(arrays.attr(name));
   };
   get(in.n, "n");
   get(in.m, "m");
@@ -44,11 +44,11 @@ Numbers read(nb::handle tables) {
   get(in.spread, "spread");
   get(in.share, "share");
   get(in.variance, "variance");
-  for (const auto& [unit, computers] : nb::cast<nb::dict>(tables.attr("allowed"))) {
+  for (const auto& [unit, computers] : nb::cast<nb::dict>(arrays.attr("allowed"))) {
     in.allowed.emplace_back(nb::cast<std::int32_t>(unit),
                             nb::cast<std::vector<std::int32_t>>(computers));
   }
-  for (const nb::handle pair : tables.attr("apart")) {
+  for (const nb::handle pair : arrays.attr("apart")) {
     const auto [a, b] = nb::cast<std::pair<std::int32_t, std::int32_t>>(pair);
     in.apart_first.push_back(a);
     in.apart_second.push_back(b);
@@ -97,11 +97,11 @@ struct Asked {
 // A problem compiled once, and its solvers. One thread at a time may use it.
 class Core {
  public:
-  explicit Core(nb::handle tables)
-      : problem_(read(tables)), greedy_(problem_), index_(nb::cast<nb::dict>(tables.attr("index"))),
-        resources_(nb::cast<nb::tuple>(tables.attr("resources"))),
-        unit_of_(nb::cast<std::vector<std::int32_t>>(tables.attr("unit_of"))),
-        demand_(nb::cast<std::vector<double>>(tables.attr("component_demand"))) {
+  explicit Core(nb::handle arrays)
+      : problem_(read(arrays)), greedy_(problem_), index_(nb::cast<nb::dict>(arrays.attr("index"))),
+        resources_(nb::cast<nb::tuple>(arrays.attr("resources"))),
+        unit_of_(nb::cast<std::vector<std::int32_t>>(arrays.attr("unit_of"))),
+        demand_(nb::cast<std::vector<double>>(arrays.attr("component_demand"))) {
     if (demand_.size() != unit_of_.size() * problem_.r || nb::len(index_) != unit_of_.size() ||
         nb::len(resources_) != static_cast<std::size_t>(problem_.r)) {
       throw std::invalid_argument("component_demand, unit_of and index do not agree");
@@ -189,6 +189,7 @@ class Core {
   }
 
   bool keeps_limits(nb::handle known) { return feasible(problem_, checked(known, -1)); }
+  nb::list order() { return listed(problem_.order); }
   bool provable() { return Exact::takes(problem_); }
   double bound() { return relaxation_bound(problem_); }
 
@@ -278,8 +279,8 @@ class Core {
 
 NB_MODULE(_core, module) {
   module.doc() = "The placement engine in C++; see poise.plan.planner.";
-  nb::class_<Core>(module, "Core", "A problem compiled from `Tables`, and its solvers.")
-      .def(nb::init<nb::handle>(), nb::arg("tables"))
+  nb::class_<Core>(module, "Core", "A problem compiled from `Arrays`, and its solvers.")
+      .def(nb::init<nb::handle>(), nb::arg("arrays"))
       .def("greedy", &Core::greedy,
            nb::sig("def greedy(self) -> tuple[list[int], bool]"))
       .def("exact", &Core::exact, nb::arg("known"), nb::arg("seconds"), nb::arg("steps"),
@@ -298,5 +299,6 @@ NB_MODULE(_core, module) {
       .def("feasible", &Core::keeps_limits, nb::arg("placed"),
            nb::sig("def feasible(self, placed: list[int]) -> bool"))
       .def("bound", &Core::bound, nb::sig("def bound(self) -> float"))
+      .def_prop_ro("order", &Core::order, nb::sig("def order(self) -> list[int]"))
       .def_prop_ro("provable", &Core::provable);
 }

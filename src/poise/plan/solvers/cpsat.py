@@ -20,11 +20,10 @@ from typing import Any, NamedTuple
 
 from poise.errors import UsageError
 from poise.plan import _core
+from poise.plan.arrays import Arrays, Placed, fits
+from poise.plan.limits import loads, traffic
 from poise.plan.problem import SLACK
 from poise.plan.records import Ask
-from poise.plan.reference.limits import traffic
-from poise.plan.reference.objective import loads
-from poise.plan.tables import Placed, Tables, fits
 
 # OR-Tools may not be installed where this is checked.
 IntVar = Any
@@ -52,7 +51,7 @@ class Certificate(NamedTuple):
 
 def solve(
     core: _core.Core,
-    tables: Tables,
+    arrays: Arrays,
     seconds: float,
     seed: int,
     known: Placed,
@@ -76,16 +75,16 @@ def solve(
     UsageError
         When OR-Tools is not installed, or the problem is too large.
     """
-    pairs = tables.m * tables.m if tables.distance or tables.bandwidth else 1
-    if tables.n * tables.m + len(tables.first) * pairs > MOST_VARIABLES:
+    pairs = arrays.m * arrays.m if arrays.distance or arrays.bandwidth else 1
+    if arrays.n * arrays.m + len(arrays.first) * pairs > MOST_VARIABLES:
         raise UsageError(
-            f"{tables.n} components with {len(tables.first)} connectors on {tables.m} "
+            f"{arrays.n} components with {len(arrays.first)} connectors on {arrays.m} "
             "computers are too many for 'cpsat'; take 'search'"
         )
     best = Certificate(known, _total(core, known), -inf, False, "budget")
     if stop is not None and stop():
         return best._replace(stopped_by="interrupted")
-    model = _Relaxation(tables)
+    model = _Relaxation(arrays)
     end = perf_counter() + seconds
     while True:
         model.hint(best.placed)
@@ -177,12 +176,12 @@ class _Relaxation:
     `error` is how far its F may be below that of a placement, by rounding alone.
     """
 
-    def __init__(self, tables: Tables) -> None:
-        self.tables = tables
+    def __init__(self, arrays: Arrays) -> None:
+        self.arrays = arrays
         self.program = _ortools().CpModel()
         self.on = [
-            [self.program.new_bool_var(f"u{u}h{h}") for h in range(tables.m)]
-            for u in range(tables.n)
+            [self.program.new_bool_var(f"u{u}h{h}") for h in range(arrays.m)]
+            for u in range(arrays.n)
         ]
         self.scale = UNITS / max(1e-12, self._largest())
         self._roundings = 0
@@ -211,7 +210,7 @@ class _Relaxation:
 
     def _largest(self) -> float:
         """Return about how large F may be."""
-        t = self.tables
+        t = self.arrays
         far = max(t.distance, default=1.0)
         tops = [
             1.0 if t.share else max(t.capacity[k :: t.r], default=0.0)
@@ -230,7 +229,7 @@ class _Relaxation:
         return floor(value * self.scale)
 
     def _limits(self) -> None:
-        t = self.tables
+        t = self.arrays
         for row in self.on:
             self.program.add_exactly_one(row)
         for u, computers in t.allowed.items():
@@ -258,7 +257,7 @@ class _Relaxation:
         self.program.add(sum(w * x for w, x in pairs if w) <= PARTS)
 
     def _links(self) -> None:
-        t = self.tables
+        t = self.arrays
         pairs = zip(t.first, t.second, t.traffic, strict=True)
         sending = [row for row in pairs if row[2] > 0]
         for a in range(t.m):
@@ -281,7 +280,7 @@ class _Relaxation:
 
     def _broken(self, placed: Placed) -> Iterator[list[int]]:
         """Yield sets of units of which one must be elsewhere, by limits that broke."""
-        t = self.tables
+        t = self.arrays
         load = loads(t, placed)
         for h in range(t.m):
             for k in range(t.r):
@@ -303,7 +302,7 @@ class _Relaxation:
                 )
 
     def _connectors(self) -> Iterator[LinearExprT]:
-        t = self.tables
+        t = self.arrays
         for i, j, overhead in zip(t.first, t.second, t.overhead, strict=True):
             cost = t.communication * overhead
             if cost <= 0:
@@ -322,13 +321,13 @@ class _Relaxation:
             yield self._whole(cost) * apart
 
     def _costs(self) -> Iterator[LinearExprT]:
-        t = self.tables
+        t = self.arrays
         for u in range(t.n if t.cost else 0):
             for h in range(t.m):
                 yield self._whole(t.cost[u * t.m + h]) * self.on[u][h]
 
     def _spreads(self) -> Iterator[LinearExprT]:
-        t = self.tables
+        t = self.arrays
         for k, weight in enumerate(t.spread):
             counted = [
                 h for h in range(t.m) if not t.share or t.capacity[h * t.r + k] > 0
@@ -350,7 +349,7 @@ class _Relaxation:
 
     def _residue(self, k: int, h: int) -> _Affine:
         """Return the residue of a resource as what F measures it in."""
-        t = self.tables
+        t = self.arrays
         capacity = t.capacity[h * t.r + k]
         unit = capacity if t.share else 1.0
         slopes = [[0.0] * t.m for _ in range(t.n)]
@@ -384,9 +383,9 @@ class _Relaxation:
                             s * r.slopes[u][x]
                             for s, r in zip(shares, residues, strict=True)
                         )
-                        for x in range(self.tables.m)
+                        for x in range(self.arrays.m)
                     ]
-                    for u in range(self.tables.n)
+                    for u in range(self.arrays.n)
                 ],
             )
             square = self.program.new_int_var(0, 4 * UNITS, "")

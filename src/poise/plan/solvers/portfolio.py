@@ -9,10 +9,11 @@ from typing import Literal, NamedTuple, cast, get_args
 
 from poise.errors import UsageError
 from poise.plan import _core
+from poise.plan.arrays import Arrays, Placed
 from poise.plan.records import Ask, Stopped
-from poise.plan.result import Result, Snapshot
+from poise.plan.result import Result
+from poise.plan.snapshot import Snapshot
 from poise.plan.solvers import cpsat
-from poise.plan.tables import Placed, Tables
 from poise.plan.why.conflict import is_short
 
 Method = Literal["auto", "greedy", "exact", "search", "cpsat"]
@@ -87,7 +88,7 @@ def decide(core: _core.Core, snapshot: Snapshot, method: str, effort: Effort) ->
     if method == "greedy" or (effort.is_none() and method == "auto"):
         return _described(core, snapshot, name, known)
     if method == "cpsat":
-        answer, finder = _cpsat(core, snapshot.tables, known, effort), "cpsat"
+        answer, finder = _cpsat(core, snapshot.arrays, known, effort), "cpsat"
     elif method == "exact":
         if not core.provable:
             raise UsageError(
@@ -114,7 +115,7 @@ def _described(
     if answer is None:
         return Result.of(snapshot, placed, method)
     proven, stopped_by = answer.proven, answer.stopped_by
-    if not placed and snapshot.size and (proven or is_short(snapshot.tables)):
+    if not placed and snapshot.size and (proven or is_short(snapshot.arrays)):
         proven, stopped_by = True, "infeasible"
     return Result.of(
         snapshot,
@@ -138,8 +139,8 @@ def _start(core: _core.Core, snapshot: Snapshot, method: str) -> tuple[Placed, s
     return present, "present"
 
 
-def _cpsat(core: _core.Core, tables: Tables, known: Placed, effort: Effort) -> Answer:
-    answer = cpsat.solve(core, tables, effort.seconds, effort.seed, known, effort.stop)
+def _cpsat(core: _core.Core, arrays: Arrays, known: Placed, effort: Effort) -> Answer:
+    answer = cpsat.solve(core, arrays, effort.seconds, effort.seed, known, effort.stop)
     return Answer(*answer)
 
 

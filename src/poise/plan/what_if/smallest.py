@@ -7,9 +7,9 @@ from itertools import combinations
 from typing import NamedTuple
 
 from poise.errors import UsageError
+from poise.plan.arrays import arrays_of
 from poise.plan.problem import Problem
 from poise.plan.result import Result
-from poise.plan.tables import tabulate
 from poise.plan.what_if.change import without
 from poise.plan.why.conflict import is_short
 
@@ -79,7 +79,7 @@ def _try(problem: Problem, kept: tuple[str, ...], decide: Decide) -> Result | No
     except UsageError:
         return None
     # Of architectures, not all may have to be placed.
-    if not smaller.architectures and is_short(tabulate(smaller)):
+    if not smaller.architectures and is_short(arrays_of(smaller)):
         return None
     return decide(smaller)
 

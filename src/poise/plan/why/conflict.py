@@ -9,10 +9,10 @@ from msgspec.structs import replace
 
 from poise.model.robot import Objective
 from poise.plan import _core
+from poise.plan.arrays import Arrays, arrays_of, fits
+from poise.plan.limits import amount_of
 from poise.plan.problem import Problem
 from poise.plan.records import Ask, Conflict
-from poise.plan.reference.limits import amount_of
-from poise.plan.tables import Tables, fits, tabulate
 from poise.plan.what_if.change import keep_components
 from poise.plan.why.relaxation import Limit, Relaxation, limits_of
 
@@ -49,12 +49,12 @@ class Oracle:
         if self.is_spent():
             return None
         aimless = Objective(communication=0.0, balance=0.0)
-        tables = tabulate(replace(problem, objective=aimless, cost=()))
-        if not tables.n:
+        arrays = arrays_of(replace(problem, objective=aimless, cost=()))
+        if not arrays.n:
             return True
-        if is_short(tables):
+        if is_short(arrays):
             return False
-        core = _core.Core(tables)
+        core = _core.Core(arrays)
         if core.greedy()[1]:
             return True
         proven = False
@@ -68,9 +68,9 @@ class Oracle:
         return True if placed else None
 
 
-def is_short(tables: Tables) -> bool:
+def is_short(arrays: Arrays) -> bool:
     """Whether some computers have less than what may run nowhere else needs."""
-    return next(_shortages(tables), None) is not None
+    return next(_shortages(arrays), None) is not None
 
 
 def conflict(problem: Problem, stop: Ask | None = None) -> Conflict | None:
@@ -103,16 +103,16 @@ def _infeasible_subset(
     And whether it is irreducible: without any one of its components, or of the limits,
     it is known to hold.
     """
-    tables = tabulate(problem)
-    shortage = min(_shortages(tables), key=lambda s: len(s.units), default=None)
+    arrays = arrays_of(problem)
+    shortage = min(_shortages(arrays), key=lambda s: len(s.units), default=None)
     if shortage is not None:
-        part = keep_components(problem, set(_names(tables, shortage.units)))
+        part = keep_components(problem, set(arrays.names(shortage.units)))
     elif len(problem.components) <= MOST_COMPONENTS:
         part = problem
     else:
         return None
     if len(part.components) > MOST_COMPONENTS:
-        short = [k for k in limits_of(part) if k.names in _short(tables, shortage)]
+        short = [k for k in limits_of(part) if k.names in _short(arrays, shortage)]
         return part, short, False
     if oracle.ask(part) is not False:
         return None
@@ -137,23 +137,23 @@ def _infeasible_subset(
     return part, limits, irreducible
 
 
-def _short(tables: Tables, shortage: Shortage | None) -> set[tuple[str, ...]]:
+def _short(arrays: Arrays, shortage: Shortage | None) -> set[tuple[str, ...]]:
     """Return the computers and the resource that are short, by name."""
     if shortage is None:
         return set()
-    resource = tables.resources[shortage.resource]
-    return {(tables.problem.computers[h].name, resource) for h in shortage.computers}
+    resource = arrays.resources[shortage.resource]
+    return {(arrays.problem.computers[h].name, resource) for h in shortage.computers}
 
 
-def _shortages(tables: Tables) -> Iterator[Shortage]:
+def _shortages(arrays: Arrays) -> Iterator[Shortage]:
     """Yield sets of computers with less than what may run nowhere else needs."""
-    everywhere = tuple(range(tables.m))
+    everywhere = tuple(range(arrays.m))
     alike: dict[tuple[int, ...], list[int]] = {everywhere: []}
-    for u in range(tables.n):
-        alike.setdefault(tables.allowed.get(u, everywhere), []).append(u)
+    for u in range(arrays.n):
+        alike.setdefault(arrays.allowed.get(u, everywhere), []).append(u)
     need = {
         computers: [
-            sum(tables.demand[u * tables.r + k] for u in units) for k in range(tables.r)
+            sum(arrays.demand[u * arrays.r + k] for u in units) for k in range(arrays.r)
         ]
         for computers, units in alike.items()
     }
@@ -162,45 +162,45 @@ def _shortages(tables: Tables) -> Iterator[Shortage]:
             yield Shortage(units[:1], [], 0)
             continue
         inside = [c for c in alike if {*computers}.issuperset(c)]
-        for k in range(tables.r):
-            limits = [tables.limit[h * tables.r + k] for h in computers]
+        for k in range(arrays.r):
+            limits = [arrays.limit[h * arrays.r + k] for h in computers]
             if not fits(sum(need[c][k] for c in inside), sum(limits)):
                 bound = [u for c in inside for u in alike[c]]
-                yield Shortage(_largest(tables, bound, sum(limits), k), [*computers], k)
+                yield Shortage(_largest(arrays, bound, sum(limits), k), [*computers], k)
             for u in units:
-                if not fits(tables.demand[u * tables.r + k], max(limits)):
+                if not fits(arrays.demand[u * arrays.r + k], max(limits)):
                     yield Shortage([u], [*computers], k)
 
 
-def _largest(tables: Tables, units: list[int], limit: float, k: int) -> list[int]:
+def _largest(arrays: Arrays, units: list[int], limit: float, k: int) -> list[int]:
     """Return the largest of the units, as few as are together beyond the limit."""
     some: list[int] = []
     total = 0.0
-    for u in sorted(units, key=lambda u: -tables.demand[u * tables.r + k]):
+    for u in sorted(units, key=lambda u: -arrays.demand[u * arrays.r + k]):
         if not fits(total, limit):
             break
         some.append(u)
-        total += tables.demand[u * tables.r + k]
+        total += arrays.demand[u * arrays.r + k]
     return some
 
 
 def _sentences(part: Problem, limits: list[Limit]) -> tuple[str, ...]:
     """Return the limits for people: what is short as one sum, where it is a sum."""
-    tables = tabulate(part)
-    short = next((s for s in _shortages(tables) if len(s.units) == tables.n), None)
+    arrays = arrays_of(part)
+    short = next((s for s in _shortages(arrays) if len(s.units) == arrays.n), None)
     if short is None or not short.computers:
         return tuple(limit.text for limit in limits)
     others = (limit.text for limit in limits if limit.kind != "capacity")
-    return (_sum_of(tables, short), *others)
+    return (_sum_of(arrays, short), *others)
 
 
-def _sum_of(tables: Tables, short: Shortage) -> str:
+def _sum_of(arrays: Arrays, short: Shortage) -> str:
     k = short.resource
-    resource = tables.resources[k]
-    names = _names(tables, short.units)
-    where = [tables.problem.computers[h].name for h in short.computers]
-    need = sum(tables.demand[u * tables.r + k] for u in short.units)
-    limits = [tables.limit[h * tables.r + k] for h in short.computers]
+    resource = arrays.resources[k]
+    names = arrays.names(short.units)
+    where = [arrays.problem.computers[h].name for h in short.computers]
+    need = sum(arrays.demand[u * arrays.r + k] for u in short.units)
+    limits = [arrays.limit[h * arrays.r + k] for h in short.computers]
     verb = "needs" if len(names) == 1 else "together need"
     sentence = f"{', '.join(names)} {verb} {amount_of(resource, need)} {resource}"
     if len(where) == 1:
@@ -215,19 +215,14 @@ def _sum_of(tables: Tables, short: Shortage) -> str:
 
 def _at_least(part: Problem) -> str:
     """Return what is short in all, where no relaxation was found in short time."""
-    tables = tabulate(part)
-    short = next(_shortages(tables), None)
+    arrays = arrays_of(part)
+    short = next(_shortages(arrays), None)
     if short is None or not short.computers:
         return "limits that were not found in short time"
     k = short.resource
-    needs = [tables.demand[u * tables.r + k] for u in short.units]
-    has = [tables.limit[h * tables.r + k] for h in short.computers]
+    needs = [arrays.demand[u * arrays.r + k] for u in short.units]
+    has = [arrays.limit[h * arrays.r + k] for h in short.computers]
     missing = max(sum(needs) - sum(has), max(needs) - max(has))
-    where = " or ".join(tables.problem.computers[h].name for h in short.computers)
-    resource = tables.resources[k]
+    where = " or ".join(arrays.problem.computers[h].name for h in short.computers)
+    resource = arrays.resources[k]
     return f"at least {amount_of(resource, missing)} more {resource} on {where}"
-
-
-def _names(tables: Tables, units: list[int]) -> tuple[str, ...]:
-    components = tables.problem.components
-    return tuple(components[i].name for u in units for i in tables.members[u])

@@ -8,13 +8,13 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.errors import UsageError
+from poise.plan.arrays import Placed
+from poise.plan.limits import obstacle
 from poise.plan.planner import evaluate, solve
 from poise.plan.problem import Bundle, Problem
 from poise.plan.records import Terms
-from poise.plan.reference import objective
-from poise.plan.reference.limits import obstacle
+from poise.plan.snapshot import Snapshot
 from poise.plan.solvers.alternatives import chosen_by
-from poise.plan.tables import Placed, Tables, placed_by_name, tabulate
 from poise.plan.what_if.change import keep_components
 
 
@@ -90,18 +90,19 @@ def explain(
             if name == bundle.name and name not in placement:
                 name = bundle.components[0]
     _, part = chosen_by(problem, placement, partial=True)
-    tables = tabulate(part)
-    placed = placed_by_name(tables, placement)
+    snapshot = Snapshot(part)
+    arrays = snapshot.arrays
+    placed = arrays.placed(placement)
     names = [c.name for c in part.components]
     if name not in names:
         choices = ", ".join([*names, *(a.name for a in problem.architectures)])
         raise UsageError(f"no component is called {name!r} (there are: {choices})")
-    unit = tables.unit_of[names.index(name)]
+    unit = arrays.unit_of[names.index(name)]
     options = sorted(
-        (_option(tables, placed, unit, h) for h in range(tables.m)),
+        (_option(snapshot, placed, unit, h) for h in range(arrays.m)),
         key=lambda option: (bool(option.obstacle), option.objective.total),
     )
-    together = [names[i] for i in tables.members[unit]]
+    together = [names[i] for i in arrays.members[unit]]
     return Explanation(
         component=name,
         computer=problem.computers[placed[unit]].name,
@@ -190,19 +191,15 @@ def _most(change: Terms) -> str:
     return f"{most} {terms[most]:+.4g}"
 
 
-def _option(tables: Tables, placed: Placed, unit: int, computer: int) -> Option:
-    now = objective.terms(tables, placed)
-    trial = [*placed]
-    trial[unit] = computer
-    there = objective.terms(tables, trial)
-    lifted = [*placed]
-    lifted[unit] = -1
-    load = objective.loads(tables, lifted)
+def _option(snapshot: Snapshot, placed: Placed, unit: int, computer: int) -> Option:
+    trial, lifted = [*placed], [*placed]
+    trial[unit], lifted[unit] = computer, -1
+    there = snapshot.terms(trial)
     return Option(
-        computer=tables.problem.computers[computer].name,
+        computer=snapshot.arrays.computer(computer),
         objective=there,
-        change=_difference(there, now),
-        obstacle=obstacle(tables, lifted, load, unit, computer),
+        change=_difference(there, snapshot.terms(placed)),
+        obstacle=obstacle(snapshot.arrays, lifted, unit, computer),
     )
 
 

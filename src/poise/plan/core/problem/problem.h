@@ -1,7 +1,7 @@
 // A problem in flat arrays, compiled once and solved many times.
 //
-// It mirrors `Tables` in ../../tables.py: "unit" is one or more components that share a
-// computer. Tables by resource and computer are (r, m), one resource after the other, so
+// It mirrors `Arrays` in ../../arrays.py: "unit" is one or more components that share a
+// computer. Arrays by resource and computer are (r, m), one resource after the other, so
 // that loops over computers run over consecutive memory.
 #pragma once
 
@@ -15,7 +15,7 @@ namespace poise {
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kSlack = 1e-9;
 
-// The numbers of `Tables`; (m, r) where `Problem` has (r, m).
+// The numbers of `Arrays`; (m, r) where `Problem` has (r, m).
 struct Numbers {
   std::int64_t n = 0, m = 0, r = 0;
   std::vector<double> demand, capacity, limit, size_weight;

@@ -1,12 +1,12 @@
-"""A problem in numbers: what both the Python reference and the C++ core read.
+"""A problem in flat arrays of numbers: what the C++ core reads.
 
 Components that must share a computer become one *unit*; everything below is by unit.
-Tables are flat, row by row.
+Arrays are flat, row by row.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from math import inf
 
 from msgspec import Struct
@@ -22,7 +22,7 @@ Placed = list[int]
 """For every unit the index of its computer, or -1 while it has none."""
 
 
-class Tables(Struct, frozen=True):
+class Arrays(Struct, frozen=True):
     """The numbers of a problem; n units, m computers, r resources.
 
     Parameters
@@ -90,8 +90,53 @@ class Tables(Struct, frozen=True):
     m: int
     r: int
 
+    def name(self, unit: int) -> str:
+        """Return the names of a unit's components, joined."""
+        return "+".join(self.names([unit]))
 
-def tabulate(problem: Problem) -> Tables:
+    def names(self, units: Iterable[int]) -> tuple[str, ...]:
+        """Return the names of the components of some units."""
+        components = self.problem.components
+        return tuple(components[i].name for u in units for i in self.members[u])
+
+    def computer(self, index: int) -> str:
+        """Return the name of a computer."""
+        return self.problem.computers[index].name
+
+    def placed(self, placement: Mapping[str, str]) -> Placed:
+        """Return a placement by name as one by index.
+
+        Raises
+        ------
+        UsageError
+            When a component has no computer, or one that is not there, or components
+            that must share a computer do not.
+        """
+        index = {h.name: i for i, h in enumerate(self.problem.computers)}
+        placed = [-1] * self.n
+        for component, unit in zip(self.problem.components, self.unit_of, strict=True):
+            name = placement.get(component.name)
+            if name not in index:
+                raise UsageError(
+                    f"component {component.name!r} is placed on {name!r} "
+                    f"(there are: {', '.join(index)})"
+                )
+            if placed[unit] not in {-1, index[name]}:
+                names = ", ".join(self.names([unit]))
+                raise UsageError(f"{names} must share a computer")
+            placed[unit] = index[name]
+        return placed
+
+    def placement(self, placed: Placed) -> dict[str, str]:
+        """Return a placement by index as one by name."""
+        names = [computer.name for computer in self.problem.computers]
+        return {
+            c.name: names[placed[unit]]
+            for c, unit in zip(self.problem.components, self.unit_of, strict=True)
+        }
+
+
+def arrays_of(problem: Problem) -> Arrays:
     """Turn a problem into numbers."""
     components, computers = problem.components, problem.computers
     resources = problem.resources
@@ -105,11 +150,11 @@ def tabulate(problem: Problem) -> Tables:
         for h in computers
         for k in resources
     ]
-    limit = _limits(problem, resources, capacity)
+    limit = [h.usable(k) for h in computers for k in resources]
     unit = {name: unit_of[i] for name, i in index.items()} if n < len(index) else index
     first, second, overhead, traffic = _pairs(problem, unit)
     objective = problem.objective
-    return Tables(
+    return Arrays(
         problem,
         members,
         unit_of,
@@ -184,15 +229,6 @@ def _units(
     return unit_of, [tuple(inside) for inside in units.values()]
 
 
-def _limits(
-    problem: Problem, resources: tuple[str, ...], capacity: list[float]
-) -> list[float]:
-    if not any(h.reserve for h in problem.computers):
-        return capacity
-    reserve = [h.reserve.get(k, 0.0) for h in problem.computers for k in resources]
-    return [c * (1.0 - s) for c, s in zip(capacity, reserve, strict=True)]
-
-
 def _summed(values: list[float], unit_of: list[int], n: int, r: int) -> list[float]:
     total = [0.0] * (n * r)
     for i, unit in enumerate(unit_of):
@@ -225,13 +261,11 @@ def _pairs(
 
 def _balance_weights(problem: Problem, resources: tuple[str, ...]) -> list[float]:
     """Return the weight of each resource's spread (docs/design/objective.md)."""
-    given = problem.objective.weights
-    if problem.objective.scale == "paper":
-        if not given and "cpu" in resources:
-            given = {"cpu": 1.0}
-        return [given.get(k, 0.0) if given else 1.0 for k in resources]
+    given, is_paper = problem.objective.weights, problem.objective.scale == "paper"
+    if is_paper and not given and "cpu" in resources:
+        given = {"cpu": 1.0}
     weights = [given.get(k, 0.0) if given else 1.0 for k in resources]
-    total = sum(weights)
+    total = 1.0 if is_paper else sum(weights)
     return [w / total for w in weights] if total > 0 else weights
 
 
@@ -302,34 +336,6 @@ def _apart(problem: Problem, unit: dict[str, int]) -> list[tuple[int, int]]:
             for j in units[x + 1 :]:
                 pairs[min(i, j), max(i, j)] = None
     return list(pairs)
-
-
-def placed_by_name(tables: Tables, placement: Mapping[str, str]) -> Placed:
-    """Return a placement by name as one by index.
-
-    Raises
-    ------
-    UsageError
-        When a component has no computer, or one that is not there, or components that
-        must share a computer do not.
-    """
-    problem = tables.problem
-    index = {h.name: i for i, h in enumerate(problem.computers)}
-    placed = [-1] * tables.n
-    for i, component in enumerate(problem.components):
-        name = placement.get(component.name)
-        if name not in index:
-            choices = ", ".join(index)
-            raise UsageError(
-                f"component {component.name!r} is placed on {name!r} "
-                f"(there are: {choices})"
-            )
-        unit = tables.unit_of[i]
-        if placed[unit] not in {-1, index[name]}:
-            names = [problem.components[j].name for j in tables.members[unit]]
-            raise UsageError(f"{', '.join(names)} must share a computer")
-        placed[unit] = index[name]
-    return placed
 
 
 def fits(load: float, limit: float) -> bool:

@@ -1,0 +1,116 @@
+"""Which limits a placement breaks, for people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from poise.plan.arrays import Arrays, Placed, fits
+from poise.plan.records import Tightest
+from poise.units import format_bandwidth, format_bytes
+
+KIBIBYTE, MILLION = 1024, 1e6
+
+
+def amount_of(resource: str, amount: float) -> str:
+    """Return an amount for people, in the resource's unit where that is known."""
+    if resource == "bandwidth":
+        return format_bandwidth(amount)
+    if resource == "memory" and amount >= KIBIBYTE:
+        return format_bytes(amount)
+    return f"{amount:.6g}" if amount < MILLION else f"{amount:,.0f}"
+
+
+def loads(arrays: Arrays, placed: Placed) -> list[float]:
+    """Return what is used, (m, r)."""
+    r = arrays.r
+    total = [0.0] * (arrays.m * r)
+    for unit, computer in enumerate(placed):
+        if computer >= 0:
+            for k in range(r):
+                total[computer * r + k] += arrays.demand[unit * r + k]
+    return total
+
+
+def traffic(arrays: Arrays, placed: Placed) -> dict[tuple[int, int], float]:
+    """Return the traffic [bytes/s] between every pair of computers that has any."""
+    total: dict[tuple[int, int], float] = {}
+    for i, j, sent in zip(arrays.first, arrays.second, arrays.traffic, strict=True):
+        a, b = sorted((placed[i], placed[j]))
+        if 0 <= a < b and sent > 0:
+            total[a, b] = total.get((a, b), 0.0) + sent
+    return total
+
+
+def violations(arrays: Arrays, placed: Placed) -> list[str]:
+    """Return every limit that a placement breaks; some units may have no computer."""
+    return [
+        *_overfull(arrays, placed),
+        *_misplaced(arrays, placed),
+        *_crowded(arrays, placed),
+        *_overloaded(arrays, placed),
+    ]
+
+
+def obstacle(arrays: Arrays, placed: Placed, unit: int, computer: int) -> str:
+    """Return which limits break when a unit without a computer joins one, or ''."""
+    before = violations(arrays, placed)
+    after = violations(arrays, [*placed[:unit], computer, *placed[unit + 1 :]])
+    return "; ".join(limit for limit in after if limit not in before)
+
+
+def _overfull(arrays: Arrays, placed: Placed) -> Iterator[str]:
+    load = loads(arrays, placed)
+    for h, computer in enumerate(arrays.problem.computers):
+        for k, resource in enumerate(arrays.resources):
+            used, limit = load[h * arrays.r + k], arrays.limit[h * arrays.r + k]
+            if used > 0 and not fits(used, limit):
+                needs, has = amount_of(resource, used), amount_of(resource, limit)
+                short = amount_of(resource, used - limit)
+                where = f"{computer.name}: {resource}"
+                yield f"{where} needs {needs}, has {has}: {short} short"
+
+
+def _misplaced(arrays: Arrays, placed: Placed) -> Iterator[str]:
+    for unit, computers in arrays.allowed.items():
+        if placed[unit] >= 0 and placed[unit] not in computers:
+            choices = " or ".join(map(arrays.computer, computers)) or "no computer"
+            reasons = (arrays.problem.components[i].why for i in arrays.members[unit])
+            why = next((f" ({reason})" for reason in reasons if reason), "")
+            here = arrays.computer(placed[unit])
+            yield f"{arrays.name(unit)} is on {here}, may only run on {choices}{why}"
+
+
+def _crowded(arrays: Arrays, placed: Placed) -> Iterator[str]:
+    for i, j in arrays.apart:
+        if placed[i] >= 0 and (i == j or placed[i] == placed[j]):
+            names = f"{arrays.name(i)} and {arrays.name(j)}"
+            yield f"{names} must be apart, both are on {arrays.computer(placed[i])}"
+
+
+def _overloaded(arrays: Arrays, placed: Placed) -> Iterator[str]:
+    if not arrays.bandwidth:
+        return
+    for (a, b), used in sorted(traffic(arrays, placed).items()):
+        limit = arrays.bandwidth[a * arrays.m + b]
+        if not fits(used, limit):
+            needs, has = (amount_of("bandwidth", x) for x in (used, limit))
+            names = f"{arrays.computer(a)} and {arrays.computer(b)}"
+            yield f"link between {names}: needs {needs}, has {has}"
+
+
+def tightest(arrays: Arrays, placed: Placed) -> Tightest | None:
+    """Return the resource whose use is closest to its limit, or None without any."""
+    shares = [
+        (used / limit, e)
+        for e, (used, limit) in enumerate(
+            zip(loads(arrays, placed), arrays.limit, strict=True)
+        )
+        if limit > 0
+    ]
+    if not shares:
+        return None
+    used, entry = max(shares, key=lambda share: share[0])
+    h, k = divmod(entry, arrays.r)
+    return Tightest(
+        computer=arrays.computer(h), resource=arrays.resources[k], used=used
+    )

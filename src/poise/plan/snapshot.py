@@ -1,0 +1,134 @@
+"""A problem as it was when it was decided, and what can be worked out from it."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+from msgspec.structs import replace
+
+from poise.errors import UsageError
+from poise.plan import _core
+from poise.plan.arrays import Arrays, Placed, arrays_of
+from poise.plan.limits import obstacle
+from poise.plan.problem import Problem
+from poise.plan.records import GreedyStep, Terms, Trial
+
+
+class Snapshot:
+    """A problem as it was when it was decided: its arrays are made when asked for.
+
+    `demand` holds what its components need now, (n_components, n_resources), when that
+    is not what the problem says.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        arrays: Arrays | None = None,
+        demand: list[float] | None = None,
+    ) -> None:
+        self._problem = problem
+        self._demand = demand
+        if arrays is not None:
+            self.arrays = arrays
+        self.known = demand is not None or _is_known(problem)
+
+    def with_demand(self, demand: list[float]) -> Snapshot:
+        """Return the same problem with another demand."""
+        return Snapshot(self._problem, None, demand)
+
+    @property
+    def size(self) -> int:
+        """How many components there are."""
+        return len(self._problem.components)
+
+    @property
+    def problem(self) -> Problem:
+        """The problem, with its present demand."""
+        if self._demand is not None:
+            self._problem = _with_demand(self._problem, self._demand)
+            self._demand = None
+        return self._problem
+
+    @cached_property
+    def arrays(self) -> Arrays:
+        """The problem in numbers."""
+        return arrays_of(self.problem)
+
+    @cached_property
+    def core(self) -> _core.Core:
+        """The problem compiled; unlike a planner's, it never changes."""
+        return _core.Core(self.arrays)
+
+    @cached_property
+    def present(self) -> Placed:
+        """Where all components run now, or nothing when some component has no place."""
+        components = self._problem.components
+        if any(c.present is None for c in components):
+            return []
+        try:
+            now = {c.name: c.present for c in components if c.present is not None}
+            return self.arrays.placed(now)
+        except UsageError:  # what must share a computer does not
+            return []
+
+    def terms(self, placed: Placed) -> Terms:
+        """Return F of a placement; units without a computer (-1) contribute nothing."""
+        communication, balance, move = self.core.terms(placed)
+        return Terms(
+            total=communication + balance + move,
+            communication=communication,
+            balance=balance,
+            move=move,
+        )
+
+    def greedy_trace(self) -> tuple[GreedyStep, ...]:
+        """Return each step of the greedy, with every computer that it tries.
+
+        The last one has no `chosen` when the greedy came to a dead end.
+        """
+        decided, _ = self.core.greedy()
+        placed = [-1] * self.arrays.n
+        trace: list[GreedyStep] = []
+        for unit in self.core.order:
+            trials = tuple(self._trial(placed, unit, h) for h in range(self.arrays.m))
+            placed[unit] = decided[unit]
+            is_dead_end = decided[unit] < 0
+            chosen = None if is_dead_end else self.arrays.computer(decided[unit])
+            name = self.arrays.name(unit)
+            trace.append(GreedyStep(component=name, trials=trials, chosen=chosen))
+            if is_dead_end:
+                break
+        return tuple(trace)
+
+    def _trial(self, placed: Placed, unit: int, computer: int) -> Trial:
+        reason = obstacle(self.arrays, placed, unit, computer)
+        trial = [*placed[:unit], computer, *placed[unit + 1 :]]
+        total = None if reason else self.terms(trial).total
+        return Trial(
+            computer=self.arrays.computer(computer), total=total, reason=reason
+        )
+
+    def dead_end(self) -> str:
+        """Return where the greedy comes to a dead end, and why."""
+        last = self.greedy_trace()[-1]
+        why = "; ".join(trial.reason for trial in last.trials)
+        return f"the greedy finds no computer for {last.component} ({why})"
+
+
+def _is_known(problem: Problem) -> bool:
+    return not problem.components or any(c.demand for c in problem.components)
+
+
+def _with_demand(problem: Problem, demand: list[float]) -> Problem:
+    resources = problem.resources
+    if not resources:
+        return problem
+    rows = zip(*[iter(demand)] * len(resources), strict=True)
+    return replace(
+        problem,
+        components=tuple(
+            replace(c, demand=dict(zip(resources, row, strict=True)))
+            for c, row in zip(problem.components, rows, strict=True)
+        ),
+    )
