@@ -2,7 +2,8 @@
 
 from poise.plan._core import Core
 from poise.plan.arrays import Arrays, Placed
-from poise.plan.solvers.portfolio import UNLIMITED, Answer
+from poise.plan.records import Answer
+from poise.plan.solvers.portfolio import UNLIMITED
 
 
 class Native:

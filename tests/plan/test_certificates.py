@@ -9,7 +9,6 @@ from benchmarks.random_robots import random_robot
 from poise import plan
 from poise.plan._core import Core
 from poise.plan.arrays import arrays_of
-from poise.plan.solvers import cpsat
 from tests.plan.plan_problems import least, small_robot
 
 ROBOTS = Path(__file__).parent / "robots"
@@ -39,7 +38,7 @@ def test_cpsat_proves_the_optimum_of_robots_with_memory_in_bytes(name: str) -> N
 @pytest.mark.slow
 def test_cpsat_counts_in_numbers_that_it_can_add() -> None:
     """No coefficient is above 10^7, the parts of a limit or of F."""
-    pytest.importorskip("ortools")
+    cpsat = pytest.importorskip("poise.plan.solvers.cpsat")
     model = cpsat._Relaxation(arrays_of(plan.load(ROBOTS / "memory_in_bytes.json")))
     coefficients = [
         abs(number)
@@ -53,14 +52,14 @@ def test_cpsat_counts_in_numbers_that_it_can_add() -> None:
 def test_a_known_placement_is_not_proven_by_an_infeasible_model(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    pytest.importorskip("ortools")
+    cpsat = pytest.importorskip("poise.plan.solvers.cpsat")
     arrays = arrays_of(plan.load(ROBOTS / "four_computers.json"))
     core = Core(arrays)
     known = core.search([], 1e9, 50_000, 1)[0]
     assert known
 
-    def infeasible(*_: object) -> cpsat._Answer:
-        return cpsat._Answer("INFEASIBLE", [], float("-inf"), interrupted=False)
+    def infeasible(*_: object) -> object:
+        return cpsat._Solved("INFEASIBLE", [], float("-inf"), interrupted=False)
 
     monkeypatch.setattr(cpsat, "_run", infeasible)
     answer = cpsat.solve(core, arrays, 1.0, 0, known)

@@ -14,8 +14,8 @@ from poise.plan import Edge, Item, LinkCapacity, Problem
 from poise.plan.arrays import arrays_of
 from poise.plan.limits import violations
 from poise.plan.why.conflict import _at_least
-from poise.plan.why.relaxation import _usual as usual_of
-from poise.plan.why.relaxation import limits_of
+from poise.plan.why.relaxation import limits_of, relaxed
+from poise.plan.why.relaxation import usual as usual_of
 from tests.plan.plan_problems import least, problems, small_robot
 
 
@@ -80,10 +80,10 @@ def relieved(problem: Problem, conflict: plan.Conflict, part: float = 1.0) -> Pr
     for more in conflict.more:
         names = more.on if more.resource == "bandwidth" else (*more.on, more.resource)
         (limit,) = (k for k in limits_of(problem) if k.most and k.names == names)
-        problem = limit.raised(problem, part * more.amount)
+        problem = relaxed(problem, {limit: part * more.amount})
     for limit in limits_of(problem):
         if limit.advice and limit.advice in conflict.relaxation:
-            problem = limit.lifted(problem)
+            problem = relaxed(problem, {limit: math.inf})
     return problem
 
 
@@ -217,7 +217,7 @@ def test_a_conflict_is_irreducible_and_its_relaxation_the_least() -> None:
         enough = [
             (limit, limit.most)
             for limit in limits_of(problem)
-            if limit.most > 0 and holds(limit.raised(problem, limit.most))
+            if limit.most > 0 and holds(relaxed(problem, {limit: limit.most}))
         ]
         if not enough:
             continue
@@ -232,7 +232,7 @@ def test_a_conflict_is_irreducible_and_its_relaxation_the_least() -> None:
         for limit, _ in enough:
             # Amounts are rounded up to one digit where that is enough.
             less = share * usual_of(problem, limit) / 1.5
-            assert not holds(limit.raised(problem, less))
+            assert not holds(relaxed(problem, {limit: less}))
     assert found > 5
 
 
@@ -251,11 +251,15 @@ def test_no_limit_is_named_that_is_not_in_conflict() -> None:
             continue  # what is short is told as one sum
         found += 1
         for limit in limits:
-            part = part if limit.text in conflict.limits else limit.lifted(part)
+            part = (
+                part
+                if limit.text in conflict.limits
+                else relaxed(part, {limit: math.inf})
+            )
         assert not holds(part)
         for limit in limits:
             if limit.text in conflict.limits:
-                assert holds(limit.lifted(part))
+                assert holds(relaxed(part, {limit: math.inf}))
     assert found > 5
 
 

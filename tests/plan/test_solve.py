@@ -15,7 +15,7 @@ from poise import plan
 from poise.errors import UsageError
 from poise.plan import Problem
 from poise.plan._core import Core
-from poise.plan.result import Snapshot
+from poise.plan.snapshot import Snapshot
 from poise.plan.solvers import portfolio
 from poise.plan.solvers.portfolio import Effort
 
@@ -62,7 +62,7 @@ class Asked:
 
 def test_nothing_is_searched_where_a_proof_is_quick() -> None:
     snapshot = Snapshot(random_robot(2, 20, 2))
-    core = Asked(Core(snapshot.tables))
+    core = Asked(Core(snapshot.arrays))
     effort = Effort(60.0, None)
     result = portfolio.decide(cast("Core", core), snapshot, "auto", effort)
     assert result.proven

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from msgspec import Struct
+from msgspec.structs import replace
+
+from poise.plan.arrays import Placed
 
 Ask = Callable[[], bool]
 """Tells a solver, which asks up to 100 times a second, whether to stop now."""
@@ -13,6 +16,21 @@ Ask = Callable[[], bool]
 Stopped = Literal["done", "proven", "budget", "interrupted", "infeasible"]
 """Why a solver stopped: it had no more to do, proved its answer, used up its budget,
 was interrupted by the user, or proved that nothing can hold."""
+
+
+class Answer(NamedTuple):
+    """What a solver of the core hands back.
+
+    `placed` is empty when no placement was found, and its F then infinite. `steps`
+    counts search moves tried, or nodes opened.
+    """
+
+    placed: Placed
+    objective: float
+    bound: float
+    proven: bool
+    stopped_by: str
+    steps: int = 0
 
 
 class Terms(Struct, frozen=True, kw_only=True):
@@ -27,6 +45,15 @@ class Terms(Struct, frozen=True, kw_only=True):
     balance: float
     move: float = 0.0
     quality: float = 0.0
+
+    def __sub__(self, other: Terms) -> Terms:
+        """Return by how much each term is more than `other`'s."""
+        names = self.__struct_fields__
+        return Terms(**{k: getattr(self, k) - getattr(other, k) for k in names})
+
+    def with_quality(self, cost: float) -> Terms:
+        """Return F with this cost of a lesser alternative, instead of any other."""
+        return replace(self, total=self.total - self.quality + cost, quality=cost)
 
 
 class Trial(Struct, frozen=True, kw_only=True):

@@ -192,11 +192,7 @@ class Result:
         """The terms of F; None without a placement."""
         if not self._complete:
             return None
-        terms = self._snapshot.terms(self._placed)
-        lost = self._choice.lost
-        if not lost:
-            return terms
-        return msgspec.structs.replace(terms, total=terms.total + lost, quality=lost)
+        return self._snapshot.terms(self._placed).with_quality(self._choice.lost)
 
     @cached_property
     def bound(self) -> float | None:

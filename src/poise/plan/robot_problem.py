@@ -138,46 +138,24 @@ def _component(
     faults: list[str],
 ) -> Item:
     now = present.get(component.name)
-    if now is not None and all(now != h.name for h in robot.computers):
+    if all(now != h.name for h in robot.computers):
         now = None
-    only: tuple[str, ...] = ()
-    why = ""
-    if (
-        component.only
-        or component.devices
-        or architecture.layer != "sequencing"
-        or now is not None
-    ):
-        only, why = _held(robot, architecture, component, now, faults)
+    only: tuple[str, ...] | None = None
+    reasons = []
+    for names, reason in _pins(robot, architecture, component, now):
+        only = names if only is None else tuple(h for h in only if h in names)
+        reasons.append(reason)
+    why = "; ".join(reasons)
+    if only == ():
+        faults.append(f"component {component.name!r} can run nowhere: {why}")
     return Item(
         name=component.name,
         demand=component.demand,
-        only=only,
+        only=only or (),
         present=now,
         move_cost=move * (1 + component.state / MEGABYTE) if move else 0.0,
         why=why,
     )
-
-
-def _held(
-    robot: model.Robot,
-    architecture: model.Architecture,
-    component: model.Component,
-    now: str | None,
-    faults: list[str],
-) -> tuple[tuple[str, ...], str]:
-    """Return the computers that a component is held to, and why; none: to nothing."""
-    only: tuple[str, ...] = ()
-    reasons: list[str] = []
-    for names, why in _pins(robot, architecture, component, now):
-        only = tuple(h for h in only if h in names) if reasons else names
-        reasons.append(why)
-        if not only:
-            faults.append(
-                f"component {component.name!r} can run nowhere: {'; '.join(reasons)}"
-            )
-            break
-    return only, "; ".join(reasons)
 
 
 def _pins(
@@ -206,12 +184,10 @@ def _connectors(
             ends = connector.between
             first, second = ends[0].component, ends[1].component
             if first in names and second in names:
-                traffic = connector.message * connector.rate
-                overhead = connector.overhead
                 yield Edge(
                     between=(first, second),
-                    overhead=traffic / MEGABYTE if overhead is None else overhead,
-                    traffic=traffic,
+                    overhead=connector.cost,
+                    traffic=connector.traffic,
                 )
 
 

@@ -18,12 +18,16 @@ from threading import Thread
 from time import perf_counter
 from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+from ortools.sat.python import cp_model
+
 from poise.errors import UsageError
 from poise.plan import _core
 from poise.plan.arrays import Arrays, Placed, fits
 from poise.plan.limits import loads, traffic
 from poise.plan.problem import SLACK
-from poise.plan.records import Ask
+from poise.plan.records import Answer, Ask
 
 # OR-Tools may not be installed where this is checked.
 IntVar = Any
@@ -39,16 +43,6 @@ LOOK = 0.02
 """How long it may take to notice that it should stop [s]."""
 
 
-class Certificate(NamedTuple):
-    """A placement (empty: none found), its F, and a bound of every placement's F."""
-
-    placed: Placed
-    objective: float
-    bound: float
-    proven: bool
-    stopped_by: str
-
-
 def solve(
     core: _core.Core,
     arrays: Arrays,
@@ -58,7 +52,7 @@ def solve(
     stop: Ask | None = None,
     *,
     workers: int = 2,
-) -> Certificate:
+) -> Answer:
     """Return the best placement that CP-SAT finds, and its bound.
 
     Parameters
@@ -73,7 +67,7 @@ def solve(
     Raises
     ------
     UsageError
-        When OR-Tools is not installed, or the problem is too large.
+        When the problem is too large.
     """
     pairs = arrays.m * arrays.m if arrays.distance or arrays.bandwidth else 1
     if arrays.n * arrays.m + len(arrays.first) * pairs > MOST_VARIABLES:
@@ -81,7 +75,7 @@ def solve(
             f"{arrays.n} components with {len(arrays.first)} connectors on {arrays.m} "
             "computers are too many for 'cpsat'; take 'search'"
         )
-    best = Certificate(known, _total(core, known), -inf, False, "budget")
+    best = Answer(known, _total(core, known), -inf, False, "budget")
     if stop is not None and stop():
         return best._replace(stopped_by="interrupted")
     model = _Relaxation(arrays)
@@ -91,7 +85,7 @@ def solve(
         left = max(end - perf_counter(), 1e-3)
         answer = _run(model, left, seed, workers, stop)
         if answer.status == "INFEASIBLE" and not best.placed:
-            return Certificate([], inf, -inf, True, "infeasible")
+            return Answer([], inf, -inf, True, "infeasible")
         if answer.placed and core.feasible(answer.placed):
             total = _total(core, answer.placed)
             if total < best.objective:
@@ -110,7 +104,7 @@ def _total(core: _core.Core, placed: Placed) -> float:
     return sum(core.terms(placed)) if placed else inf
 
 
-class _Answer(NamedTuple):
+class _Solved(NamedTuple):
     status: str
     placed: Placed
     bound: float
@@ -119,13 +113,13 @@ class _Answer(NamedTuple):
 
 def _run(
     model: _Relaxation, seconds: float, seed: int, workers: int, stop: Ask | None
-) -> _Answer:
+) -> _Solved:
     """Let the solver run until it is done, or time is up, or Ctrl-C or `stop` end it.
 
     It runs in a thread of its own, as only from beside it can it be stopped. Its own
     way with Ctrl-C is switched off: it leaves the process without Python's.
     """
-    solver = _ortools().CpSolver()
+    solver = cp_model.CpSolver()
     solver.parameters.catch_sigint_signal = False
     solver.parameters.max_time_in_seconds = seconds
     solver.parameters.random_seed = seed & 0x7FFFFFFF
@@ -146,28 +140,20 @@ def _run(
             solver.stop_search()
     status = ended[0] if ended else "failed"
     if status not in {"OPTIMAL", "FEASIBLE"}:
-        return _Answer(status, [], -inf, interrupted)
+        return _Solved(status, [], -inf, interrupted)
     placed = [
         next(h for h, here in enumerate(row) if solver.boolean_value(here))
         for row in model.on
     ]
     bound = solver.best_objective_bound / model.scale
-    return _Answer(status, placed, bound, interrupted)
-
-
-def _ortools() -> Any:  # noqa: ANN401 - a module
-    try:
-        from ortools.sat.python import cp_model  # noqa: PLC0415 - an extra, and slow
-    except ImportError as error:
-        raise UsageError("cpsat needs OR-Tools: pip install 'poise[exact]'") from error
-    return cp_model
+    return _Solved(status, placed, bound, interrupted)
 
 
 class _Affine(NamedTuple):
     """A constant, and what each unit adds on each computer, (n, m)."""
 
     constant: float
-    slopes: list[list[float]]
+    slopes: NDArray[np.float64]
 
 
 class _Relaxation:
@@ -178,7 +164,7 @@ class _Relaxation:
 
     def __init__(self, arrays: Arrays) -> None:
         self.arrays = arrays
-        self.program = _ortools().CpModel()
+        self.program = cp_model.CpModel()
         self.on = [
             [self.program.new_bool_var(f"u{u}h{h}") for h in range(arrays.m)]
             for u in range(arrays.n)
@@ -352,41 +338,29 @@ class _Relaxation:
         t = self.arrays
         capacity = t.capacity[h * t.r + k]
         unit = capacity if t.share else 1.0
-        slopes = [[0.0] * t.m for _ in range(t.n)]
-        for u in range(t.n):
-            # What asks for more than there is will not be here.
-            slopes[u][h] = -min(t.demand[u * t.r + k], 2 * capacity) / unit
+        slopes = np.zeros((t.n, t.m))
+        # What asks for more than there is will not be here.
+        slopes[:, h] = -np.minimum(t.demand[k :: t.r], 2 * capacity) / unit
         return _Affine(capacity / unit, slopes)
 
     def _below(self, line: _Affine, factor: float) -> LinearExprT:
         """Return factor x line in whole parts of F, rounded down."""
         whole: LinearExprT = floor(factor * line.constant * self.scale)
-        for row, slopes in zip(self.on, line.slopes, strict=True):
-            for here, slope in zip(row, slopes, strict=True):
-                if slope:
-                    whole = whole + floor(factor * slope * self.scale) * here
+        for u, h in zip(*np.nonzero(line.slopes), strict=True):
+            slope = factor * line.slopes[u, h]
+            whole = whole + floor(slope * self.scale) * self.on[u][h]
         return whole
 
     def _variance(self, residues: list[_Affine], weight: float) -> Iterator[IntVar]:
         """Yield a variable for each square of a residue less their mean, weighed."""
         count = len(residues)
         factor = (weight / count) ** 0.5
-        for h in range(count):
-            shares = [(1.0 if g == h else 0.0) - 1 / count for g in range(count)]
+        mean = sum(r.constant for r in residues) / count
+        mean_slopes = np.mean([r.slopes for r in residues], axis=0)
+        for residue in residues:
             off = _Affine(
-                factor
-                * sum(s * r.constant for s, r in zip(shares, residues, strict=True)),
-                [
-                    [
-                        factor
-                        * sum(
-                            s * r.slopes[u][x]
-                            for s, r in zip(shares, residues, strict=True)
-                        )
-                        for x in range(self.arrays.m)
-                    ]
-                    for u in range(self.arrays.n)
-                ],
+                factor * (residue.constant - mean),
+                factor * (residue.slopes - mean_slopes),
             )
             square = self.program.new_int_var(0, 4 * UNITS, "")
             self._squares.append((square, off))
@@ -395,7 +369,7 @@ class _Relaxation:
     def _tangent(self, i: int, placed: Placed) -> bool:
         """Keep a square above its tangent at `placed`; False when it was already."""
         square, off = self._squares[i]
-        at = off.constant + sum(off.slopes[u][h] for u, h in enumerate(placed))
+        at = off.constant + sum(off.slopes[u, h] for u, h in enumerate(placed))
         key = i, round(at * self.scale)
         if key in self._tangents:
             return False

@@ -5,19 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import inf, log2
 from time import perf_counter
-from typing import Literal, NamedTuple, cast, get_args
+from typing import NamedTuple, cast
 
 from poise.errors import UsageError
 from poise.plan import _core
 from poise.plan.arrays import Arrays, Placed
-from poise.plan.records import Ask, Stopped
+from poise.plan.records import Answer, Ask, Stopped
 from poise.plan.result import Result
 from poise.plan.snapshot import Snapshot
-from poise.plan.solvers import cpsat
 from poise.plan.why.conflict import is_short
 
-Method = Literal["auto", "greedy", "exact", "search", "cpsat"]
-METHODS: tuple[str, ...] = get_args(Method)
+METHODS = ("auto", "greedy", "exact", "search", "cpsat")
 
 UNLIMITED = 1 << 62
 """A number of steps that no solver reaches."""
@@ -65,21 +63,6 @@ class Effort(NamedTuple):
         if steps is None:
             seconds, steps = self.seconds, UNLIMITED
         return Answer(*core.search(known, seconds, steps, self.seed, self.stop))
-
-
-class Answer(NamedTuple):
-    """What a solver of the core hands back.
-
-    `placed` is empty when no placement was found, and its F then infinite. `steps`
-    counts search moves tried, or nodes opened.
-    """
-
-    placed: Placed
-    objective: float
-    bound: float
-    proven: bool
-    stopped_by: str
-    steps: int = 0
 
 
 def decide(core: _core.Core, snapshot: Snapshot, method: str, effort: Effort) -> Result:
@@ -140,8 +123,11 @@ def _start(core: _core.Core, snapshot: Snapshot, method: str) -> tuple[Placed, s
 
 
 def _cpsat(core: _core.Core, arrays: Arrays, known: Placed, effort: Effort) -> Answer:
-    answer = cpsat.solve(core, arrays, effort.seconds, effort.seed, known, effort.stop)
-    return Answer(*answer)
+    try:
+        from poise.plan.solvers import cpsat  # noqa: PLC0415 - an extra, and slow
+    except ImportError as error:
+        raise UsageError("cpsat needs OR-Tools: pip install 'poise[exact]'") from error
+    return cpsat.solve(core, arrays, effort.seconds, effort.seed, known, effort.stop)
 
 
 def _may_be_proven(snapshot: Snapshot) -> bool:

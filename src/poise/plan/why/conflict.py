@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import inf
 from typing import NamedTuple
 
 from msgspec.structs import replace
@@ -14,7 +15,14 @@ from poise.plan.limits import amount_of
 from poise.plan.problem import Problem
 from poise.plan.records import Ask, Conflict
 from poise.plan.what_if.change import keep_components
-from poise.plan.why.relaxation import Limit, Relaxation, limits_of
+from poise.plan.why.relaxation import (
+    Limit,
+    Relaxation,
+    in_words,
+    limits_of,
+    relaxed,
+    rises,
+)
 
 STEPS = 100_000
 """How many nodes, and how many search moves, one question may take."""
@@ -85,13 +93,13 @@ def conflict(problem: Problem, stop: Ask | None = None) -> Conflict | None:
         return None
     part, limits, irreducible = found
     relaxation = Relaxation(oracle, lambda p: _infeasible_subset(p, oracle))
-    change = relaxation.find(problem, limits)
+    raises = relaxation.find(problem, limits)
     return Conflict(
         components=tuple(c.name for c in part.components),
         limits=_sentences(part, limits),
-        relaxation=str(change) or _at_least(part),
+        relaxation=in_words(raises) or _at_least(part),
         irreducible=irreducible,
-        more=change.more(),
+        more=rises(raises),
     )
 
 
@@ -124,14 +132,13 @@ def _infeasible_subset(
         irreducible = irreducible and holds is not None
         if holds is False:
             part = smaller
-    limits = []
-    relaxed = part
+    limits: list[Limit] = []
+    lifted: dict[Limit, float] = {}
     for limit in limits_of(part):
-        without = limit.lifted(relaxed)
-        holds = oracle.ask(without)
+        holds = oracle.ask(relaxed(part, {**lifted, limit: inf}))
         irreducible = irreducible and holds is not None
         if holds is False:
-            relaxed = without
+            lifted[limit] = inf
         else:
             limits.append(limit)
     return part, limits, irreducible

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from msgspec import Struct
-from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.plan.arrays import Placed
@@ -14,8 +13,7 @@ from poise.plan.planner import evaluate, solve
 from poise.plan.problem import Bundle, Problem
 from poise.plan.records import Terms
 from poise.plan.snapshot import Snapshot
-from poise.plan.solvers.alternatives import chosen_by
-from poise.plan.what_if.change import keep_components
+from poise.plan.solvers.alternatives import chosen_by, part
 
 
 class Option(Struct, frozen=True, kw_only=True):
@@ -89,11 +87,11 @@ def explain(
                 return _rejection(problem, placement, bundle)
             if name == bundle.name and name not in placement:
                 name = bundle.components[0]
-    _, part = chosen_by(problem, placement, partial=True)
-    snapshot = Snapshot(part)
+    _, placed_part = chosen_by(problem, placement, partial=True)
+    snapshot = Snapshot(placed_part)
     arrays = snapshot.arrays
     placed = arrays.placed(placement)
-    names = [c.name for c in part.components]
+    names = [c.name for c in placed_part.components]
     if name not in names:
         choices = ", ".join([*names, *(a.name for a in problem.architectures)])
         raise UsageError(f"no component is called {name!r} (there are: {choices})")
@@ -122,22 +120,22 @@ def _rejection(
         if b.function == bundle.function and bundle.function and b != bundle
     ]
     chosen = next((b.name for b in rivals if placement.keys() & {*b.components}), "")
-    absent = {
-        b.name
+    present = [
+        b
         for b in problem.architectures
-        if b != bundle and (b in rivals or not placement.keys() & {*b.components})
-    }
-    instead = solve(_without(problem, absent))
-    now = evaluate(_without(problem, {*absent, bundle.name} - {chosen}), placement)
-    # Both against the best quality that there is.
-    best = max([bundle.quality, *(b.quality for b in rivals)])
-    with_it = _with_quality(instead.objective, (best - bundle.quality), problem)
-    lost = sum(best - b.quality for b in rivals if b.name == chosen)
-    without_it = _with_quality(now.objective, lost, problem)
-    if with_it is None or without_it is None:
+        if b != bundle and placement.keys() & {*b.components}
+    ]
+    others = [b for b in present if b not in rivals]
+    instead = solve(part(problem, [*others, bundle]))
+    now = evaluate(part(problem, present), placement)
+    if instead.objective is None or now.objective is None:
         reason = f"with it, {instead.reason}"
         return Rejection(architecture=bundle.name, chosen=chosen, reason=reason)
-    change = _difference(with_it, without_it)
+    # Both against the best quality that there is.
+    best = max([bundle.quality, *(b.quality for b in rivals)])
+    lost = sum(best - b.quality for b in rivals if b.name == chosen)
+    with_it = instead.objective.with_quality((best - bundle.quality) * problem.quality)
+    change = with_it - now.objective.with_quality(lost * problem.quality)
     reason = (
         f"the best placement with it costs {change.total:.4g} more ({_most(change)})"
         if change.total >= 0
@@ -149,33 +147,6 @@ def _rejection(
         reason=reason,
         objective=with_it,
         change=change,
-    )
-
-
-def _without(problem: Problem, architectures: set[str]) -> Problem:
-    gone = {
-        name
-        for b in problem.architectures
-        if b.name in architectures
-        for name in b.components
-    }
-    return keep_components(problem, {c.name for c in problem.components} - gone)
-
-
-def _with_quality(terms: Terms | None, lost: float, problem: Problem) -> Terms | None:
-    if terms is None:
-        return None
-    cost = lost * problem.quality
-    return replace(terms, total=terms.total - terms.quality + cost, quality=cost)
-
-
-def _difference(one: Terms, other: Terms) -> Terms:
-    return Terms(
-        total=one.total - other.total,
-        communication=one.communication - other.communication,
-        balance=one.balance - other.balance,
-        move=one.move - other.move,
-        quality=one.quality - other.quality,
     )
 
 
@@ -198,7 +169,7 @@ def _option(snapshot: Snapshot, placed: Placed, unit: int, computer: int) -> Opt
     return Option(
         computer=snapshot.arrays.computer(computer),
         objective=there,
-        change=_difference(there, snapshot.terms(placed)),
+        change=there - snapshot.terms(placed),
         obstacle=obstacle(snapshot.arrays, lifted, unit, computer),
     )
 

@@ -106,21 +106,7 @@ class AnyTree final : public Exact::Tree {
         open_[d * r_ + k] = open_[(d + 1) * r_ + k] + need_[d * r_ + k];
       }
     }
-    alike_.resize(r_);
-    width_.assign(r_, 0.0);
-    final_.assign(r_, 0.0);
-    size_.assign(static_cast<std::size_t>(r_) * m_, 0.0);
-    for (int k = 0; k < r_; ++k) {
-      alike_[k] = all_alike(p_, k);
-      final_[k] = -open_[k];
-      for (int h = 0; h < m_; ++h) {
-        const double scale = p_.scale[k * m_ + h];
-        if (scale <= 0) continue;
-        size_[k * m_ + h] = 1 / scale;
-        width_[k] += 1 / scale;
-        final_[k] += p_.capacity[k * m_ + h];
-      }
-    }
+    for (int k = 0; k < r_; ++k) levelling_.emplace_back(p_, k);
     saved_.resize(later_.size() * static_cast<std::size_t>(m_ + 1));
     branch_.resize(static_cast<std::size_t>(n_ + 1) * m_);
   }
@@ -192,43 +178,15 @@ class AnyTree final : public Exact::Tree {
   }
 
   // The least spread of a resource when the unit at `depth` goes to `computer` and what
-  // is open flows freely: it flows where most is left. Then no computer has more than
-  // `level`, and the smallest residue cannot rise.
+  // is open flows freely.
   double imbalance(int depth, int k, int computer) const {
     const double* scale = p_.scale.data() + static_cast<std::size_t>(k) * m_;
-    const double* size = size_.data() + static_cast<std::size_t>(k) * m_;
-    const double open = open_[(depth + 1) * r_ + k];
     double share[Exact::kMostComputers];
-    double low = kInfinity;
-    for (int h = 0; h < m_; ++h) {
-      share[h] = left_[k * m_ + h] * scale[h];
-      if (h == computer) share[h] -= need_[depth * r_ + k] * scale[h];
-      if (scale[h] > 0 && share[h] < low) low = share[h];
-    }
-    // Begin level on all computers, leave out those that have less, and level again.
-    double level = final_[k] / width_[k];
-    for (;;) {
-      double left = -open, width = 0;
-      for (int h = 0; h < m_; ++h) {
-        const bool above = share[h] >= level;
-        left += above ? share[h] * size[h] : 0.0;
-        width += above ? size[h] : 0.0;
-      }
-      const double next = width > 0 ? left / width : level;
-      if (!(next > level + 1e-12)) break;
-      level = next;
-    }
-    const double range = level - low;
-    if (range <= 0) return 0;
-    if (!p_.variance) return range;
-    if (!alike_[k]) return range * range / (2.0 * m_);
-    double sum = 0, squares = 0;
-    for (int h = 0; h < m_; ++h) {
-      const double off = std::min(share[h], level) - level;
-      sum += off;
-      squares += off * off;
-    }
-    return (squares - sum * sum / m_) / m_;
+    for (int h = 0; h < m_; ++h) share[h] = left_[k * m_ + h] * scale[h];
+    share[computer] -= need_[depth * r_ + k] * scale[computer];
+    const Levelling& levelling = levelling_[k];
+    return relaxed_spread(share, levelling.size.data(), m_, p_.counted[k], levelling.level,
+                          open_[(depth + 1) * r_ + k], p_.variance, levelling.alike);
   }
 
   // Place the unit at `depth`; false when it cannot become better than the best.
@@ -300,11 +258,8 @@ class AnyTree final : public Exact::Tree {
   std::vector<double> far_;    // (m, m)
   std::vector<double> need_;   // (n, r) by depth
   std::vector<double> open_;   // (n + 1, r): demand from a depth on
-  std::vector<double> final_;  // (r): residue of all computers together at the end
-  std::vector<double> width_;  // (r): capacity of all computers together, or their number
-  std::vector<double> size_;   // (r, m): what a unit of share is of the resource
+  std::vector<Levelling> levelling_;  // (r)
   std::vector<int> twin_;      // (m): the computer before it that is just like it, or -1
-  std::vector<char> alike_;    // (r): residue is measured alike on all computers
 
   // What changes from node to node.
   std::vector<double> unary_;    // (n, m) by depth: towards placed units, and linear

@@ -11,6 +11,9 @@ constexpr int kMostShakes = 2;
 // Branch and bound on two computers takes some 500 nodes to prove its best; what it has
 // not found after twice as many it hardly ever finds.
 constexpr int kNodes = 1000;
+// How often it is shaken in vain, for each pair of computers, before it is given up for
+// another cooling.
+constexpr std::int64_t kPatience = 8;
 // Over more computers than these not every pair is looked at.
 constexpr int kManyComputers = 64;
 
@@ -61,16 +64,14 @@ void Search::shake() {
   }
 }
 
-// `patience`: how often, for each pair of computers, it is shaken in vain before it is
-// given up for another cooling.
-void Search::local_search(int patience) {
+void Search::local_search() {
   state_.reset(best_);
   for (int h = 0; h < p_.m; ++h) touch(h);
   repartition_pairs();
   if (state_.feasible()) offer(state_.placed());
   Placement here = best_;
   double now = best_objective_;
-  const std::int64_t most = static_cast<std::int64_t>(patience) * p_.m * p_.m;
+  const std::int64_t most = kPatience * p_.m * p_.m;
   for (std::int64_t idle = 0; idle < most && !stop_.after(1); ++idle) {
     shake();
     repartition_pairs();

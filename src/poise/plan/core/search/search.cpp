@@ -19,13 +19,6 @@ constexpr int kManyUnits = 400;
 // How hot each cooling begins, in mean changes of F: the first keeps much of where it
 // starts, the others come back when local search leads no further. Found by trial.
 constexpr double kHeats[4] = {0.2, 0.5, 1.0, 2.0};
-// How often a pair of computers is shaken in vain before local search gives up.
-constexpr int kPatience = 8;
-// Below so many units a computer, sharing out two computers reaches less far: many short
-// searches, each from the start, find more than a long one.
-constexpr int kFewUnits = 6;
-constexpr int kShortPatience = 2;
-constexpr int kShortShare = 100;
 
 }  // namespace
 
@@ -60,35 +53,13 @@ void Search::run(const Placement& start) {
     length += length / 4;
   }
   aimless_ = false;
-  if (p_.n < kFewUnits * p_.m) {
-    const std::int64_t share = stop_.steps_left() / kShortShare;
-    start_over(start, std::max(length, std::min(share, kLongestFirst)));
-    return;
-  }
-  length = std::max(64 * static_cast<std::int64_t>(p_.n),
-                    stop_.steps_left() / kCoolingShare);
-  if (p_.n >= kManyUnits) length = 64 * static_cast<std::int64_t>(p_.n);
+  const std::int64_t shortest = 64 * static_cast<std::int64_t>(p_.n);
+  const bool is_fleet = p_.n >= kManyUnits;
+  length = is_fleet ? shortest : std::max(shortest, stop_.steps_left() / kCoolingShare);
   for (int round = 0; !stop_.look(); ++round) {
     if (round > 0) state_.reset(best_);
     cool(std::min(length, kLongestFirst << std::min(round, 20)), kHeats[round % 4]);
-    local_search(kPatience);
-  }
-}
-
-// Cool and search locally from the same start over and over; none knows what another
-// has found.
-void Search::start_over(const Placement& start, std::int64_t length) {
-  while (!stop_.look()) {
-    const Placement known = std::move(best_);
-    const double objective = best_objective_;
-    best_.clear();
-    best_objective_ = kInfinity;
-    state_.reset(start);
-    cool(length, kHeats[1]);
-    if (found()) local_search(kShortPatience);
-    if (objective > best_objective_) continue;
-    best_ = known;
-    best_objective_ = objective;
+    local_search();
   }
 }
 

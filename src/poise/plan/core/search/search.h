@@ -45,10 +45,8 @@ class Search {
   void cool(std::int64_t steps, double heat);
   void try_move(double limit);
 
-  void start_over(const Placement& start, std::int64_t length);
-
   // local_search.cpp
-  void local_search(int patience);
+  void local_search();
   void shake();
   void repartition_pairs();
   void touch(int computer);
