@@ -12,13 +12,30 @@ from pathlib import Path
 
 import pytest
 
-from poise.runtime.hosting.command_line import Command, environment, program
+from poise.clock import SystemClock
+from poise.runtime.container.preparation import implementation_of
+from poise.runtime.hosting.command_line import CommandLine, program
+from poise.runtime.hosting.runner import Runner
 from poise.runtime.waker import wait_readable
-from poise.wire.records.deployment import ComponentSpec
+from poise.wire.records.deployment import ComponentSpec, State
+from tests.waiting import wait_until
 
 pytestmark = pytest.mark.slow
 
 LIMIT = 20.0
+
+
+def runner_of(spec: ComponentSpec, folder: Path) -> Runner:
+    """Return a command-line component's runner; it is started."""
+    implementation = implementation_of(spec, str(folder))
+    runner = Runner(spec, implementation, SystemClock(), lambda: None)
+    runner.start()
+    return runner
+
+
+def reach(runner: Runner, state: State) -> None:
+    """Wait until a component is in a state that it was told to reach."""
+    assert runner.life_cycle.wait_state({state}, LIMIT) == state
 
 
 class Running:
@@ -28,43 +45,43 @@ class Running:
         self._folder = folder
         self.channel = folder / "pipe"
         os.mkfifo(self.channel)
-        self._end = os.open(self.channel, os.O_RDONLY | os.O_NONBLOCK)
-        self._commands: list[Command] = []
+        self.reading = os.open(self.channel, os.O_RDONLY | os.O_NONBLOCK)
+        self._runners: list[Runner] = []
 
-    def command(self, *argv: str) -> Command:
+    def command(self, *argv: str) -> Runner:
         spec = ComponentSpec(
             name="one", goal="active", command=argv, devices={"out": str(self.channel)}
         )
-        self._commands.append(Command(spec, str(self._folder)))
-        return self._commands[-1]
+        self._runners.append(runner_of(spec, self._folder))
+        return self._runners[-1]
 
-    def shell(self, script: str) -> Command:
-        command = self.command("/bin/sh", "-c", f"exec >$POISE_DEVICE_OUT; {script}")
-        command.aim("active")
-        return command
+    def shell(self, script: str) -> Runner:
+        runner = self.command("/bin/sh", "-c", f"exec >$POISE_DEVICE_OUT; {script}")
+        runner.aim("active")
+        return runner
 
     def wait_says(self, what: str) -> None:
         said = ""
         deadline = time.monotonic() + LIMIT
         while what not in said:
             assert time.monotonic() < deadline, said
-            assert wait_readable([self._end], LIMIT)
+            assert wait_readable([self.reading], LIMIT)
             with contextlib.suppress(BlockingIOError):  # one began as another ended
-                said += os.read(self._end, 100).decode()
+                said += os.read(self.reading, 100).decode()
 
     def wait_over(self) -> None:
         """Wait until nobody has the pipe open any more."""
         while True:
-            assert wait_readable([self._end], LIMIT)
+            assert wait_readable([self.reading], LIMIT)
             with contextlib.suppress(BlockingIOError):
-                if not os.read(self._end, 100):
+                if not os.read(self.reading, 100):
                     return
 
     def close(self) -> None:
-        for command in self._commands:
-            command.aim("finalized")
-            assert command.wait_ended(1.0)
-        os.close(self._end)
+        for runner in self._runners:
+            runner.aim("finalized")
+            assert runner.wait_ended(LIMIT)
+        os.close(self.reading)
 
 
 @pytest.fixture
@@ -75,15 +92,16 @@ def running(tmp_path: Path) -> Iterator[Running]:
 
 
 def test_it_runs_when_active_and_not_before(running: Running) -> None:
-    command = running.command("sleep", "100")
-    command.aim("inactive")
-    assert command.status().state == "inactive"
-    assert not command.watched()
-    command.aim("active")
-    assert command.status().state == "active"
-    command.aim("finalized")
-    assert command.wait_ended(LIMIT)
-    assert command.status().state == "finalized"
+    runner = running.command("/bin/sh", "-c", "echo up >$POISE_DEVICE_OUT; sleep 9")
+    reach(runner, "inactive")
+    assert not wait_readable([running.reading], 0.05)
+    runner.aim("active")
+    running.wait_says("up")
+    reach(runner, "active")
+    runner.aim("finalized")
+    assert runner.wait_ended(LIMIT)
+    running.wait_over()
+    assert runner.status().state == "finalized"
 
 
 def test_it_knows_who_it_is(running: Running) -> None:
@@ -91,98 +109,101 @@ def test_it_knows_who_it_is(running: Running) -> None:
     running.wait_says("I am one")
 
 
-def test_its_environment_holds_parameters_and_devices() -> None:
+def test_its_environment_holds_parameters_and_devices(tmp_path: Path) -> None:
     spec = ComponentSpec(
         name="driver",
         goal="active",
+        command=("env",),
         parameters={"rate": 5},
         devices={"left-wheel": "/dev/tty1"},
     )
-    assert environment(spec) == {
+    runner = runner_of(spec, tmp_path)
+    runner.aim("finalized")
+    assert isinstance(runner.component, CommandLine)
+    assert runner.component.environment() == {
         "POISE_COMPONENT": "driver",
         "POISE_PARAMETERS": '{"rate":5}',
         "POISE_DEVICE_LEFT_WHEEL": "/dev/tty1",
     }
+    assert runner.wait_ended(LIMIT)
 
 
 def test_it_is_asked_to_end_and_may_tidy_up(running: Running) -> None:
-    command = running.shell(
+    runner = running.shell(
         "trap 'echo bye; exit' TERM; echo up; while :; do sleep 0.01; done"
     )
     running.wait_says("up")
-    command.aim("finalized")
-    assert command.wait_ended(LIMIT)
+    runner.aim("finalized")
+    assert runner.wait_ended(LIMIT)
     running.wait_says("bye")
 
 
 def test_one_that_will_not_end_is_killed(running: Running) -> None:
-    command = running.shell("trap '' TERM; echo up; while :; do sleep 0.01; done")
+    runner = running.shell("trap '' TERM; echo up; while :; do sleep 0.01; done")
     running.wait_says("up")
-    command.aim("finalized")
-    assert command.wait_ended(0.05)
+    runner.aim("finalized")
+    assert runner.wait_ended(LIMIT)
     running.wait_over()
 
 
 def test_what_it_started_ends_with_it(running: Running) -> None:
-    command = running.shell("sleep 100 & echo up; exec sleep 100")
+    runner = running.shell("sleep 100 & echo up; exec sleep 100")
     running.wait_says("up")
-    command.aim("finalized")
-    assert command.wait_ended(LIMIT)
+    runner.aim("finalized")
+    assert runner.wait_ended(LIMIT)
     running.wait_over()
 
 
 @pytest.mark.parametrize(
     ("script", "how"), [("exit 3", "exit code 3"), ("kill -9 $$", "SIGKILL")]
 )
-def test_it_is_seen_when_it_ends_by_itself(
+def test_its_container_learns_when_it_ends_by_itself(
     running: Running, script: str, how: str
 ) -> None:
-    command = running.shell(script)
-    assert wait_readable(command.watched(), LIMIT)
-    with pytest.raises(ChildProcessError, match=f"'one': its command ended with {how}"):
-        command.raise_if_ended()
-    assert how in command.status().error
-    command.raise_if_ended()  # told once
+    runner = running.shell(f"sleep 100 & {script}")
+    wait_until(lambda: runner.reason_to_end)
+    assert runner.reason_to_end == f"component 'one': its command ended with {how}"
+    running.wait_over()  # what it started ended with it
 
 
 def test_one_that_was_asked_to_end_is_inactive_then(running: Running) -> None:
-    command = running.shell("exec sleep 100")
-    command.aim("inactive")
-    assert wait_readable(command.watched(), LIMIT)
-    command.raise_if_ended()
-    assert command.status().state == "inactive"
-    assert not command.watched()
+    runner = running.shell("echo up; exec sleep 100")
+    running.wait_says("up")
+    runner.aim("inactive")
+    reach(runner, "inactive")
+    running.wait_over()
+    assert not runner.reason_to_end
 
 
 def test_one_that_is_wanted_again_while_it_ends_begins_anew(running: Running) -> None:
-    command = running.shell("trap 'echo bye; exit' TERM; echo up; sleep 9 & wait")
+    runner = running.shell("trap 'echo bye; exit' TERM; echo up; sleep 9 & wait")
     running.wait_says("up")
-    command.aim("inactive")
-    command.aim("active")
+    reach(runner, "active")
+    runner.aim("inactive")
     running.wait_says("bye")
-    assert wait_readable(command.watched(), LIMIT)
-    command.raise_if_ended()
-    assert command.status().state == "active"
+    runner.aim("active")
     running.wait_says("up")
+    reach(runner, "active")
 
 
 @pytest.mark.parametrize("name", ["no-such-program", "./no-such-file"])
 def test_a_program_that_is_not_there_fails_before_anything_runs(
     running: Running, name: str
 ) -> None:
-    command = running.command(name)
-    command.aim("inactive")
-    assert command.status().state == "failed"
-    assert f"'{name}' cannot be started: there is no such program" in (
-        command.status().error
+    runner = running.command(name)
+    reach(runner, "failed")
+    assert runner.status().error.startswith(
+        f"'{name}' cannot be started: there is no such program"
     )
+    assert runner.status().errors == 1
 
 
 def test_arguments_that_no_program_can_get_fail_it(running: Running) -> None:
-    command = running.command(sys.executable, "a\0b")
-    command.aim("active")
-    assert command.status().state == "failed"
-    assert "null byte" in command.status().error
+    runner = running.command(sys.executable, "a\0b")
+    runner.aim("active")
+    reach(runner, "failed")
+    error = runner.status().error
+    assert error == f"'{sys.executable}' cannot be started: embedded null byte"
 
 
 def test_a_program_may_lie_beside_the_robot_file(tmp_path: Path) -> None:
@@ -197,10 +218,9 @@ def test_python_is_the_one_that_poise_runs_in() -> None:
 
 
 def test_its_cpu_time_is_counted(running: Running) -> None:
-    command = running.shell("while :; do :; done")
-    while command.counters.cpu() < 0.001:
-        pass
-    assert command.status().cpu >= 0.001
+    runner = running.shell("while :; do :; done")
+    wait_until(lambda: runner.counters.cpu() > 0.1)  # more than its thread needs
+    assert runner.status().cpu > 0.1
 
 
 def test_it_does_not_survive_a_container_that_is_killed(running: Running) -> None:
@@ -214,11 +234,12 @@ def test_it_does_not_survive_a_container_that_is_killed(running: Running) -> Non
 
 KEEPER = """
 import signal
-from poise.runtime.hosting.command_line import Command
+from pathlib import Path
 from poise.wire.records.deployment import ComponentSpec
+from tests.runtime.hosting.test_command_line import runner_of
 
 command = ("sh", "-c", "echo; exec sleep 9")
 spec = ComponentSpec(name="one", goal="active", command=command)
-Command(spec, ".").aim("active")
+runner_of(spec, Path()).aim("active")
 signal.pause()
 """

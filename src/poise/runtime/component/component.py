@@ -15,8 +15,16 @@ from poise.errors import UsageError
 class Context(Struct, frozen=True, kw_only=True):
     """What a container gives a component at birth.
 
-    `devices` maps the names of the devices it needs to their paths; `measure` takes
-    a name and a value.
+    Parameters
+    ----------
+    devices
+        The names of the devices it needs -> their paths.
+    measure
+        Takes a name and a value.
+    count_process
+        Lets a process's CPU time count as its own; 0: that of its thread again.
+    give_up
+        Ends the container, for this reason; the agent starts it again.
     """
 
     name: str
@@ -24,6 +32,8 @@ class Context(Struct, frozen=True, kw_only=True):
     devices: Mapping[str, str]
     clock: ComponentClock
     measure: Callable[[str, float], None]
+    count_process: Callable[[int], None] = lambda _: None
+    give_up: Callable[[str], None] = lambda _: None
 
 
 class Component:

@@ -123,7 +123,9 @@ def _keep_outside(text: TracebackException) -> bool:
     text.stack = _outside(text.stack)
     if text.__cause__ is not None and not _keep_outside(text.__cause__):
         text.__cause__, text.__suppress_context__ = None, True
-    if text.__context__ is not None and not _keep_outside(text.__context__):
+    if text.__context__ is not None and (
+        text.__suppress_context__ or not _keep_outside(text.__context__)
+    ):
         text.__context__ = None
     return bool(text.stack or text.__cause__ or text.__context__)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from types import ModuleType
 from typing import Any
 
@@ -37,15 +37,6 @@ def find(implementation: str, folder: str) -> type[Component]:
             f"'{implementation}' is not a component: class {found.__qualname__} must "
             "inherit from poise.Component"
         )
-    return found
-
-
-def specialised(
-    implementation: type[Component], parameters: Mapping[str, Any], folder: str
-) -> type[Component]:
-    """Return the class to run; Poise's own may have ports by their parameters."""
-    special = getattr(implementation, "__poise_specialised__", None)
-    found: type[Component] = special(parameters, folder) if special else implementation
     return found
 
 

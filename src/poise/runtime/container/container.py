@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import os
 import signal
 import socket
@@ -25,7 +26,6 @@ from poise.priority import as_usual, go_first
 from poise.runtime.clock_table import ComputerClock
 from poise.runtime.container.descendants import reap_adopted
 from poise.runtime.container.preparation import Preparation
-from poise.runtime.hosting.command_line import Command
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.stats_page import Incarnation, StatsPage
 from poise.runtime.hosting.wiring import Place, Transports, Wiring
@@ -41,7 +41,6 @@ from poise.wire.records.deployment import (
     ContainerSpec,
     ContainerStatus,
     FromContainer,
-    Goal,
     ToContainer,
 )
 from poise.wire.records.migration import (
@@ -88,8 +87,7 @@ class Container:
         self._wanted: ContainerSpec | None = None
         self._preparing: dict[Incarnation, Preparation] = {}
         self._runners: dict[Incarnation, Runner] = {}
-        self._commands: dict[Incarnation, Command] = {}
-        self._ending: dict[Incarnation, tuple[Runner | Command, float]] = {}
+        self._ending: dict[Incarnation, tuple[Runner, float]] = {}
         self._broken: dict[Incarnation, ComponentStatus] = {}
         self._steps = MigrationExecutor(self._runners, self._wiring, self._transports)
         # steps wait for components and for other computers; the control thread must not
@@ -153,28 +151,18 @@ class Container:
         A migration step is not: what it changes is.
         """
         agent, waker = self._agent.fileno(), self._waker.fileno()
-        ending = [r for r, _ in self._ending.values() if isinstance(r, Command)]
-        commands = [*self._commands.values(), *ending]
-        ended = [fd for each in commands for fd in each.watched()]
-        ready = wait_readable([agent, waker, *ended], limit)
+        ready = wait_readable([agent, waker], limit)
         if waker in ready:
             self._waker.clear()
+            for runner in self._runners.values():
+                if runner.reason_to_end:
+                    raise RunError(runner.reason_to_end)
         if agent in ready:
             what = record_channel.receive(self._agent, ToContainer).what
             self._hear(what)
             if isinstance(what, MigrationSteps) and len(ready) == 1:
                 return False
-        if not ready.isdisjoint(ended):
-            self._raise_if_ended()
         return bool(ready)
-
-    def _raise_if_ended(self) -> None:
-        """End with a command that ended: the agent starts both again, after a while."""
-        try:
-            for command in self._commands.values():
-                command.raise_if_ended()
-        except ChildProcessError as error:
-            raise RunError(str(error)) from None
 
     def _report(self, status: ContainerStatus) -> None:
         # an agent that is slow to listen gets the next status, not all of them; before
@@ -204,35 +192,24 @@ class Container:
 
     def _apply(self, spec: ContainerSpec) -> None:
         wanted = {(c.name, c.epoch): c for c in spec.components}
-        known = {*self._running(), *self._preparing, *self._ending, *self._broken}
+        known = {*self._runners, *self._preparing, *self._ending, *self._broken}
         for key, component in wanted.items():
             if key not in known:
                 self._add(key, component, spec.folder)
         self._connect(spec, [key for key in self._runners if key in wanted])
-        for key, running in self._running().items():
-            if key in wanted:
-                self._aim(running, wanted[key].goal)
-            else:
+        for key, runner in list(self._runners.items()):
+            if key not in wanted:
                 self._remove(key)
+            elif (goal := wanted[key].goal) == "stay":
+                runner.gate.begin_migration()
+            else:
+                runner.aim(goal)
         for gone in (self._broken, self._preparing):
             for key in gone.keys() - wanted:
                 del gone[key]
-        self._stats_page.show(self._running(), self._wiring.endpoints())
-
-    def _running(self) -> dict[Incarnation, Runner | Command]:
-        return {**self._runners, **self._commands}
-
-    @staticmethod
-    def _aim(running: Runner | Command, goal: Goal) -> None:
-        if goal != "stay":
-            running.aim(goal)
-        elif isinstance(running, Runner):
-            running.gate.begin_migration()
+        self._stats_page.show(self._runners, self._wiring.endpoints())
 
     def _add(self, key: Incarnation, component: ComponentSpec, folder: str) -> None:
-        if component.command:
-            self._commands[key] = Command(component, folder)
-            return
         # While others work here they would wait for the interpreter, which a thread
         # that hardly gets a CPU may hold.
         is_idle = all(
@@ -277,29 +254,20 @@ class Container:
             )
 
     def _remove(self, key: Incarnation) -> None:
-        running = self._running()[key]
-        running.aim("finalized")
-        self._ending[key] = running, self._clock.now() + _STOP_LIMIT
-        self._commands.pop(key, None)
-        runner = self._runners.pop(key, None)
-        if runner is not None:
-            self._steps.forget(runner)
+        runner = self._runners.pop(key)
+        runner.aim("finalized")
+        self._ending[key] = runner, self._clock.now() + _STOP_LIMIT
+        self._steps.forget(runner)
 
     def _end_removed(self) -> bool:
-        """Forget removed components that have ended; whether there were any.
-
-        A command that takes too long is killed.
-        """
-        ended = []
-        for key, (running, limit) in self._ending.items():
-            is_late = self._clock.now() > limit
-            if running.has_ended() or (is_late and running.wait_ended(0.0)):
-                ended.append(key)
-            elif is_late and limit:
-                log.warning("component '%s' did not end in %g s", key[0], _STOP_LIMIT)
-                self._ending[key] = running, 0.0
+        """Forget removed components that have ended; whether there were any."""
+        ended = [key for key, (each, _) in self._ending.items() if each.has_ended()]
         for key in ended:
             del self._ending[key]
+        for key, (runner, limit) in self._ending.items():
+            if self._clock.now() > limit:
+                log.warning("component '%s' did not end in %g s", key[0], _STOP_LIMIT)
+                self._ending[key] = runner, math.inf
         return bool(ended)
 
     def _status(self) -> ContainerStatus:
@@ -307,20 +275,20 @@ class Container:
         components = {key: each.status() for key, (each, _) in self._ending.items()}
         components |= {key: each.status() for key, each in self._preparing.items()}
         components |= {
-            key: each.status(used.get(key)) for key, each in self._running().items()
+            key: each.status(used.get(key)) for key, each in self._runners.items()
         }
         return ContainerStatus(
             name=self._name,
             pid=os.getpid(),
             cpu=time.process_time()
-            + sum(each.counters.cpu() for each in self._commands.values()),
+            + sum(r.counters.cpu() for r in self._runners.values() if r.spec.command),
             components=tuple((components | self._broken).values()),
             connectors=self._wiring.status(),
         )
 
     def _stop(self) -> None:
         deadline = self._clock.now() + _STOP_LIMIT
-        running = {**self._running(), **{k: r for k, (r, _) in self._ending.items()}}
+        running = {**self._runners, **{k: r for k, (r, _) in self._ending.items()}}
         for each in running.values():
             each.aim("finalized")
         for (name, _), each in running.items():

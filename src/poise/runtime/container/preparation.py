@@ -12,12 +12,24 @@ from collections.abc import Callable
 
 from poise.clock import ComponentClock
 from poise.priority import give_way
+from poise.runtime.component.component import Component
 from poise.runtime.component.error_report import told
-from poise.runtime.component.implementation import find, specialised
+from poise.runtime.component.implementation import find
+from poise.runtime.hosting.command_line import CommandLine
 from poise.runtime.hosting.runner import Runner
 from poise.wire.records.deployment import ComponentSpec, ComponentStatus
 
 log = logging.getLogger(__name__)
+
+
+def implementation_of(spec: ComponentSpec, folder: str) -> type[Component]:
+    """Return the class to run; Poise's own may have ports by their parameters."""
+    if spec.command:
+        own = {"command": spec.command, "folder": folder or "."}
+        return type("CommandLine", (CommandLine,), own)
+    found = find(spec.implementation, folder)
+    special = getattr(found, "__poise_specialised__", None)
+    return special(spec.parameters, folder) if special else found
 
 
 class Preparation:
@@ -80,8 +92,7 @@ class Preparation:
             give_way()
         spec, asked_at = self.spec, self._clock.now()
         try:
-            found = find(spec.implementation, self._folder)
-            implementation = specialised(found, spec.parameters, self._folder)
+            implementation = implementation_of(spec, self._folder)
             runner = Runner(spec, implementation, self._clock, self._on_change)
             runner.asked_at = asked_at
             self.runner = runner

@@ -47,7 +47,12 @@ class Runner:
     implementation
         Its class.
     on_change
-        Called on the component's thread after every change of state; must not block.
+        Called after every change of state, on any thread; must not block.
+
+    Attributes
+    ----------
+    reason_to_end
+        Why its container is to end; empty: it is not.
     """
 
     def __init__(
@@ -68,6 +73,8 @@ class Runner:
                 devices=spec.devices,
                 clock=clock,
                 measure=self._measure,
+                count_process=self._count_process,
+                give_up=self._give_up,
             ),
         )
         self.counters = ComponentCounters()
@@ -91,6 +98,7 @@ class Runner:
             target=self._main, name=spec.name[:15], daemon=True
         )
         self.asked_at = clock.now()
+        self.reason_to_end = ""
         self._start = 0.0
         self._snapshot = 0
 
@@ -158,6 +166,16 @@ class Runner:
 
     def _measure(self, name: str, value: float) -> None:
         self._measures.setdefault(name, Histogram()).add(value)
+
+    def _count_process(self, pid: int) -> None:
+        if pid:
+            self.counters.watch(pid)
+        else:
+            self.counters.begin()
+
+    def _give_up(self, reason: str) -> None:
+        self.reason_to_end = f"component '{self.spec.name}': {reason}"
+        self._on_change()
 
     def _main(self) -> None:
         self.counters.begin()

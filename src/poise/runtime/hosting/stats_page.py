@@ -15,7 +15,6 @@ from collections.abc import Iterable, Mapping
 
 from poise.runtime import _calls
 from poise.runtime._calls import ComponentCounters, Counts, PageSampler
-from poise.runtime.hosting.command_line import Command
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.wiring import OpenEndpoints
 
@@ -56,7 +55,7 @@ class StatsPage:
 
     def show(
         self,
-        running: Mapping[Incarnation, Runner | Command],
+        running: Mapping[Incarnation, Runner],
         ends: Iterable[OpenEndpoints],
     ) -> None:
         """Let the agent see the counters of these, and of no others."""

@@ -23,6 +23,7 @@ void ComponentCounters::end() {
 }
 
 void ComponentCounters::note_idle() {
+  if (slot_->jobs.is_process.get()) return;
   slot_->jobs.cpu.set(cpu_now());
   slot_->jobs.is_idle.set(1);
 }

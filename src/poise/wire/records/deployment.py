@@ -309,8 +309,7 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
     cpu
         CPU time of its own code, whoever's thread ran it [s].
     start
-        How long it took to import, make and configure it; of a command, until its
-        program ran [s].
+        How long it took to import, make and configure it [s].
     snapshot
         Size of its snapshot, if that was taken [bytes].
     requires, subscribes
