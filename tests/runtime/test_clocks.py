@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
-from poise.clock import DRIFT, Elapsed, Stamp, SystemClock
+from poise.clock import DRIFT, Stamp, SystemClock
 from poise.manage.journal import Journal
 from poise.model import load
 from poise.runtime.agent.clock_synchronisation import ClockSynchronisation
-from poise.runtime.clock_table import ClockTable, ComputerClock, clocks_path
+from poise.runtime.agent.container_processes import ContainerProcess
+from poise.runtime.agent.watchdog import Silence
+from poise.runtime.hosting.computer_clock import ComputerClock
+from poise.runtime.waker import wait_readable
 from poise.session.start import Sampling, started
+from poise.wire import record_channel
 from poise.wire.control_session import open_session
-from poise.wire.records.clocks import ClockStatus
+from poise.wire.records.clocks import Clocks, ClockStatus
+from poise.wire.records.deployment import ContainerSpec, ToContainer
 from tests.waiting import LIMIT, wait_until
 
 from .conftest import free_port
@@ -35,81 +40,66 @@ class Ahead(SystemClock):
         return super().now() + AHEAD
 
 
-def at(folder: Path, now: float) -> ComputerClock:
-    """Return a container's clock on `main`, which stands still."""
+class Still(ComputerClock):
+    """A container's clock on `main`, which stands still."""
 
-    class Still(ComputerClock):
-        def now(self) -> float:
-            return now
+    def __init__(self, now: float, **others: ClockStatus) -> None:
+        super().__init__("main")
+        self.others = others
+        self._now = now
 
-    return Still("main", folder)
-
-
-@pytest.fixture(name="table")
-def _table(tmp_path: Path) -> Iterator[ClockTable]:
-    table = ClockTable(tmp_path)
-    yield table
-    table.close()
+    def now(self) -> float:
+        return self._now
 
 
-def test_a_stamp_of_this_computer_needs_no_round_trip(tmp_path: Path) -> None:
-    clock = ComputerClock("main", tmp_path)
+def test_a_stamp_of_this_computer_needs_no_round_trip() -> None:
+    clock = ComputerClock("main")
     since = clock.since(clock.stamp())
     assert since is not None
     assert since.error == 0
     assert 0 <= since.value < LIMIT
 
 
-def test_knows_nothing_of_a_clock_before_a_round_trip(
-    tmp_path: Path, table: ClockTable
-) -> None:
-    clock = ComputerClock("main", tmp_path)
-    assert clock.since(Stamp(1.0, "vision")) is None
-    table.write({"vision": NOON})
-    assert clock.since(Stamp(1.0, "arm")) is None
+def test_knows_nothing_of_a_clock_before_a_round_trip() -> None:
+    assert Still(1.0).since(Stamp(1.0, "vision")) is None
+    assert Still(1.0, vision=NOON).since(Stamp(1.0, "arm")) is None
 
 
-def test_knows_nothing_without_an_agent(tmp_path: Path) -> None:
-    assert ComputerClock("main", tmp_path).since(Stamp(1.0, "vision")) is None
-
-
-def test_takes_off_the_offset_and_widens_the_error(
-    tmp_path: Path, table: ClockTable
-) -> None:
+def test_takes_off_the_offset_and_widens_the_error() -> None:
     """Stamped at 5007 there, which is 7 here; 10 is now: 3 s, surer 10 s ago."""
-    table.write({"vision": NOON})
-    since = at(tmp_path, 10.0).since(Stamp(AHEAD + 7, "vision"))
+    since = Still(10.0, vision=NOON).since(Stamp(AHEAD + 7, "vision"))
     assert since is not None
     assert since.value == pytest.approx(3)
     assert since.error == pytest.approx(0.001 + 10 * DRIFT)
     assert since.most == pytest.approx(3.001 + 10 * DRIFT)
 
 
-def test_sees_what_the_agent_learns_later(tmp_path: Path, table: ClockTable) -> None:
-    clock = at(tmp_path, 0.0)
-    for offset in (1.0, 2.0):
-        table.write({"vision": ClockStatus(offset=offset, error=0, at=0, trip=0)})
-        assert clock.since(Stamp(0.0, "vision")) == Elapsed(offset)
-
-
-def test_goes_on_with_what_it_knew_while_the_agent_writes(
-    tmp_path: Path, table: ClockTable
-) -> None:
-    clock = at(tmp_path, 0.0)
-    table.write({"vision": NOON})
-    before = clock.since(Stamp(0.0, "vision"))
-    with clocks_path(tmp_path).open("r+b") as torn:
-        torn.write(b"\x07\x00\x00\x00\xff\xff\xff\xff")
-    assert clock.since(Stamp(0.0, "vision")) == before
-
-
-def test_of_too_many_clocks_some_are_left(tmp_path: Path, table: ClockTable) -> None:
-    table.write({f"computer-{n}": NOON for n in range(5000)})
-    assert at(tmp_path, 0.0).since(Stamp(0.0, "computer-0")) is not None
+@pytest.mark.slow
+def test_a_container_is_told_what_is_new_while_it_responds() -> None:
+    agent, container = socket.socketpair()
+    spec = ContainerSpec(name="one", folder="", components=(), connectors=())
+    with agent, container:
+        process = ContainerProcess(spec, agent, -1)
+        assert record_channel.receive(container, ToContainer).what == spec
+        for known in ({}, {"vision": NOON}, {"vision": NOON}):
+            process.tell_clocks(known)
+        assert record_channel.receive(container, ToContainer).what == Clocks(
+            {"vision": NOON}
+        )
+        process.silence = Silence(
+            container="one", pid=1, seconds=2.0, reason="it is stopped"
+        )
+        process.tell_clocks({"arm": NOON})
+        assert not wait_readable([container.fileno()], 0.0)
+        process.silence = None
+        process.tell_clocks({"arm": NOON})
+        assert record_channel.receive(container, ToContainer).what == Clocks(
+            {"arm": NOON}
+        )
 
 
 @pytest.mark.slow
-def test_two_agents_learn_of_each_others_clocks(tmp_path: Path) -> None:
+def test_two_agents_learn_of_each_others_clocks() -> None:
     """One process plays both; its one clock is the truth."""
     port = free_port()
     with ExitStack() as stack:
@@ -121,9 +111,7 @@ def test_two_agents_learn_of_each_others_clocks(tmp_path: Path) -> None:
                     connect=[] if name == "main" else [f"tcp/127.0.0.1:{port}"],
                 )
             )
-            folder = tmp_path / name
-            folder.mkdir()
-            trips = ClockSynchronisation(session, "poise/test", name, folder, clock)
+            trips = ClockSynchronisation(session, "poise/test", name, clock)
             trips.start()
             stack.callback(trips.stop)
             known[name] = trips.known
@@ -134,8 +122,8 @@ def test_two_agents_learn_of_each_others_clocks(tmp_path: Path) -> None:
             assert 0 < seen.trip < LIMIT
             # half a round trip, and what clocks run apart
             assert seen.error <= seen.trip / 2 + DRIFT * LIMIT
-        clock = ComputerClock("main", tmp_path / "main")
-        wait_until(lambda: clock.since(Stamp(0.0, "vision")) is not None)
+        clock = ComputerClock("main")
+        clock.others = known["main"]()
         since = clock.since(Ahead("vision").stamp())
         assert since is not None
         assert -since.error <= since.value < LIMIT

@@ -191,9 +191,7 @@ class Agent:
             ]
             samples = session.declare_publisher(f"{prefix}/samples/{setup.computer}")
             sampler = self._sampler(samples)
-            clocks = ClockSynchronisation(
-                session, prefix, setup.computer, Path(setup.folder), self._clock
-            )
+            clocks = ClockSynchronisation(session, prefix, setup.computer, self._clock)
             go_first()
             try:
                 sampler.start()
@@ -264,6 +262,8 @@ class Agent:
             self._say_manager()
             self._relay.give_up(self._clock.now())
             self._supervisor.reconcile()
+            for process in self._supervisor.processes.values():
+                process.tell_clocks(self._clocks())
             status = self._status()
             seen = _states(status)
             if seen != reported or self._clock.now() >= report_at:

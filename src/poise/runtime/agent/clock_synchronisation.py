@@ -10,14 +10,12 @@ from __future__ import annotations
 import logging
 import threading
 from collections import deque
-from pathlib import Path
 
 import msgspec
 import zenoh
 
 from poise.clock import Clock
 from poise.estimate.clock_offset import ClockOffset, RoundTrip
-from poise.runtime.clock_table import ClockTable
 from poise.wire.records.clocks import ClockAnswer, ClockStatus
 
 log = logging.getLogger(__name__)
@@ -42,8 +40,6 @@ class ClockSynchronisation:
         What all keys of the robot begin with.
     computer
         Its own name.
-    folder
-        The agent's folder, where containers look for what is known.
     """
 
     def __init__(
@@ -51,14 +47,12 @@ class ClockSynchronisation:
         session: zenoh.Session,
         prefix: str,
         computer: str,
-        folder: Path,
         clock: Clock,
     ) -> None:
         self._session = session
         self._prefix = prefix
         self._computer = computer
         self._clock = clock
-        self._table = ClockTable(folder)
         self._offsets: dict[str, ClockOffset] = {}
         self._trips: dict[str, deque[float]] = {}
         self._known: dict[str, ClockStatus] = {}
@@ -106,11 +100,9 @@ class ClockSynchronisation:
             try:
                 self._ask()
                 self._known = self._now_known()
-                self._table.write(self._known)
             except Exception:  # the next round may work again
                 log.exception("clocks cannot be compared")
             answered += bool(self._offsets)
-        self._table.close()
 
     @staticmethod
     def _pause(rounds: int) -> float:

@@ -6,6 +6,7 @@ import contextlib
 import os
 import signal
 import socket
+from collections.abc import Mapping
 from signal import SIGKILL
 
 from msgspec import Struct
@@ -16,6 +17,7 @@ from poise.runtime._calls import PageSampler
 from poise.runtime.agent.watchdog import Silence
 from poise.wire import record_channel
 from poise.wire.codec import WireError
+from poise.wire.records.clocks import Clocks, ClockStatus
 from poise.wire.records.deployment import (
     ComponentStatus,
     ContainerFailure,
@@ -99,6 +101,7 @@ class ContainerProcess:
         self.is_stopping = False
         self.is_deaf = False
         self._why_ended = ""
+        self._clocks: Mapping[str, ClockStatus] = {}
         self._send(spec)
 
     def note_born(self, pid: int) -> None:
@@ -118,6 +121,12 @@ class ContainerProcess:
         if spec != self.spec and not self.is_deaf:
             self.spec = spec
             self._send(spec)
+
+    def tell_clocks(self, known: Mapping[str, ClockStatus]) -> None:
+        """Tell it other computers' clocks, if that is new and it listens."""
+        if known != self._clocks and not self.is_deaf and not self.silence:
+            self._clocks = known
+            self._send(Clocks(known))
 
     def take_steps(self, steps: MigrationSteps) -> None:
         """Let it take steps of a migration."""
@@ -200,7 +209,7 @@ class ContainerProcess:
     def _components(self) -> tuple[ComponentStatus, ...]:
         return self.status.components if self.status else ()
 
-    def _send(self, what: ContainerSpec | MigrationSteps) -> None:
+    def _send(self, what: ContainerSpec | MigrationSteps | Clocks) -> None:
         try:
             record_channel.send(self.connection, ToContainer(what))
         except (Timeout, Unavailable, WireError) as error:

@@ -18,14 +18,13 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from types import FrameType
 
 from poise.errors import PoiseError, RunError, Timeout, Unavailable
 from poise.priority import as_usual, go_first
-from poise.runtime.clock_table import ComputerClock
 from poise.runtime.container.descendants import reap_adopted
 from poise.runtime.container.preparation import Preparation
+from poise.runtime.hosting.computer_clock import ComputerClock
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.stats_page import Incarnation, StatsPage
 from poise.runtime.hosting.wiring import Place, Transports, Wiring
@@ -34,6 +33,7 @@ from poise.runtime.waker import Waker, is_writable, wait_readable
 from poise.wire import record_channel
 from poise.wire.codec import WireError
 from poise.wire.connections.fork import keep_private
+from poise.wire.records.clocks import Clocks
 from poise.wire.records.deployment import (
     ComponentSpec,
     ComponentStatus,
@@ -81,7 +81,7 @@ class Container:
         self._name = name
         self._agent = agent
         keep_private(agent)
-        self._clock = ComputerClock(place.computer, Path(place.folder))
+        self._clock = ComputerClock(place.computer)
         self._transports = Transports(place)
         self._wiring = Wiring(self._transports, self._clock.ahead)
         self._wanted: ContainerSpec | None = None
@@ -148,7 +148,7 @@ class Container:
     def _listen(self, limit: float) -> bool:
         """Wait up to `limit` [s] for news, and take it in; whether it is to be told.
 
-        A migration step is not: what it changes is.
+        Migration steps and clocks are not: what they change is.
         """
         agent, waker = self._agent.fileno(), self._waker.fileno()
         ready = wait_readable([agent, waker], limit)
@@ -160,7 +160,7 @@ class Container:
         if agent in ready:
             what = record_channel.receive(self._agent, ToContainer).what
             self._hear(what)
-            if isinstance(what, MigrationSteps) and len(ready) == 1:
+            if not isinstance(what, ContainerSpec) and len(ready) == 1:
                 return False
         return bool(ready)
 
@@ -170,8 +170,10 @@ class Container:
         if self._wanted is not None and is_writable(self._agent.fileno()):
             self._tell(status)
 
-    def _hear(self, what: ContainerSpec | MigrationSteps) -> None:
-        if isinstance(what, MigrationSteps):
+    def _hear(self, what: ContainerSpec | MigrationSteps | Clocks) -> None:
+        if isinstance(what, Clocks):
+            self._clock.others = what.known
+        elif isinstance(what, MigrationSteps):
             self._step_threads.submit(self._take_steps, self._steps.receive(what))
         else:
             self._steps.note_deployment()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 
 from poise.runtime.component.ports import Timer
 from poise.runtime.execution.histogram import Histogram
@@ -22,7 +22,7 @@ class Releases:
 
     def __init__(self, timer: Timer, start: float) -> None:
         self.timer = timer
-        self._start = start
+        self.start = start
         self._next = 1
         self._missed = 0
         self._lateness = Histogram()
@@ -31,23 +31,18 @@ class Releases:
     @property
     def due(self) -> float:
         """The next release [s]."""
-        return self._start + self._next * self.timer.period
-
-    @property
-    def releases(self) -> tuple[float, float]:
-        """Where the releases lie: `start` and period [s]."""
-        return self._start, self.timer.period
+        return self.start + self._next * self.timer.period
 
     def begin(self, now: float) -> float:
         """Take the last release that is due at `now` [s] and return it [s].
 
         Earlier ones that never began are skipped, and missed.
         """
-        last = max(self._next, int((now - self._start) / self.timer.period))
+        last = max(self._next, int((now - self.start) / self.timer.period))
         if self.timer.deadline is not None:
             self._missed += last - self._next
         self._next = last + 1
-        release = self._start + last * self.timer.period
+        release = self.start + last * self.timer.period
         self._lateness.add(now - release)
         return release
 
@@ -60,7 +55,7 @@ class Releases:
 
     def status(self, now: float) -> TimerStatus:
         """Return what was counted; releases that should have begun by now are in."""
-        passed = max(self._next - 1, int((now - self._start) / self.timer.period) - 1)
+        passed = max(self._next - 1, int((now - self.start) / self.timer.period) - 1)
         waiting = passed - (self._next - 1) if self.timer.deadline is not None else 0
         return TimerStatus(
             name=self.timer.name,
@@ -89,13 +84,13 @@ class Timers:
         """Let timers be due first at these moments [s]: a move keeps their phases."""
         self._first = first
 
-    def start(self, now: float) -> Iterable[tuple[float, float]]:
+    def start(self, now: float) -> list[tuple[float, float]]:
         """Start at `now` [s]; return the start and the period of each [s]."""
         self._stopped_at = None
         for name, timer in self._declared.items():
             first = self._first.get(name, now + timer.period)
             self._releases[name] = Releases(timer, first - timer.period)
-        return [each.releases for each in self]
+        return [(each.start, each.timer.period) for each in self]
 
     def stop(self, now: float) -> None:
         """Count no release after `now` [s]."""

@@ -219,7 +219,7 @@ class Runner:
             self._clean_up_after(hook)
             state = "failed"
         if state == "active":
-            self.counters.plan(list(self.timers.start(self._clock.now())))
+            self.counters.plan(self.timers.start(self._clock.now()))
         elif hook == "configure":
             self._start = self._clock.now() - self.asked_at
         self.life_cycle.enter(state)

@@ -47,7 +47,7 @@ class StatsPage:
         self._native = _calls.StatsPage(memory)
         self._sampler = PageSampler(memory, os.getpid())
         os.close(memory)
-        self._shown: dict[int, ComponentCounters | Counts] = {}
+        self._shown: set[ComponentCounters | Counts] = set()
 
     def beat(self) -> None:
         """Show the agent that the calling thread runs; a few times a second."""
@@ -61,17 +61,17 @@ class StatsPage:
         """Let the agent see the counters of these, and of no others."""
         components = {key: each.counters for key, each in running.items()}
         connectors = list(ends)
-        wanted: list[ComponentCounters | Counts] = [*components.values()]
-        wanted += [each.counts for each in connectors]
-        ids = {id(each) for each in wanted}
-        for key in self._shown.keys() - ids:
-            self._shown.pop(key).leave()
+        wanted: set[ComponentCounters | Counts] = {*components.values()}
+        wanted |= {each.counts for each in connectors}
+        for gone in self._shown - wanted:
+            gone.leave()
+        new, self._shown = wanted - self._shown, wanted
         for (name, epoch), counters in components.items():
-            if self._is_new(counters) and not counters.enter(self._native, name, epoch):
+            if counters in new and not counters.enter(self._native, name, epoch):
                 self._refuse(counters, f"component '{name}'")
         for each in connectors:
             spec, counts = each.spec, each.counts
-            if self._is_new(counts) and not counts.enter(self._native, spec.name):
+            if counts in new and not counts.enter(self._native, spec.name):
                 self._refuse(counts, f"connector {spec.name}")
             # during a move a sender has two routes: the later one is the one it uses
             counts.attribute(
@@ -84,11 +84,6 @@ class StatsPage:
         found = self._sampler.read()
         return {} if found is None else {(c[0], c[1]): c[2] for c in found[2]}
 
-    def _is_new(self, each: ComponentCounters | Counts) -> bool:
-        is_new = id(each) not in self._shown
-        self._shown[id(each)] = each
-        return is_new
-
     def _refuse(self, each: ComponentCounters | Counts, what: str) -> None:
-        del self._shown[id(each)]
+        self._shown.discard(each)
         log.warning("%s is not counted: all %d records are in use", what, MOST)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import random
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from itertools import cycle
 from pathlib import Path
 from types import GenericAlias
@@ -27,6 +28,8 @@ TICK = 0.005
 """Messages go out at multiples of this [s]."""
 _PAUSE = 0.1
 """Between two rounds of a recording [s]."""
+Due = tuple[float, Callable[[], None]]
+"""When something is to be sent, since the beginning [s], and what sends it."""
 
 
 class Part(Struct, frozen=True, kw_only=True):
@@ -73,14 +76,13 @@ class Replay(Component):
 
     def configure(self) -> None:
         """Read the recording, if there is one."""
-        self._parts = parts_of(self.parameters)
         recording = self.parameters.get("recording")
         inputs = read_recorded(Path(recording)) if recording else []
         self._streams = [
             self._recorded(name, part, inputs)
             if part.sources
             else self._generated(name, part)
-            for name, part in self._parts.items()
+            for name, part in parts_of(self.parameters).items()
         ]
 
     def activate(self) -> None:
@@ -94,33 +96,41 @@ class Replay(Component):
         """Publish and call all that is due."""
         now = self.clock.now() - self._began
         while self._next is not None and self._next[0] <= now:
-            _, port, what = self._next
-            if isinstance(what, _Call):
-                self._call(port, what)
-            else:
-                getattr(self, port).publish(what)
+            _, send = self._next
             self._next = next(self._due, None)
+            send()
 
-    def _call(self, port: str, call: _Call) -> None:
+    def _recorded(self, name: str, part: Part, inputs: list[Input]) -> Iterator[Due]:
+        """Yield the messages or calls of a source, again and again."""
+        found = [each for each in inputs if each.source in part.sources]
+        send = self._call if part.calls else self._publish_recorded
+        length = max((each.at for each in inputs), default=0.0) + _PAUSE
+        for number, each in enumerate(cycle(found)):
+            at = number // len(found) * length + each.at
+            yield at, partial(send, name, each)
+
+    def _publish(self, port: str, message: object) -> None:
+        getattr(self, port).publish(message)
+
+    def _publish_recorded(self, port: str, recorded: Input) -> None:
+        decode = codec(self.types[port]).decode
+        self._publish(port, decode(recorded.body, memoryview(recorded.buffers)))
+
+    def _call(self, port: str, recorded: Input) -> None:
+        interface = self.types[port]
+        method = methods(interface).get(recorded.tag or 0)
+        if method is None:
+            raise RobotError(
+                f"{recorded.source} called a method that {interface.__qualname__} has "
+                "no more: record the run again"
+            )
+        arguments = method.arguments.decode(recorded.body, memoryview(recorded.buffers))
         try:
-            getattr(getattr(self, port), call.method)(*call.arguments)
+            getattr(getattr(self, port), method.name)(*arguments)
         except CallError:
             self.measure("failed_calls", 1)
 
-    def _recorded(
-        self, name: str, part: Part, inputs: list[Input]
-    ) -> Iterator[tuple[float, str, object]]:
-        """Yield the messages or calls of a source, again and again."""
-        found = [each for each in inputs if each.source in part.sources]
-        decode = _calls(self.types[name]) if part.calls else _messages(self.types[name])
-        length = max((each.at for each in inputs), default=0.0) + _PAUSE
-        passed = 0.0
-        for number, each in enumerate(cycle(found), 1):
-            yield passed + each.at, name, decode(each)
-            if number % len(found) == 0:
-                passed += length
-
-    def _generated(self, name: str, part: Part) -> Iterator[tuple[float, str, object]]:
+    def _generated(self, name: str, part: Part) -> Iterator[Due]:
         """Yield made up messages."""
         rng = random.Random(part.seed)  # noqa: S311, it is to be repeatable
         make: Any = maker(self.types[name])
@@ -134,35 +144,8 @@ class Replay(Component):
                 else 1 / part.rate
             )
             spread = rng.uniform(-part.variation, part.variation)
-            yield at, name, make(rng, part.size * (1 + spread))
-
-
-class _Call(Struct, frozen=True):
-    """A call as it was recorded."""
-
-    method: str
-    arguments: tuple[Any, ...]
-
-
-def _messages(type_: type) -> Callable[[Input], Any]:
-    coder = codec(type_)
-    return lambda each: coder.decode(each.body, memoryview(each.buffers))
-
-
-def _calls(interface: type) -> Callable[[Input], Any]:
-    known = methods(interface)
-
-    def call(each: Input) -> _Call:
-        method = known.get(each.tag or 0)
-        if method is None:
-            raise RobotError(
-                f"{each.source} called a method that {interface.__qualname__} has no "
-                "more: record the run again"
-            )
-        found = method.arguments.decode(each.body, memoryview(each.buffers))
-        return _Call(method.name, found)
-
-    return call
+            message = make(rng, part.size * (1 + spread))
+            yield at, partial(self._publish, name, message)
 
 
 def parts_of(parameters: Mapping[str, Any]) -> dict[str, Part]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from msgspec import Struct
 
 
@@ -33,3 +35,9 @@ class ClockStatus(Struct, frozen=True, kw_only=True):
     error: float
     at: float
     trip: float
+
+
+class Clocks(Struct, frozen=True, tag=True):
+    """What an agent tells its containers: computer -> its clock."""
+
+    known: Mapping[str, ClockStatus]

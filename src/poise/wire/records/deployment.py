@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from msgspec import Struct
 
-from poise.wire.records.clocks import ClockStatus
+from poise.wire.records.clocks import Clocks, ClockStatus
 from poise.wire.records.migration import MigrationSteps, StepsDone, StepsFailed
 
 PROTOCOL = 4
@@ -353,7 +353,7 @@ class ContainerFailure(Struct, frozen=True, tag=True):
 class ToContainer(Struct, frozen=True):
     """What an agent tells a container."""
 
-    what: ContainerSpec | MigrationSteps
+    what: ContainerSpec | MigrationSteps | Clocks
 
 
 class FromContainer(Struct, frozen=True):
