@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from poise.runtime.execution.histogram import Histogram
+from poise.runtime._calls import Histogram
 from poise.wire.records.deployment import Summary
 from tests.runtime import reference
 

@@ -17,13 +17,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from types import FrameType
 
 from poise.errors import PoiseError, RunError, Timeout, Unavailable
 from poise.priority import as_usual, go_first
+from poise.runtime.component.error_report import told
 from poise.runtime.container.descendants import reap_adopted
-from poise.runtime.container.preparation import Preparation
+from poise.runtime.container.preparation import prepare
 from poise.runtime.hosting.computer_clock import ComputerClock
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.stats_page import Incarnation, StatsPage
@@ -85,7 +86,7 @@ class Container:
         self._transports = Transports(place)
         self._wiring = Wiring(self._transports, self._clock.ahead)
         self._wanted: ContainerSpec | None = None
-        self._preparing: dict[Incarnation, Preparation] = {}
+        self._preparing: dict[Incarnation, Future[Runner]] = {}
         self._runners: dict[Incarnation, Runner] = {}
         self._ending: dict[Incarnation, tuple[Runner, float]] = {}
         self._broken: dict[Incarnation, ComponentStatus] = {}
@@ -217,7 +218,7 @@ class Container:
         is_idle = all(
             each.life_cycle.state != "active" for each in self._runners.values()
         )
-        self._preparing[key] = Preparation(
+        self._preparing[key] = prepare(
             component,
             folder,
             self._clock,
@@ -237,23 +238,26 @@ class Container:
 
     def _take_prepared(self) -> bool:
         """Start the components whose preparation is done; whether there were any."""
-        done = [key for key, each in self._preparing.items() if each.is_done()]
+        done = [key for key, each in self._preparing.items() if each.done()]
         for key in done:
             prepared = self._preparing.pop(key)
-            if prepared.runner is None:
-                self._broken[key] = prepared.status()
+            if error := prepared.exception():
+                self._break(key, "start", told(error) or repr(error))
             else:
-                self._runners[key] = prepared.runner
-                prepared.runner.start()
+                self._runners[key] = prepared.result()
+                self._runners[key].start()
         return bool(done)
+
+    def _break(self, key: Incarnation, what: str, why: str) -> None:
+        log.error("component '%s' cannot %s: %s", key[0], what, why)
+        self._broken[key] = ComponentStatus(
+            name=key[0], epoch=key[1], state="failed", error=why, errors=1
+        )
 
     def _connect(self, spec: ContainerSpec, staying: list[Incarnation]) -> None:
         runners = {key: self._runners[key] for key in staying}
         for key, text in self._wiring.apply(spec.connectors, runners).items():
-            log.error("component '%s' cannot be joined: %s", key[0], text)
-            self._broken[key] = ComponentStatus(
-                name=key[0], epoch=key[1], state="failed", error=text, errors=1
-            )
+            self._break(key, "be joined", text)
 
     def _remove(self, key: Incarnation) -> None:
         runner = self._runners.pop(key)
@@ -275,7 +279,10 @@ class Container:
     def _status(self) -> ContainerStatus:
         used = self._stats_page.cpu()
         components = {key: each.status() for key, (each, _) in self._ending.items()}
-        components |= {key: each.status() for key, each in self._preparing.items()}
+        components |= {
+            key: ComponentStatus(name=key[0], epoch=key[1], state="unconfigured")
+            for key in self._preparing
+        }
         components |= {
             key: each.status(used.get(key)) for key, each in self._runners.items()
         }

@@ -6,20 +6,17 @@ import takes.
 
 from __future__ import annotations
 
-import logging
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 
 from poise.clock import ComponentClock
 from poise.priority import give_way
 from poise.runtime.component.component import Component
-from poise.runtime.component.error_report import told
 from poise.runtime.component.implementation import find
 from poise.runtime.hosting.command_line import CommandLine
 from poise.runtime.hosting.runner import Runner
-from poise.wire.records.deployment import ComponentSpec, ComponentStatus
-
-log = logging.getLogger(__name__)
+from poise.wire.records.deployment import ComponentSpec
 
 
 def implementation_of(spec: ComponentSpec, folder: str) -> type[Component]:
@@ -32,72 +29,42 @@ def implementation_of(spec: ComponentSpec, folder: str) -> type[Component]:
     return special(spec.parameters, folder) if special else found
 
 
-class Preparation:
-    """A component that is not there yet.
+def prepare(
+    spec: ComponentSpec,
+    folder: str,
+    clock: ComponentClock,
+    on_change: Callable[[], None],
+    *,
+    gives_way: bool,
+) -> Future[Runner]:
+    """Return what becomes the component, not started yet, or why it is not there.
 
     Parameters
     ----------
     folder
         Where its implementation is imported from.
-    gives_way
-        Whether it leaves the CPU to all other threads.
     on_change
         Called when it is done, and by the runner at every change of state; must not
         block.
-
-    Attributes
-    ----------
-    runner
-        The component, not started yet; None until it is done, and when it failed.
-    error
-        Why it failed.
+    gives_way
+        Whether it leaves the CPU to all other threads.
     """
+    prepared: Future[Runner] = Future()
+    prepared.add_done_callback(lambda _: on_change())
 
-    def __init__(
-        self,
-        spec: ComponentSpec,
-        folder: str,
-        clock: ComponentClock,
-        on_change: Callable[[], None],
-        *,
-        gives_way: bool,
-    ) -> None:
-        self.spec = spec
-        self.runner: Runner | None = None
-        self.error = ""
-        self._folder = folder
-        self._clock = clock
-        self._on_change = on_change
-        self._gives_way = gives_way
-        threading.Thread(
-            target=self._main, name=f"import {spec.name}"[:15], daemon=True
-        ).start()
-
-    def is_done(self) -> bool:
-        """Return whether there is a runner or an error."""
-        return self.runner is not None or bool(self.error)
-
-    def status(self) -> ComponentStatus:
-        """Return the component's status so far."""
-        return ComponentStatus(
-            name=self.spec.name,
-            epoch=self.spec.epoch,
-            state="failed" if self.error else "unconfigured",
-            error=self.error,
-            errors=1 if self.error else 0,
-        )
-
-    def _main(self) -> None:
-        if self._gives_way:
+    def main() -> None:
+        if gives_way:
             give_way()
-        spec, asked_at = self.spec, self._clock.now()
+        asked_at = clock.now()
         try:
-            implementation = implementation_of(spec, self._folder)
-            runner = Runner(spec, implementation, self._clock, self._on_change)
+            runner = Runner(spec, implementation_of(spec, folder), clock, on_change)
             runner.asked_at = asked_at
-            self.runner = runner
         # it is the user's: it may raise anything
         except (Exception, SystemExit) as error:  # noqa: BLE001
-            self.error = told(error) or repr(error)
-            log.error("component '%s' cannot start: %s", spec.name, self.error)  # noqa: TRY400, told
-        self._on_change()
+            prepared.set_exception(error)
+        else:
+            prepared.set_result(runner)
+
+    name = f"import {spec.name}"[:15]
+    threading.Thread(target=main, name=name, daemon=True).start()
+    return prepared

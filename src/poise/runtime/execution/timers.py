@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+from poise.runtime._calls import Histogram
 from poise.runtime.component.ports import Timer
-from poise.runtime.execution.histogram import Histogram
 from poise.wire.records.deployment import TimerStatus
 
 

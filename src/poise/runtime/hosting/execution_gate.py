@@ -104,26 +104,17 @@ class ExecutionGate:
                 self._exclusion.resume()
 
     @contextmanager
-    def borrowed(self) -> Iterator[None]:
+    def borrowed(self, *, by_hook: bool = False) -> Iterator[None]:
         """Run its code on this thread while it is paused, such as `snapshot`.
 
-        When it was to resume meanwhile, it does at the end.
+        When it was to resume meanwhile, it does at the end; not after a hook, whose
+        state is still to be entered.
 
         Raises
         ------
         RunError
             It is at work.
         """
-        try:
-            with self.borrowed_by_hook():
-                yield
-        finally:
-            if self._resumes_later:
-                self.resume()
-
-    @contextmanager
-    def borrowed_by_hook(self) -> Iterator[None]:
-        """Run its code on this thread, and do not resume at the end."""
         with self._changed:
             self._changed.wait_for(lambda: not self._is_borrowed)
             if not self._is_paused:
@@ -137,6 +128,8 @@ class ExecutionGate:
             with self._changed:
                 self._is_borrowed = False
                 self._changed.notify_all()
+            if self._resumes_later and not by_hook:
+                self.resume()
 
     def wait_idle(self, limit: float) -> bool:
         """Wait until it has just finished its work; return whether that was so.

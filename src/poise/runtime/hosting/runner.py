@@ -16,14 +16,13 @@ from typing import Any
 from poise.clock import Clock, ComponentClock
 from poise.errors import Timeout
 from poise.priority import ahead
-from poise.runtime._calls import ComponentCounters
+from poise.runtime._calls import ComponentCounters, Histogram
 from poise.runtime.component.component import Component, Context, create
 from poise.runtime.component.error_report import Errors
 from poise.runtime.component.ports import ports_of, timers_of
 from poise.runtime.connectors.endpoints import Endpoints
 from poise.runtime.connectors.interface import methods
 from poise.runtime.execution.exclusion import Exclusion, Redirected, new_chain
-from poise.runtime.execution.histogram import Histogram
 from poise.runtime.execution.mailbox import Inbox
 from poise.runtime.execution.timers import Releases, Timers
 from poise.runtime.hosting.execution_gate import ExecutionGate
@@ -209,7 +208,7 @@ class Runner:
         # callers wait for one that takes over
         hurry = ahead() if self.life_cycle.goal == "ready" else nullcontext()
         try:
-            with hurry, self.gate.borrowed_by_hook():
+            with hurry, self.gate.borrowed(by_hook=True):
                 getattr(self.component, hook)()
                 if hook == "deactivate" and self.spec.weigh:
                     self._snapshot = _weight(self.component.snapshot())

@@ -72,14 +72,18 @@ class Ticker(Component):
         """Do nothing."""
 
 
-class Asker(Component):
-    """Calls once in each step, with ``size`` bytes."""
-
-    port: Required[Echo]
+class _Sized(Component):
+    """Has a packet of ``size`` bytes."""
 
     def configure(self) -> None:
         """Make the packet."""
         self._packet = Packet(bytes(int(self.parameters["size"])))
+
+
+class Asker(_Sized):
+    """Calls once in each step."""
+
+    port: Required[Echo]
 
     @every(1 / RATE)
     def ask(self) -> None:
@@ -87,14 +91,10 @@ class Asker(Component):
         self.port.echo(self._packet)
 
 
-class Talker(Component):
-    """Publishes once in each step, ``size`` bytes."""
+class Talker(_Sized):
+    """Publishes once in each step."""
 
     port: Published[Packet]
-
-    def configure(self) -> None:
-        """Make the packet."""
-        self._packet = Packet(bytes(int(self.parameters["size"])))
 
     @every(1 / RATE)
     def talk(self) -> None:
