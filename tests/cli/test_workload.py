@@ -118,7 +118,7 @@ def test_what_is_generated_wins_over_what_was_recorded(
     made = Generated(port=mind.between[1], rate=5.0)
     both = replace(recorded(folder, "ear.heard"), generate=(made,))
     (part,) = played(replace(robot, workload=both)).parts.values()
-    assert (part.rate, part.sources, part.type) == (5.0, (), "hearing:Heard")
+    assert (part.generated, part.sources, part.type) == (made, (), "hearing:Heard")
 
 
 def test_says_what_is_wrong_with_a_recording(robot: Robot, folder: Path) -> None:

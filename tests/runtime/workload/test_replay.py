@@ -44,6 +44,11 @@ def player(**parameters: Any) -> Bench[Any]:
     return Bench(Replay.__poise_specialised__(parameters, ""), parameters)
 
 
+def generated(**how: Any) -> dict[str, Any]:
+    """Return what a port sends: texts, generated for some port."""
+    return {"type": TEXT, "generated": {"port": {"component": "a", "port": "x"}, **how}}
+
+
 def texts(bench: Bench[Any], port: str) -> list[str]:
     return [message.text for message in bench.published[port]]
 
@@ -76,7 +81,7 @@ def test_a_recording_begins_again(tmp_path: Path) -> None:
 
 def test_makes_up_messages_at_a_rate_and_a_size() -> None:
     """20 Hz for 2 s; all of them have the size that was asked for."""
-    ports = {"out": {"type": TEXT, "rate": 20.0, "size": 108.0}}
+    ports = {"out": generated(rate=20.0, size=108.0)}
     with player(ports=ports) as bench:
         bench.advance(2 + TICK)
         sizes = [len(codec(Text).encode(each)[0]) for each in bench.published["out"]]
@@ -88,7 +93,7 @@ def test_arrivals_may_be_random_and_are_the_same_for_a_seed() -> None:
     """1000 in 50 s on average; the standard deviation is 32."""
     found = []
     for seed in (1, 1, 2):
-        part = {"type": TEXT, "rate": 20.0, "arrivals": "poisson", "seed": seed}
+        part = generated(rate=20.0, arrivals="poisson", seed=seed)
         with player(ports={"out": part}) as bench:
             bench.advance(50.0)
             found.append(len(bench.published["out"]))
@@ -97,7 +102,7 @@ def test_arrivals_may_be_random_and_are_the_same_for_a_seed() -> None:
 
 
 def test_sizes_vary_evenly_around_the_mean() -> None:
-    part = {"type": TEXT, "rate": 100.0, "size": 1000.0, "variation": 0.2}
+    part = generated(rate=100.0, size=1000.0, variation=0.2)
     with player(ports={"out": part}) as bench:
         bench.advance(5.0)
         sizes = [len(text) for text in texts(bench, "out")]
@@ -107,7 +112,7 @@ def test_sizes_vary_evenly_around_the_mean() -> None:
 
 
 def test_a_function_of_the_robots_may_make_them() -> None:
-    part = {"type": TEXT, "rate": 10.0, "size": 7.0, "message": "played_texts:words"}
+    part = generated(rate=10.0, size=7.0, message="played_texts:words")
     with player(ports={"out": part}) as bench:
         bench.advance(0.1 + TICK)
         assert texts(bench, "out") == ["wwwwwww"]

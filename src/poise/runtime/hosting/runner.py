@@ -13,7 +13,7 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from typing import Any
 
-from poise.clock import Clock, ComponentClock
+from poise.clock import ComponentClock
 from poise.errors import Timeout
 from poise.priority import ahead
 from poise.runtime._calls import ComponentCounters, Histogram
@@ -88,7 +88,7 @@ class Runner:
             lambda: self.life_cycle.is_at_work,
         )
         self.timers = Timers(timers_of(implementation))
-        self._clock = clock
+        self.clock = clock
         self._on_change = on_change
         self._handler: tuple[str, float] | None = None
         self._measures: dict[str, Histogram] = {}
@@ -100,11 +100,6 @@ class Runner:
         self.reason_to_end = ""
         self._start = 0.0
         self._snapshot = 0
-
-    @property
-    def clock(self) -> Clock:
-        """Its clock."""
-        return self._clock
 
     def start(self) -> None:
         """Start its thread; it goes to the goal by itself."""
@@ -139,7 +134,7 @@ class Runner:
         cpu
             Its CPU time, calls included [s]; None: that of its thread.
         """
-        now = self._clock.now()
+        now = self.clock.now()
         handler, since = self._handler or ("", now)
         return ComponentStatus(
             name=self.spec.name,
@@ -201,7 +196,7 @@ class Runner:
         if hook == "deactivate":
             self.counters.plan([])
             self.gate.pause_or_redirect(_PATIENCE)
-            self.timers.stop(self._clock.now())
+            self.timers.stop(self.clock.now())
         elif hook == "activate":
             # the incarnation before it may still be at work, and goes first
             self.endpoints.buffer_until_active()
@@ -214,13 +209,13 @@ class Runner:
                     self._snapshot = _weight(self.component.snapshot())
         # a user's hook may raise anything
         except (Exception, SystemExit) as error:  # noqa: BLE001
-            self._errors.note(hook, error, self._clock.now())
+            self._errors.note(hook, error, self.clock.now())
             self._clean_up_after(hook)
             state = "failed"
         if state == "active":
-            self.counters.plan(self.timers.start(self._clock.now()))
+            self.counters.plan(self.timers.start(self.clock.now()))
         elif hook == "configure":
-            self._start = self._clock.now() - self.asked_at
+            self._start = self.clock.now() - self.asked_at
         self.life_cycle.enter(state)
         self.gate.resume()
         self._on_change()
@@ -236,10 +231,10 @@ class Runner:
     def _work(self) -> None:
         """Run the timers that are due, then at most one message."""
         for releases in self.timers:
-            if releases.due <= self._clock.now():
+            if releases.due <= self.clock.now():
                 self._run_timer(releases)
         due = self.timers.next_due()
-        limit = None if due is None else max(0.0, due - self._clock.now())
+        limit = None if due is None else max(0.0, due - self.clock.now())
         self.counters.note_idle()
         inbox = self.endpoints.mailbox.next(limit)
         self.counters.note_busy()
@@ -249,11 +244,11 @@ class Runner:
     def _run_timer(self, releases: Releases) -> None:
         if not self._enter():
             return
-        began = self._clock.now()
+        began = self.clock.now()
         release = releases.begin(began)
         name = releases.timer.name
         self._run(getattr(self.component, name), name)
-        releases.end(release, began, self._clock.now())
+        releases.end(release, began, self.clock.now())
 
     def _deliver(self, inbox: Inbox) -> None:
         entry = inbox.take()
@@ -286,12 +281,12 @@ class Runner:
 
     def _run(self, method: Callable[..., Any], what: str, *args: object) -> None:
         """Run user code in the exclusion that was entered, and leave it."""
-        self._handler = what, self._clock.now()
+        self._handler = what, self.clock.now()
         try:
             method(*args)
         # a user's method may raise anything
         except (Exception, SystemExit) as error:  # noqa: BLE001
-            self._errors.note(what, error, self._clock.now())
+            self._errors.note(what, error, self.clock.now())
         finally:
             self._handler = None
             self.counters.note_done()

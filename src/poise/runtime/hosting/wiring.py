@@ -181,8 +181,13 @@ class Wiring:
                 self._open.pop(key).closing.close()
         return troubles
 
-    def sender(self, name: str) -> Sender:
+    def sender(self, connector: str) -> Sender:
         """Return the source's end of a connector that is open here.
+
+        Parameters
+        ----------
+        connector
+            Its name or, for one of its routes, its key.
 
         Raises
         ------
@@ -190,22 +195,9 @@ class Wiring:
             There is none.
         """
         for ends in self.endpoints():
-            if ends.spec.name == name and ends.sender is not None:
+            if ends.sender and connector in {ends.spec.name, ends.spec.key}:
                 return ends.sender
-        raise UsageError(f"no connector '{name}' begins in this container")
-
-    def sender_to(self, key: str) -> Sender:
-        """Return the source's end of the open connector with this key.
-
-        Raises
-        ------
-        UsageError
-            There is none.
-        """
-        ends = self._open.get(key)
-        if ends is None or ends.sender is None:
-            raise UsageError(f"no connector with key '{key}' begins in this container")
-        return ends.sender
+        raise UsageError(f"no connector '{connector}' begins in this container")
 
     def unjoined(self) -> frozenset[str]:
         """Return the keys of the connectors whose other end is not there."""

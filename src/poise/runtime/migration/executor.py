@@ -91,7 +91,7 @@ class MigrationExecutor:
                     sender.send_marker(migration)
             case "release to targets" | "release to sources":
                 for key in step.connectors:
-                    self._wiring.sender_to(key).switch(key)
+                    self._wiring.sender(key).switch(key)
             case "drain channels":
                 markers = dict.fromkeys(step.connectors, migration)
                 left = max(0.0, deadline - time.monotonic())

@@ -15,7 +15,7 @@ import msgspec
 from msgspec import Struct
 
 from poise.errors import CallError, RobotError
-from poise.model.robot import Arrivals
+from poise.model.robot import Generated
 from poise.runtime.component.component import Component
 from poise.runtime.component.implementation import find_function, find_type
 from poise.runtime.component.ports import Published, Required, every
@@ -33,21 +33,16 @@ Due = tuple[float, Callable[[], None]]
 
 
 class Part(Struct, frozen=True, kw_only=True):
-    """What one port of the player sends: sources of the recording, or made up.
+    """What one port of the player sends: sources of the recording, or generated.
 
     `type` is the message's, or the interface that is called, as
-    ``package.module:Class``; for the rest see `poise.model.robot.Generated`.
+    ``package.module:Class``.
     """
 
     type: str
     calls: bool = False
     sources: tuple[str, ...] = ()
-    rate: float = 0.0
-    arrivals: Arrivals = "regular"
-    size: float = 0.0
-    variation: float = 0.0
-    message: str = ""
-    seed: int = 0
+    generated: Generated | None = None
 
 
 class Replay(Component):
@@ -79,9 +74,9 @@ class Replay(Component):
         recording = self.parameters.get("recording")
         inputs = read_recorded(Path(recording)) if recording else []
         self._streams = [
-            self._recorded(name, part, inputs)
-            if part.sources
-            else self._generated(name, part)
+            self._generated(name, part.generated)
+            if part.generated
+            else self._recorded(name, part, inputs)
             for name, part in parts_of(self.parameters).items()
         ]
 
@@ -130,21 +125,18 @@ class Replay(Component):
         except CallError:
             self.measure("failed_calls", 1)
 
-    def _generated(self, name: str, part: Part) -> Iterator[Due]:
+    def _generated(self, name: str, how: Generated) -> Iterator[Due]:
         """Yield made up messages."""
-        rng = random.Random(part.seed)  # noqa: S311, it is to be repeatable
+        rng = random.Random(how.seed)  # noqa: S311, it is to be repeatable
         make: Any = maker(self.types[name])
-        if part.message:
-            make = find_function(part.message, self.folder)
+        if how.message:
+            make = find_function(how.message, self.folder)
         at = 0.0
         while True:
-            at += (
-                rng.expovariate(part.rate)
-                if part.arrivals == "poisson"
-                else 1 / part.rate
-            )
-            spread = rng.uniform(-part.variation, part.variation)
-            message = make(rng, part.size * (1 + spread))
+            is_poisson = how.arrivals == "poisson"
+            at += rng.expovariate(how.rate) if is_poisson else 1 / how.rate
+            spread = rng.uniform(-how.variation, how.variation)
+            message = make(rng, how.size * (1 + spread))
             yield at, partial(self._publish, name, message)
 
 

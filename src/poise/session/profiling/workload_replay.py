@@ -93,15 +93,8 @@ def played(robot: Robot) -> Played:
         recording = str((Path(robot.folder) / workload.recording).absolute())
         parts |= _recorded(robot, recording)
     for each in workload.generate:  # generated ones replace recorded ones
-        parts[str(each.port)] = Part(
-            type=message_type(robot, each.port),
-            rate=each.rate,
-            arrivals=each.arrivals,
-            size=each.size,
-            variation=each.variation,
-            message=each.message,
-            seed=each.seed,
-        )
+        type_ = message_type(robot, each.port)
+        parts[str(each.port)] = Part(type=type_, generated=each)
     return Played(parts, recording)
 
 
