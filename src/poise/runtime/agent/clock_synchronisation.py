@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections import deque
 
 import msgspec
 import zenoh
 
 from poise.clock import Clock
-from poise.estimate.clock_offset import ClockOffset, RoundTrip
+from poise.runtime.agent.clock_offset import ClockOffset, RoundTrip
 from poise.wire.records.clocks import ClockAnswer, ClockStatus
 
 log = logging.getLogger(__name__)
@@ -26,7 +25,6 @@ _EVERY_AT_FIRST = 0.1
 _AT_FIRST = 10
 """So many times at the beginning it asks more often: the quickest trip counts."""
 _ANSWER_LIMIT = 1.0
-_KEPT = 64
 
 
 class ClockSynchronisation:
@@ -54,7 +52,6 @@ class ClockSynchronisation:
         self._computer = computer
         self._clock = clock
         self._offsets: dict[str, ClockOffset] = {}
-        self._trips: dict[str, deque[float]] = {}
         self._known: dict[str, ClockStatus] = {}
         self._lock = threading.Lock()
         self._ended = threading.Event()
@@ -81,17 +78,8 @@ class ClockSynchronisation:
     def _now_known(self) -> dict[str, ClockStatus]:
         with self._lock:
             now = self._clock.now()
-            found = {}
-            for computer, offsets in sorted(self._offsets.items()):
-                offset = offsets.at(now)
-                if offset is not None:
-                    found[computer] = ClockStatus(
-                        offset=offset.value,
-                        error=offset.error,
-                        at=now,
-                        trip=min(self._trips[computer]),
-                    )
-            return found
+            found = {name: offset.at(now) for name, offset in self._offsets.items()}
+        return {name: clock for name, clock in sorted(found.items()) if clock}
 
     def _main(self) -> None:
         asked = answered = 0
@@ -139,9 +127,4 @@ class ClockSynchronisation:
             return
         trip = RoundTrip(sent, answer.received, answer.answered, returned)
         with self._lock:
-            if answer.computer not in self._offsets:
-                self._offsets[answer.computer] = ClockOffset()
-                self._trips[answer.computer] = deque(maxlen=_KEPT)
-            self._offsets[answer.computer].add(trip)
-            took = returned - sent - (answer.answered - answer.received)
-            self._trips[answer.computer].append(took)
+            self._offsets.setdefault(answer.computer, ClockOffset()).add(trip)

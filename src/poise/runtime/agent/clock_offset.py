@@ -13,7 +13,8 @@ from collections import deque
 
 from msgspec import Struct
 
-from poise.clock import DRIFT, Elapsed
+from poise.clock import DRIFT
+from poise.wire.records.clocks import ClockStatus
 
 _KEPT = 64
 
@@ -30,13 +31,6 @@ class RoundTrip(Struct, frozen=True):
     returned: float
 
 
-class Offset(Struct, frozen=True):
-    """The other clock minus this one [s]; it is within `error` of `value`."""
-
-    value: float
-    error: float
-
-
 class ClockOffset:
     """The offset of one other computer's clock, from the last round trips."""
 
@@ -50,8 +44,8 @@ class ClockOffset:
             return
         self._bounds.append((trip.returned, low, high))
 
-    def at(self, now: float) -> Offset | None:
-        """Return the offset at `now` [s, on this clock]; None before any round trip.
+    def at(self, now: float) -> ClockStatus | None:
+        """Return what is known at `now` [s, on this clock]; None before any round trip.
 
         When bounds contradict each other a clock was set: older bounds are dropped.
         """
@@ -64,22 +58,12 @@ class ClockOffset:
             low, high = max(low, least - wide), min(high, most + wide)
         if low == float("-inf"):
             return None
-        return Offset((low + high) / 2, (high - low) / 2)
-
-    def delay(self, there: float, here: float) -> Elapsed | None:
-        """Return the time from leaving there to arriving here [s].
-
-        Parameters
-        ----------
-        there
-            Time of leaving, on the other computer's clock [s].
-        here
-            Time of arrival, on this computer's clock [s].
-        """
-        offset = self.at(here)
-        if offset is None:
-            return None
-        return Elapsed(here - (there - offset.value), offset.error)
+        return ClockStatus(
+            offset=(low + high) / 2,
+            error=(high - low) / 2,
+            at=now,
+            trip=min(most - least for _, least, most in self._bounds),
+        )
 
     def _forget_until(self, returned: float) -> None:
         while self._bounds and self._bounds[0][0] <= returned:
