@@ -170,7 +170,7 @@ class Planner:
                 f"{component!r} cannot be placed on {computer!r}: it may run on "
                 f"{', '.join(choices)}{why}"
             )
-        self._replace(replace(item, only=(computer,), why=f"placed on {computer}"))
+        self._hold(component, (computer,), f"placed on {computer}")
         self._held[component] = free
 
     def release(self, component: str) -> None:
@@ -184,20 +184,14 @@ class Planner:
         free = self._held.pop(component, None)
         if free is None:
             raise UsageError(f"{component!r} is not held to a computer by `place`")
-        self._replace(free)
+        self._hold(component, free.only, free.why)
 
-    def _replace(self, item: Item) -> None:
-        self._build(
-            replace(
-                self.problem,
-                components=tuple(
-                    replace(c, only=item.only, why=item.why)
-                    if c.name == item.name
-                    else c
-                    for c in self.problem.components
-                ),
-            )
+    def _hold(self, component: str, only: tuple[str, ...], why: str) -> None:
+        components = tuple(
+            replace(c, only=only, why=why) if c.name == component else c
+            for c in self.problem.components
         )
+        self._build(replace(self.problem, components=components))
 
 
 def _check_call(
@@ -266,4 +260,5 @@ def evaluate(
     snapshot = Snapshot(part)
     placed = snapshot.arrays.placed(placement)
     result = Result.of(snapshot, placed, method, given=True)
-    return result.chosen(choice)
+    result.choice = choice
+    return result

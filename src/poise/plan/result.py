@@ -65,13 +65,15 @@ class Result:
         How long deciding took [s].
     seed
         Of the search.
+    choice
+        What was chosen besides the placement.
     """
 
     method = "greedy"
     proven = False
     stopped_by: Stopped = "done"
     seed = 0
-    _choice = Choice()
+    choice = Choice()
     _bound: float | None = None
     _conflict: Conflict | None = None
     _given = False
@@ -109,19 +111,9 @@ class Result:
         result._given = given
         return result
 
-    @property
-    def choice(self) -> Choice:
-        """What was chosen besides the placement."""
-        return self._choice
-
-    def chosen(self, choice: Choice) -> Result:
-        """Return it as the result of this choice."""
-        self._choice = choice
-        return self
-
     def settle(self, bound: float, *, proven: bool) -> None:
         """Say what is known of all choices together, when this is the best of them."""
-        self._bound = bound - self._choice.lost
+        self._bound = bound - self.choice.lost
         self.__dict__.pop("bound", None)
         self.proven = proven
         if proven:
@@ -160,7 +152,7 @@ class Result:
         if self._complete and self._given:
             return "; ".join(self._broken)
         if self._complete:
-            return self._choice.why
+            return self.choice.why
         if self.method == "greedy" and not self.proven:
             return self._snapshot.dead_end()
         return IMPOSSIBLE if self.proven else NONE_FOUND
@@ -176,11 +168,11 @@ class Result:
 
     def find_conflict(self, stop: Ask | None = None) -> Conflict | None:
         """Return `conflict`; `stop` says when to give up looking for it."""
-        aside, whole = self._choice.aside, self._choice.whole
+        aside, whole = self.choice.aside, self.choice.whole
         if self._conflict is not None or (self._complete and not aside) or self._given:
             return self._conflict
         problem = whole if aside and whole is not None else self.problem
-        if aside and self._choice.architectures:
+        if aside and self.choice.architectures:
             return None
         self._conflict = conflict(problem, stop)
         if self._conflict is not None and not self._complete:
@@ -192,7 +184,7 @@ class Result:
         """The terms of F; None without a placement."""
         if not self._complete:
             return None
-        return self._snapshot.terms(self._placed).with_quality(self._choice.lost)
+        return self._snapshot.terms(self._placed).with_quality(self.choice.lost)
 
     @cached_property
     def bound(self) -> float | None:
@@ -207,7 +199,7 @@ class Result:
             bound = self._snapshot.core.bound()
         if bound == -inf:
             return None
-        return min(bound + self._choice.lost, self.objective.total)
+        return min(bound + self.choice.lost, self.objective.total)
 
     @property
     def gap(self) -> float | None:
@@ -255,12 +247,12 @@ class Result:
     @property
     def architectures(self) -> Mapping[str, str]:
         """Function -> the architecture chosen for it, where there was a choice."""
-        return self._choice.architectures
+        return self.choice.architectures
 
     @property
     def aside(self) -> tuple[str, ...]:
         """Architectures put aside because not all fits."""
-        return self._choice.aside
+        return self.choice.aside
 
     def to_dict(self) -> dict[str, Any]:
         """Return all of it as plain values, for JSON; the conflict if it was found."""

@@ -8,7 +8,7 @@
 #include <memory>
 #include <stdexcept>
 
-#include "exact/exact.h"
+#include "exact/tree.h"
 #include "greedy.h"
 #include "problem/relaxation.h"
 #include "search/search.h"
@@ -135,7 +135,7 @@ class Core {
       throw std::invalid_argument("the placement to start from breaks a limit");
     }
     return solve(seconds, steps, stop, [&](Stop& until) {
-      if (!exact_) exact_ = std::make_unique<Exact>(problem_);
+      if (!exact_) exact_ = Tree::of(problem_);
       return exact_->run(start, until);
     });
   }
@@ -190,7 +190,7 @@ class Core {
 
   bool keeps_limits(nb::handle known) { return feasible(problem_, checked(known, -1)); }
   nb::list order() { return listed(problem_.order); }
-  bool provable() { return Exact::takes(problem_); }
+  bool provable() { return Tree::takes(problem_); }
   double bound() { return relaxation_bound(problem_); }
 
  private:
@@ -270,7 +270,7 @@ class Core {
   nb::tuple resources_;
   std::vector<std::int32_t> unit_of_;
   std::vector<double> demand_;  // (components, r)
-  std::unique_ptr<Exact> exact_;
+  std::unique_ptr<Tree> exact_;
   Placement placed_;
   std::atomic<bool> busy_{false};
 };

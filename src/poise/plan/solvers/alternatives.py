@@ -105,7 +105,8 @@ def admit(problem: Problem, decide: Decide, *, fewer: bool) -> Result:
     best = _choose(problem, admitted, decide, 1.0)
     aside = tuple(need[0].name for need in every if need not in admitted)
     why = result.reason if aside else ""
-    return best.chosen(best.choice._replace(aside=aside, whole=problem, why=why))
+    best.choice = best.choice._replace(aside=aside, whole=problem, why=why)
+    return best
 
 
 def _priority(need: Need) -> int:
@@ -169,9 +170,8 @@ def _choose(
     best: Result | None = None
     bound, proven = inf, complete
     for combo in combos:
-        result = decide(
-            members(problem, combo), share / max(1, min(count, MOST_COMBINATIONS))
-        ).chosen(_choice(problem, every, combo))
+        result = decide(members(problem, combo), share / min(count, MOST_COMBINATIONS))
+        result.choice = _choice(problem, every, combo)
         # What no combination is below, no placement is below.
         if not (result.proven and not result.feasible):
             bound = min(bound, -inf if result.bound is None else result.bound)

@@ -69,7 +69,7 @@ def decide(core: _core.Core, snapshot: Snapshot, method: str, effort: Effort) ->
     """Decide a problem in which every component is needed."""
     known, name = _start(core, snapshot, method)
     if method == "greedy" or (effort.is_none() and method == "auto"):
-        return _described(core, snapshot, name, known)
+        return Result.of(snapshot, known, name)
     if method == "cpsat":
         answer, finder = _cpsat(core, snapshot.arrays, known, effort), "cpsat"
     elif method == "exact":
@@ -85,24 +85,19 @@ def decide(core: _core.Core, snapshot: Snapshot, method: str, effort: Effort) ->
         answer, finder = _auto(core, snapshot, known, effort)
     if answer.proven or answer.placed != known:
         name = finder
-    return _described(core, snapshot, name, answer.placed, answer)
+    return _described(core, snapshot, name, answer)
 
 
 def _described(
-    core: _core.Core,
-    snapshot: Snapshot,
-    method: str,
-    placed: Placed,
-    answer: Answer | None = None,
+    core: _core.Core, snapshot: Snapshot, method: str, answer: Answer
 ) -> Result:
-    if answer is None:
-        return Result.of(snapshot, placed, method)
     proven, stopped_by = answer.proven, answer.stopped_by
-    if not placed and snapshot.size and (proven or is_short(snapshot.arrays)):
+    is_none = not answer.placed and snapshot.size > 0
+    if is_none and (proven or is_short(snapshot.arrays)):
         proven, stopped_by = True, "infeasible"
     return Result.of(
         snapshot,
-        placed,
+        answer.placed,
         method,
         proven=proven,
         stopped_by=cast("Stopped", stopped_by),

@@ -1,8 +1,9 @@
-// Branch and bound on any number of computers.
+// Branch and bound on any number of computers. Its bound is what has been paid, plus the
+// least that every open unit must pay towards placed ones, plus the imbalance that is left
+// if open demand flowed freely.
 #include <algorithm>
 #include <memory>
 
-#include "exact/exact.h"
 #include "exact/frontier.h"
 #include "exact/tree.h"
 #include "problem/relaxation.h"
@@ -14,7 +15,7 @@ namespace {
 // as the next to be placed. Found by trial: 0.3 to 1.6 are about as good.
 constexpr double kSizeOverTie = 0.6;
 
-class AnyTree final : public Exact::Tree {
+class AnyTree final : public Tree {
  public:
   explicit AnyTree(const Problem& problem) : Tree(problem) {
     if (!possible_) return;
@@ -181,7 +182,7 @@ class AnyTree final : public Exact::Tree {
   // is open flows freely.
   double imbalance(int depth, int k, int computer) const {
     const double* scale = p_.scale.data() + static_cast<std::size_t>(k) * m_;
-    double share[Exact::kMostComputers];
+    double share[kMostComputers];
     for (int h = 0; h < m_; ++h) share[h] = left_[k * m_ + h] * scale[h];
     share[computer] -= need_[depth * r_ + k] * scale[computer];
     const Levelling& levelling = levelling_[k];
@@ -272,19 +273,14 @@ class AnyTree final : public Exact::Tree {
   double paid_ = 0, least_sum_ = 0;
 };
 
-std::unique_ptr<Exact::Tree> tree_for(const Problem& problem) {
+}  // namespace
+
+std::unique_ptr<Tree> Tree::of(const Problem& problem) {
   if (FrontierTree::takes(problem)) {
     auto tree = std::make_unique<FrontierTree>(problem);
     if (tree->narrow()) return tree;
   }
   return std::make_unique<AnyTree>(problem);
 }
-
-}  // namespace
-
-Exact::Exact(const Problem& problem) : tree_(tree_for(problem)) {}
-Exact::~Exact() = default;
-
-Outcome Exact::run(const Placement& known, Stop& stop) { return tree_->run(known, stop); }
 
 }  // namespace poise

@@ -14,7 +14,7 @@ namespace poise {
 // times the imbalance, less a constant of that price, for whichever price; so the largest
 // such sum is a bound. At the root it is hardly ever below the optimum by more than what
 // the last few units cannot level out.
-class FrontierTree final : public Exact::Tree {
+class FrontierTree final : public Tree {
  public:
   static constexpr int kMostWeighed = 3;
 

@@ -5,12 +5,12 @@
 
 namespace poise {
 
-Exact::Tree::Tree(const Problem& problem)
+Tree::Tree(const Problem& problem)
     : p_(problem), n_(p_.n), m_(p_.m), r_(p_.r), at_(p_.n) {
   for (int i = 0; i < n_; ++i) possible_ &= p_.choices(i) > 0;
 }
 
-Outcome Exact::Tree::run(const Placement& known, Stop& stop) {
+Outcome Tree::run(const Placement& known, Stop& stop) {
   Outcome out;
   if (possible_) {
     stop_ = &stop;
@@ -33,13 +33,13 @@ Outcome Exact::Tree::run(const Placement& known, Stop& stop) {
   return out;
 }
 
-void Exact::Tree::set_best(double objective) {
+void Tree::set_best(double objective) {
   best_ = objective;
   const bool known = objective < kInfinity;
   threshold_ = known ? objective - 1e-11 * (1.0 + std::fabs(objective)) : kInfinity;
 }
 
-void Exact::Tree::found() {
+void Tree::found() {
   Placement placed(n_);
   for (int d = 0; d < n_; ++d) placed[order_[d]] = at_[d];
   const double total = terms(p_, placed).total();

@@ -1,18 +1,33 @@
-// What every branch and bound keeps: the order of the units and the best placement so far.
+// Branch and bound: the proven optimum, where that is quick.
 #pragma once
 
-#include "exact/exact.h"
+#include <memory>
+
+#include "problem/stop.h"
 
 namespace poise {
 
-class Exact::Tree {
+// Depth-first over the units, connected ones one after the other. A partial placement is
+// given up when a bound of what it comes to is no better than the best placement known.
+// What every tree keeps is the order of the units and the best placement so far. Prepared
+// once, it may run many times.
+class Tree {
  public:
-  explicit Tree(const Problem& problem);
+  static constexpr int kMostUnits = 1024, kMostComputers = 64;
+  static bool takes(const Problem& problem) {
+    return problem.n <= kMostUnits && problem.m <= kMostComputers;
+  }
+  // The quickest tree for a problem.
+  static std::unique_ptr<Tree> of(const Problem& problem);
+
   virtual ~Tree() = default;
 
+  // `known` may be empty; else it must be feasible.
   Outcome run(const Placement& known, Stop& stop);
 
  protected:
+  explicit Tree(const Problem& problem);
+
   // Go through the tree from its root; where `stop_` says so, leave it with the least
   // bound of what was not looked at in `open_bound_`.
   virtual void descend() = 0;

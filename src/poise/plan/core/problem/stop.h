@@ -1,9 +1,11 @@
-// When a solver must stop: by clock, by count, or because the user says so.
+// When a solver must stop, by clock, by count, or because the user says so; and its answer.
 #pragma once
 
 #include <chrono>
 #include <cstdint>
 #include <functional>
+
+#include "problem/problem.h"
 
 namespace poise {
 
@@ -74,6 +76,16 @@ class Stop {
   double next_ask_ = 0.005;
   bool stopped_ = false;
   Reason reason_ = Reason::kBudget;
+};
+
+// What a solver hands back.
+struct Outcome {
+  Placement placed;              // empty: none found
+  double objective = kInfinity;  // its F
+  double bound = -kInfinity;     // no placement has a lower F
+  bool proven = false;           // nothing is better; nothing exists when none was found
+  Reason reason = Reason::kDone;
+  std::int64_t steps = 0;
 };
 
 }  // namespace poise

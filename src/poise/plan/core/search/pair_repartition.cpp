@@ -6,7 +6,7 @@
 namespace poise {
 namespace {
 
-// As in exact_tree.cpp: how much size counts against ties in the order of the units.
+// As in branch_and_bound.cpp: how much size counts against ties in the order of the units.
 constexpr double kSizeOverTie = 0.6;
 constexpr int kMostUnits = 200;
 
@@ -75,7 +75,7 @@ bool PairRepartition::collect(const State& state, int a, int b) {
   return true;
 }
 
-// Order the units as `Exact` does: those with one choice first, then by ties and size.
+// Order the units as branch and bound does: those with one choice first, then by ties and size.
 void PairRepartition::sort_units(int a, int b) {
   std::sort(units_.begin(), units_.end());
   value_.assign(static_cast<std::size_t>(count_), 0.0);

@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "multilevel/multilevel.h"
+#include "multilevel.h"
 #include "problem/relaxation.h"
 #include "search/feasibility.h"
 
@@ -63,10 +63,6 @@ void Search::run(const Placement& start) {
   }
 }
 
-// Beyond this many units x computers single moves come to little in any time; refining by
-// passes over all units is what is left.
-constexpr std::int64_t kLargestSearch = 4'000'000;
-
 Outcome search(const Problem& p, const Placement& known, Stop& stop, std::uint64_t seed) {
   Outcome out;
   Random random(seed ^ 0x9e3779b97f4a7c15U);
@@ -78,16 +74,9 @@ Outcome search(const Problem& p, const Placement& known, Stop& stop, std::uint64
     if (better) start = std::move(joined);
   }
   if (start.empty()) start = Feasibility(p, stop, random).run();
-  if (static_cast<std::int64_t>(p.n) * p.m <= kLargestSearch) {
-    Search search(p, stop, seed);
-    if (static_cast<int>(start.size()) == p.n) search.run(start);
-    start = search.best();
-  } else if (!start.empty() && feasible(p, start)) {
-    refine(p, start, stop);
-  } else {
-    start.clear();
-  }
-  out.placed = start;
+  Search search(p, stop, seed);
+  if (static_cast<int>(start.size()) == p.n) search.run(start);
+  out.placed = search.best();
   out.bound = relaxation_bound(p);
   out.reason = stop.stopped() ? stop.reason() : Reason::kDone;
   out.steps = stop.steps();

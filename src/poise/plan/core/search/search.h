@@ -3,7 +3,7 @@
 
 #include <utility>
 
-#include "problem/outcome.h"
+#include "problem/stop.h"
 #include "problem/random.h"
 #include "search/pair_repartition.h"
 #include "search/state.h"

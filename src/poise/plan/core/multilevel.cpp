@@ -1,10 +1,10 @@
-#include "multilevel/multilevel.h"
+#include "multilevel.h"
 
 #include <algorithm>
 #include <cmath>
 #include <memory>
+#include <numeric>
 
-#include "multilevel/coarsening.h"
 #include "greedy.h"
 
 namespace poise {
@@ -16,6 +16,56 @@ constexpr int kUnitsPerComputer = 12;
 // What a joined unit may ask for, of a mean limit.
 constexpr double kLargest = 0.25;
 constexpr int kMostPasses = 4;
+
+bool must_be_apart(const Problem& p, int i, int j) {
+  const auto apart = p.apart(i);
+  return std::find(apart.begin(), apart.end(), j) != apart.end();
+}
+
+// Heavy-edge matching: each unit, in random order, takes its heaviest free neighbour.
+std::vector<std::int32_t> match(const Problem& p, double largest, Random& random,
+                                int& count) {
+  std::vector<double> limit(p.r);
+  for (int k = 0; k < p.r; ++k) limit[k] = p.mean_room(k) * largest;
+  std::vector<std::int32_t> part(p.n, -1), order(p.n);
+  std::iota(order.begin(), order.end(), 0);
+  for (int i = p.n; i > 1; --i) std::swap(order[i - 1], order[random.below(i)]);
+  count = 0;
+  for (const std::int32_t i : order) {
+    if (part[i] >= 0) continue;
+    int best = -1;
+    double heaviest = 0;
+    for (const Neighbour& other : p.neighbours(i)) {
+      if (part[other.unit] >= 0 || other.overhead <= heaviest) continue;
+      bool fits = p.may_join(i, other.unit) && !must_be_apart(p, i, other.unit);
+      for (int k = 0; k < p.r; ++k) {
+        fits &= p.need(i)[k] + p.need(other.unit)[k] <= limit[k];
+      }
+      if (!fits) continue;
+      best = other.unit;
+      heaviest = other.overhead;
+    }
+    part[i] = count;
+    if (best >= 0) part[best] = count;
+    ++count;
+  }
+  return part;
+}
+
+// A smaller problem in the shape of a larger one: connected units become one.
+struct Coarse {
+  Problem problem;
+  std::vector<std::int32_t> part_of;  // unit of the larger problem -> unit of this one
+};
+
+// Join pairs of units along their heaviest connectors, where limits allow it. No joined
+// unit asks for more than `largest` of any mean limit.
+Coarse coarsen(const Problem& fine, double largest, Random& random) {
+  int count = 0;
+  std::vector<std::int32_t> part = match(fine, largest, random, count);
+  Problem coarse = fine.joined(part, count);
+  return {std::move(coarse), std::move(part)};
+}
 
 // One level under refinement: residues, and the balance by its variance. Over many
 // computers the range is a poor guide, as only two of them have a say in it.
@@ -138,8 +188,8 @@ class Level {
   int emptiest_ = 0;
 };
 
-}  // namespace
-
+// Move units to their neighbours' computers, or to emptier ones, while F falls. `placed`
+// must be feasible, and stays so.
 void refine(const Problem& p, Placement& placed, Stop& stop) {
   if (p.m < 2) return;
   Level level(p, placed);
@@ -157,6 +207,8 @@ void refine(const Problem& p, Placement& placed, Stop& stop) {
   }
   placed = best;
 }
+
+}  // namespace
 
 Placement multilevel(const Problem& problem, Stop& stop, Random& random) {
   std::vector<std::unique_ptr<Coarse>> levels;
