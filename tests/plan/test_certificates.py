@@ -4,9 +4,11 @@ from math import inf
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from benchmarks.random_robots import random_robot
 from poise import plan
+from poise.model.robot import Objective
 from poise.plan._core import Core
 from poise.plan.arrays import arrays_of
 from tests.plan.plan_problems import least, small_robot
@@ -65,6 +67,44 @@ def test_a_known_placement_is_not_proven_by_an_infeasible_model(
     answer = cpsat.solve(core, arrays, 1.0, 0, known)
     assert answer.placed == known
     assert not answer.proven
+
+
+@pytest.mark.slow
+def test_what_cpsat_finds_is_verified(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A placement may break a limit that rounding hid, or be above what is proven."""
+    pytest.importorskip("ortools")
+    tables = tabulate(plan.load(ROBOTS / "three_computers.json"))
+    core = Core(tables)
+    good, broken = core.search([], 1e9, 50_000, 1)[0], [0] * tables.n
+    assert not core.feasible(broken)
+    for found in (broken, good):
+        answers = [
+            cpsat._Answer("UNKNOWN", [], -inf, interrupted=False),
+            cpsat._Answer("OPTIMAL", found, 0.1, interrupted=False),
+        ]
+        monkeypatch.setattr(cpsat, "_run", lambda *_, left=answers: left.pop())
+        certificate = cpsat.solve(core, tables, 60.0, 0, [])
+        assert certificate.placed == ([] if found is broken else good)
+        assert certificate.bound == pytest.approx(0.1)
+        assert not certificate.proven
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("balance", [0.0, 0.5])
+def test_the_model_of_cpsat_is_below_f_by_no_more_than_it_says(balance: float) -> None:
+    """Every component is held where it is, so that the model has one placement."""
+    pytest.importorskip("ortools")
+    robot = random_robot(1, 20, 3, load=0.5)
+    problem = replace(robot, objective=Objective(balance=balance))
+    core = Core(tables := tabulate(problem))
+    placed, complete = core.greedy()
+    assert complete
+    model = cpsat._Relaxation(tables)
+    for row, computer in zip(model.on, placed, strict=True):
+        model.program.add(row[computer] == 1)
+    total = sum(core.terms(placed))
+    bound = cpsat._run(model, 60.0, 0, 1, None).bound
+    assert total - model.error <= bound <= total
 
 
 @pytest.mark.slow

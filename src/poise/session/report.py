@@ -188,7 +188,7 @@ def reported(up: Started, placed: Placement, task: str, seen: Measured) -> RunRe
     try:
         simulation = dict(up.world.result()) if up.world else {}
     except RunError as error:
-        invalid = invalid or str(error)
+        invalid = "; ".join(filter(None, [invalid, str(error)]))
     return RunReport(
         robot=robot.name,
         task=task,

@@ -89,6 +89,17 @@ def test_a_container_that_was_restarted_three_times_lately_is_in_a_crash_loop(
     )
 
 
+def test_names_a_container_that_nobody_wants(robot: Robot) -> None:
+    """Such as one of another manager."""
+    container = ContainerStatus(name="odd", pid=7, components=())
+    status = AgentStatus(
+        computer="a", generation=1, uptime=9.0, cpu=0.0, containers=(container,)
+    )
+    plan = DeploymentPlan(robot, "")
+    (found,) = find_deviations([], [], plan, {"a": status}, 5.0)
+    assert found.what == "container 'odd' runs on 'a', unwanted"
+
+
 @pytest.mark.parametrize(
     ("ready", "placed", "count"),
     [
