@@ -108,10 +108,11 @@ def test_the_model_of_cpsat_is_below_f_by_no_more_than_it_says(balance: float) -
 
 
 @pytest.mark.slow
-def test_places_a_robot_that_is_nearly_full() -> None:
+@pytest.mark.parametrize("method", ["auto", "search"])
+def test_places_a_robot_that_is_nearly_full(method: str) -> None:
     """98 % of its capacity is used, with links, sets and pins."""
-    result = plan.solve(plan.load(ROBOTS / "nearly_full.json"), steps=2_000_000)
-    assert result.feasible
+    problem = plan.load(ROBOTS / "nearly_full.json")
+    assert plan.solve(problem, method=method, steps=2_000_000).feasible
 
 
 @pytest.mark.slow

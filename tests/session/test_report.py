@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 
+from poise.manage.observe.failures import ComponentError, HungHandler
 from poise.model.robot import Computer, Robot
-from poise.session.report import component_reports, connector_reports, cpu_shares
+from poise.session.report import (
+    RunReport,
+    component_reports,
+    connector_reports,
+    cpu_shares,
+)
 from poise.wire.records.deployment import (
     AgentStatus,
     ComponentStatus,
     ConnectorStatus,
     ContainerStatus,
+    Fault,
 )
 
 
@@ -60,3 +68,34 @@ def test_a_components_cpu_is_of_the_run_alone() -> None:
 
 def test_every_end_of_a_connector_is_reported() -> None:
     assert [c.name for c in connector_reports(END)] == ["x"]
+
+
+GOOD = RunReport(
+    robot="r",
+    task="work",
+    method="static",
+    placement={},
+    decision_seconds=0.0,
+    seconds=1.0,
+    cpu_share={},
+    components=(),
+    connectors=(),
+)
+ERROR = ComponentError(
+    component="eye", computer="left", where="tick", text="x", first=1.0, count=1
+)
+HUNG = HungHandler(component="eye", computer="left", handler="tick", seconds=2.0)
+
+
+@pytest.mark.parametrize(
+    "report",
+    [
+        replace(GOOD, errors=(ERROR,)),
+        replace(GOOD, hung=(HUNG,)),
+        replace(GOOD, refused={"eye.x-mind.x": 1}),
+        replace(GOOD, faults=(Fault(container="eye", message="was killed"),)),
+    ],
+)
+def test_a_run_fails_by_any_error(report: RunReport) -> None:
+    assert not GOOD.failed
+    assert report.failed
