@@ -17,7 +17,7 @@ from tests.waiting import LONG
 pytestmark = pytest.mark.slow
 
 CODE = """
-import threading
+import os, signal, threading
 from poise import Component, Message, Published, every, subscribed
 
 class Number(Message):
@@ -43,6 +43,14 @@ class Grumbling(Component):
     @every(0.1)
     def tock(self):
         raise ValueError("no pose")
+
+class Dying(Component):
+    @every(0.1)
+    def tick(self):
+        mark = __file__ + ".died"
+        if not os.path.exists(mark):
+            open(mark, "w").close()
+            os.kill(os.getpid(), signal.SIGKILL)
 
 class Hanging(Component):
     @every(0.1, deadline=0.05)
@@ -145,6 +153,15 @@ def test_every_distinct_error_and_a_hung_handler_are_in_the_report(
     (hung,) = report["hung"]
     assert (hung["component"], hung["handler"]) == ("hanging", "tick")
     assert hung["seconds"] > 0.5
+
+
+def test_a_container_that_ended_is_in_the_report(tmp_path: Path) -> None:
+    file = robot(tmp_path, "Dying")
+    code, report = run(file, "--for", "2s", "--placement", "static")
+    assert code == 1
+    (fault,) = report["faults"]
+    assert "was killed by SIGKILL" in fault["message"]
+    assert "'dying' is gone" in fault["message"]
 
 
 def test_errors_can_be_allowed(tmp_path: Path) -> None:
