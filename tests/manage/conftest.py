@@ -23,6 +23,7 @@ from poise.wire.records.deployment import (
     ContainerStatus,
     Deployment,
     Fault,
+    ManagerId,
 )
 
 
@@ -80,6 +81,7 @@ class FakeAgents:
     """Agents that are at once what they are told to be, but for what a test spoils."""
 
     def __init__(self, *computers: str, generation: int = 0) -> None:
+        self.manager = ManagerId(key="k", user="ann", host="desk", pid=7, since=0.0)
         self.gone: set[str] = set()
         self.returns = False
         self.claimed: list[str] = []

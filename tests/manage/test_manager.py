@@ -7,7 +7,7 @@ from typing import cast
 import pytest
 
 from poise.manage.agents import Agents
-from poise.manage.control_socket.records import MoveCommand, Moved
+from poise.manage.control_socket.records import MoveCommand, Moved, StatusCommand
 from poise.manage.journal import Journal
 from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
@@ -76,6 +76,12 @@ def test_a_move_to_a_computer_that_is_out_of_reach_is_refused_at_once(
     managed.manager.work(0.0)  # from here on the manager goes on without it
     sentences = managed.sentences_of_move()
     assert "computer 'left' is out of reach since" in sentences[-1]
+
+
+def test_a_status_waits_for_nothing_that_the_manager_does(managed: Managed) -> None:
+    waiting = managed.manager.submit(COMMAND)
+    assert managed.manager.submit(StatusCommand()).done()
+    assert not waiting.done()
 
 
 def test_a_lost_computer_is_told_once(managed: Managed) -> None:

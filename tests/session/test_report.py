@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from poise.manage.observe.failures import ComponentError, HungHandler
 from poise.model.robot import Computer, Robot
+from poise.session.failures import ComponentError, HungHandler
 from poise.session.report import (
     RunReport,
     component_reports,
