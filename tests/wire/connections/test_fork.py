@@ -7,6 +7,7 @@ import socket
 
 import pytest
 
+from poise.wire.connections.connection import Connection
 from poise.wire.connections.fork import keep_private
 
 pytestmark = pytest.mark.slow
@@ -45,3 +46,19 @@ def test_a_forked_process_that_sends_gets_an_error() -> None:
     ours.close()
     assert theirs.recv(1) == b""
     theirs.close()
+
+
+def test_a_forked_process_has_no_connection_of_its_container() -> None:
+    ours, theirs = socket.socketpair()
+    with theirs:
+        connection = Connection(ours)
+        number = ours.fileno()
+        child = os.fork()
+        if child == 0:
+            try:
+                os.write(number, b"x")
+            except OSError:
+                os._exit(0)
+            os._exit(1)
+        assert os.waitpid(child, 0)[1] == 0
+        connection.close()
