@@ -72,18 +72,18 @@ def test_a_known_placement_is_not_proven_by_an_infeasible_model(
 @pytest.mark.slow
 def test_what_cpsat_finds_is_verified(monkeypatch: pytest.MonkeyPatch) -> None:
     """A placement may break a limit that rounding hid, or be above what is proven."""
-    pytest.importorskip("ortools")
-    tables = tabulate(plan.load(ROBOTS / "three_computers.json"))
-    core = Core(tables)
-    good, broken = core.search([], 1e9, 50_000, 1)[0], [0] * tables.n
+    cpsat = pytest.importorskip("poise.plan.solvers.cpsat")
+    arrays = arrays_of(plan.load(ROBOTS / "three_computers.json"))
+    core = Core(arrays)
+    good, broken = core.search([], 1e9, 50_000, 1)[0], [0] * arrays.n
     assert not core.feasible(broken)
     for found in (broken, good):
         answers = [
-            cpsat._Answer("UNKNOWN", [], -inf, interrupted=False),
-            cpsat._Answer("OPTIMAL", found, 0.1, interrupted=False),
+            cpsat._Solved("UNKNOWN", [], -inf, interrupted=False),
+            cpsat._Solved("OPTIMAL", found, 0.1, interrupted=False),
         ]
         monkeypatch.setattr(cpsat, "_run", lambda *_, left=answers: left.pop())
-        certificate = cpsat.solve(core, tables, 60.0, 0, [])
+        certificate = cpsat.solve(core, arrays, 60.0, 0, [])
         assert certificate.placed == ([] if found is broken else good)
         assert certificate.bound == pytest.approx(0.1)
         assert not certificate.proven
@@ -93,13 +93,13 @@ def test_what_cpsat_finds_is_verified(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("balance", [0.0, 0.5])
 def test_the_model_of_cpsat_is_below_f_by_no_more_than_it_says(balance: float) -> None:
     """Every component is held where it is, so that the model has one placement."""
-    pytest.importorskip("ortools")
+    cpsat = pytest.importorskip("poise.plan.solvers.cpsat")
     robot = random_robot(1, 20, 3, load=0.5)
     problem = replace(robot, objective=Objective(balance=balance))
-    core = Core(tables := tabulate(problem))
+    core = Core(arrays := arrays_of(problem))
     placed, complete = core.greedy()
     assert complete
-    model = cpsat._Relaxation(tables)
+    model = cpsat._Relaxation(arrays)
     for row, computer in zip(model.on, placed, strict=True):
         model.program.add(row[computer] == 1)
     total = sum(core.terms(placed))
