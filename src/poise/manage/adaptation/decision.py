@@ -1,0 +1,154 @@
+"""Whether another placement is worth its moves. Pure.
+
+Gain and cost are work that is not done [core-seconds]: what computers are short of now
+and would not be there, over the horizon; against what the components that move would
+have done meanwhile, and the CPU time of starting them there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from collections.abc import Set as AbstractSet
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from poise.errors import RobotError
+from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.replan import Proposal, propose, with_present_needs
+from poise.manage.migration.transition import Step
+from poise.model.check.hosts import allowed_hosts
+from poise.model.robot import Computer, Robot
+
+HORIZON = 30.0
+"""A load is expected to last for so long as it is now [s]."""
+DOWNTIME = 0.05
+"""A move that was never measured pauses its component for so long [s]."""
+START = 0.3
+"""CPU time of starting a component elsewhere, if it was never measured [s]."""
+MOVE = 0.001
+"""What F grows by for each move: of placements that mend the same, few moves win."""
+
+
+class Decision(Struct, frozen=True, kw_only=True):
+    """What is done about symptoms.
+
+    Parameters
+    ----------
+    proposal
+        Where the components should run; None: there is nothing better.
+    acts
+        Whether it is carried out.
+    why
+        A sentence for people.
+    gain, cost
+        Work that would be done more, and less [core-seconds].
+    """
+
+    acts: bool
+    why: str
+    proposal: Proposal | None = None
+    gain: float = 0.0
+    cost: float = 0.0
+
+
+def decide(
+    facts: Facts,
+    barred: Mapping[str, AbstractSet[str]],
+    downtimes: Mapping[str, float],
+) -> Decision:
+    """Return whether to change the placement, and why.
+
+    Parameters
+    ----------
+    barred
+        Component -> computers where it may not go.
+    downtimes
+        Component -> the downtime of its last move [s].
+    """
+    computers = facts.computers_left()
+    robot = replace(facts.robot, computers=computers)
+    needy = with_present_needs(robot, facts.demand_estimates)
+    short = shortage(needy, facts.placement, computers)
+    if not short:
+        return Decision(
+            acts=False,
+            why="by their demands all components fit where they are: another "
+            "placement would not help. Is a component blocked, or its deadline too "
+            "short for its work?",
+        )
+    try:
+        proposal = propose(
+            _barring(robot, facts.placement, barred),
+            facts.task,
+            facts.placement,
+            facts.demand_estimates,
+            MOVE,
+        )
+    except RobotError as error:
+        return Decision(acts=False, why=f"no placement can help: {error}")
+    left = shortage(needy, proposal.placement, computers)
+    gain = (short - left) * HORIZON
+    cost = _cost(needy, proposal.steps, downtimes)
+    what = (
+        f"{len(proposal.steps)} moves cost {cost:.2f} core-seconds and gain {gain:.2f} "
+        f"within {HORIZON:g} s"
+    )
+    if not proposal.steps or gain <= cost:
+        return Decision(
+            acts=False,
+            why=f"it stays as it is: {what}",
+            proposal=proposal,
+            gain=gain,
+            cost=cost,
+        )
+    return Decision(acts=True, why=what, proposal=proposal, gain=gain, cost=cost)
+
+
+def shortage(
+    robot: Robot, placement: Mapping[str, str], computers: Iterable[Computer]
+) -> float:
+    """Return the CPU that components need and their computers do not have [cores]."""
+    needs = {c.name: 0.0 for c in computers}
+    for component in robot.components():
+        if (computer := placement.get(component.name)) in needs:
+            needs[computer] += component.demand.get("cpu", 0.0)
+    return sum(max(0.0, needs[c.name] - c.usable("cpu")) for c in computers)
+
+
+def _cost(robot: Robot, steps: Iterable[Step], downtimes: Mapping[str, float]) -> float:
+    demands = {c.name: c.demand.get("cpu", 0.0) for c in robot.components()}
+    return sum(
+        START + demands[step.component] * downtimes.get(step.component, DOWNTIME)
+        for step in steps
+    )
+
+
+def _barring(
+    robot: Robot, placement: Mapping[str, str], barred: Mapping[str, AbstractSet[str]]
+) -> Robot:
+    """Return the robot whose components may not go where they are barred from."""
+    if not barred:
+        return robot
+    allowed = allowed_hosts(robot)
+    only = {
+        name: tuple(
+            computer
+            for computer in allowed[name]
+            if computer not in computers or computer == placement.get(name)
+        )
+        for name, computers in barred.items()
+    }
+    return replace(
+        robot,
+        architectures=tuple(
+            replace(
+                architecture,
+                components=tuple(
+                    replace(c, only=only[c.name]) if only.get(c.name) else c
+                    for c in architecture.components
+                ),
+            )
+            for architecture in robot.architectures
+        ),
+    )

@@ -1,0 +1,52 @@
+"""What the loop of adaptation knows of a running robot at one moment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from poise.manage.observe.estimates import DemandEstimate
+from poise.manage.observe.loads import Load
+from poise.manage.observe.misses import Misses
+from poise.model.robot import Computer, Robot
+
+
+class Facts(Struct, frozen=True, kw_only=True):
+    """One moment of a running robot.
+
+    Parameters
+    ----------
+    robot
+        With the demands that it was placed by.
+    placement
+        Component -> computer.
+    loads
+        Computer -> its CPU use over the last second, where it is known.
+    misses
+        The timers that were due within the last second.
+    demand_estimates
+        What the components need.
+    """
+
+    robot: Robot
+    task: str
+    placement: Mapping[str, str]
+    loads: Mapping[str, Load] = {}
+    misses: tuple[Misses, ...] = ()
+    demand_estimates: tuple[DemandEstimate, ...] = ()
+
+    def computers_left(self) -> tuple[Computer, ...]:
+        """Return the computers with what other programs leave of their CPU."""
+        return tuple(
+            _less_background(computer, self.loads.get(computer.name))
+            for computer in self.robot.computers
+        )
+
+
+def _less_background(computer: Computer, load: Load | None) -> Computer:
+    if load is None or not load.background:
+        return computer
+    cores = computer.capacity.get("cpu", 0.0) - load.background / computer.speed
+    return replace(computer, capacity={**computer.capacity, "cpu": max(0.0, cores)})

@@ -1,0 +1,89 @@
+"""Keeps the loop of adaptation from moving too often, or to and fro. Pure.
+
+Three rules. After a transition the loop rests, twice as long each time, until a long
+time without one has passed. A component does not go back to a computer that it left
+for its own good, for a time that doubles, too. And no more components move in a minute
+than the budget allows.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+
+from poise.manage.migration.transition import Step
+
+REST = 3.0
+"""The loop rests for so long after a transition [s]; twice as long after the next."""
+LONGEST_REST = 300.0
+"""It never rests longer [s]."""
+FORGET_AFTER = 600.0
+"""After so long without a transition [s] the next rest is as short as the first."""
+STAY_AWAY = 300.0
+"""A component does not return to a computer for so long [s]; then twice as long."""
+BUDGET = 60
+"""At most so many components move within a minute."""
+THINK_AGAIN = 2.0
+"""When nothing can be done, it is thought about again after this time [s]; then after
+twice as long, up to `LONGEST_REST`."""
+_MINUTE = 60.0
+
+
+class Restraint:
+    """What the loop did lately, and so what it may do now.
+
+    All times are of one clock that never goes back [s].
+    """
+
+    def __init__(self) -> None:
+        self._rest = REST
+        self._rests_until = 0.0
+        self._last = float("-inf")
+        self._think_again = THINK_AGAIN
+        self._moves: deque[float] = deque()
+        self._left: dict[tuple[str, str], tuple[float, float]] = {}
+
+    def rests(self, now: float) -> bool:
+        """Return whether nothing is done yet after the last transition."""
+        return now < self._rests_until
+
+    def may_move(self, number: int, now: float) -> bool:
+        """Return whether so many components may move within the budget."""
+        while self._moves and now - self._moves[0] >= _MINUTE:
+            self._moves.popleft()
+        return len(self._moves) + number <= BUDGET
+
+    def barred(self, now: float) -> dict[str, set[str]]:
+        """Return component -> computers to which it may not return yet."""
+        found: dict[str, set[str]] = {}
+        for (component, computer), (until, _) in self._left.items():
+            if now < until:
+                found.setdefault(component, set()).add(computer)
+        return found
+
+    def note_nothing(self, now: float) -> None:
+        """Remember that there was nothing to do about what is wrong."""
+        self._rests_until = now + self._think_again
+        self._think_again = min(2 * self._think_again, LONGEST_REST)
+
+    def forget_nothing(self) -> None:
+        """Think at once about what goes wrong next: nothing is wrong now."""
+        self._think_again = THINK_AGAIN
+
+    def note(self, steps: Iterable[Step], now: float) -> None:
+        """Remember a transition, whether it went well or not."""
+        self.forget_nothing()
+        if now - self._last >= FORGET_AFTER:
+            self._rest = REST
+        self._last = now
+        self._rests_until = now + self._rest
+        self._rest = min(2 * self._rest, LONGEST_REST)
+        for step in steps:
+            if step.kind != "move":
+                continue
+            self._moves.append(now)
+            key = step.component, step.source
+            until, away = self._left.get(key, (0.0, STAY_AWAY / 2))
+            forgotten = now - until >= FORGET_AFTER
+            away = STAY_AWAY if forgotten else 2 * away
+            self._left[key] = now + away, away

@@ -1,0 +1,113 @@
+"""What makes the manager think about another placement.
+
+A trigger is a function from facts to symptoms. Add one here, and to `TRIGGERS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+
+from msgspec import Struct
+
+from poise.manage.adaptation.facts import Facts
+
+FULL = 0.95
+"""A computer that uses this share of its CPU or more has none left."""
+STARVED = 0.1
+"""A component is starved when this share of its jobs is not done."""
+MISSED = 0.1
+"""A timer that misses this share of its deadlines does not keep its rate."""
+LASTS = 0.5
+"""A symptom counts when it has lasted for this time [s]."""
+
+
+class Symptom(Struct, frozen=True):
+    """Something that another placement may mend.
+
+    Parameters
+    ----------
+    trigger
+        What found it.
+    about
+        A computer, or a component's timer.
+    what
+        A sentence for people.
+    """
+
+    trigger: str
+    about: str
+    what: str
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """What makes it the same one as before."""
+        return self.trigger, self.about
+
+
+Trigger = Callable[[Facts], Iterator[Symptom]]
+
+
+def overload(facts: Facts) -> Iterator[Symptom]:
+    """Find computers whose CPU is used up while a component there is starved."""
+    starved = {
+        each.computer
+        for each in facts.demand_estimates
+        if each.estimate.starved >= STARVED
+    }
+    late = {each.computer for each in facts.misses if each.share >= MISSED}
+    for name, load in facts.loads.items():
+        if load.share >= FULL and name in starved | late:
+            others = ""
+            if load.background:
+                others = f", {load.background:.2f} of them by other programs"
+            yield Symptom(
+                "overload",
+                name,
+                f"computer '{name}' is overloaded: {load.used:.2f} of "
+                f"{load.capacity:.2f} cores are used{others}",
+            )
+
+
+def deadlines(facts: Facts) -> Iterator[Symptom]:
+    """Find timers that miss their deadlines."""
+    for each in facts.misses:
+        if each.share >= MISSED:
+            yield Symptom(
+                "deadlines",
+                f"{each.component}.{each.timer}",
+                f"timer '{each.timer}' of component '{each.component}' on "
+                f"'{each.computer}' missed {each.missed} of {each.released} deadlines "
+                "within a second",
+            )
+
+
+TRIGGERS: tuple[Trigger, ...] = (overload, deadlines)
+
+
+class Lasting:
+    """Tells what lasts from what is over before anything could be done.
+
+    Parameters
+    ----------
+    seconds
+        How long a symptom must have lasted [s].
+    """
+
+    def __init__(self, seconds: float = LASTS) -> None:
+        self._seconds = seconds
+        self._since: dict[tuple[str, str], float] = {}
+
+    @property
+    def since(self) -> Mapping[tuple[str, str], float]:
+        """When each symptom that is there now was seen first."""
+        return self._since
+
+    def select(self, symptoms: Iterable[Symptom], now: float) -> tuple[Symptom, ...]:
+        """Return those that have been there at every look for long enough."""
+        found = {each.key: each for each in symptoms}
+        self._since = {key: self._since.get(key, now) for key in found}
+        return tuple(
+            each
+            for key, each in found.items()
+            if now - self._since[key] >= self._seconds
+        )

@@ -1,0 +1,88 @@
+"""A robot of two computers, and what the loop may know of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import pytest
+
+from poise.estimate.online import Estimate
+from poise.manage.adaptation.facts import Facts
+from poise.manage.observe.estimates import DemandEstimate
+from poise.manage.observe.loads import Load
+from poise.manage.observe.misses import Misses
+from poise.model.robot import Action, Architecture, Component, Computer, Robot, Task
+
+Make = Callable[..., Facts]
+
+
+@pytest.fixture
+def two() -> Robot:
+    """Return computers of half a core, and components of 0.2 and 0.2."""
+    return Robot(
+        name="two",
+        computers=tuple(
+            Computer(name=name, capacity={"cpu": 0.5}) for name in ("left", "right")
+        ),
+        architectures=(
+            Architecture(
+                name="all",
+                function="all",
+                components=tuple(
+                    Component(name=name, demand={"cpu": 0.2}) for name in ("a", "b")
+                ),
+            ),
+        ),
+        tasks=(Task(name="work", actions=(Action(name="w", functions=("all",)),)),),
+    )
+
+
+@pytest.fixture
+def facts(two: Robot) -> Make:
+    """Return what makes facts; both components are on `left` unless said."""
+
+    def make(
+        placement: Mapping[str, str] | None = None,
+        *,
+        background: Mapping[str, float] | None = None,
+        missed: tuple[str, ...] = (),
+        robot: Robot = two,
+    ) -> Facts:
+        placement = placement or {"a": "left", "b": "left"}
+        background = background or {}
+        loads = {
+            computer.name: Load(
+                capacity=0.5,
+                used=min(0.5, 0.2 * n + background.get(computer.name, 0.0)),
+                background=background.get(computer.name, 0.0),
+            )
+            for computer in robot.computers
+            for n in [list(placement.values()).count(computer.name)]
+        }
+        return Facts(
+            robot=robot,
+            task="work",
+            placement=placement,
+            loads=loads,
+            misses=tuple(
+                Misses(
+                    component=name,
+                    computer=placement[name],
+                    timer="tick",
+                    released=10,
+                    missed=5,
+                )
+                for name in missed
+            ),
+            demand_estimates=tuple(
+                DemandEstimate(
+                    component=name,
+                    computer=at,
+                    expected=None,
+                    estimate=Estimate(mean=0.2, p95=0.2, error=0.01),
+                )
+                for name, at in placement.items()
+            ),
+        )
+
+    return make
