@@ -34,6 +34,9 @@ def up_command(
     otel: Annotated[
         str | None, typer.Option(help="URL of an OpenTelemetry collector (OTLP/HTTP).")
     ] = None,
+    adapt: Annotated[
+        bool, typer.Option(help="Change the placement when deadlines are missed.")
+    ] = True,
     record: Annotated[
         Path | None,
         typer.Option(
@@ -60,6 +63,7 @@ def up_command(
             metrics=metrics,
             otel=otel,
             record=record,
+            adapt=adapt,
             say=say,
             check=interrupts.check,
         ) as running:

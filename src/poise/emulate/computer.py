@@ -33,6 +33,10 @@ size can do that many times as much, and then take as long as they would there.
 """
 
 
+CPU_FILE = "POISE_CPU_FILE"
+"""Environment variable: the file that counts the computer's CPU time; empty: none."""
+
+
 class EmulatedComputer:
     """A computer of the robot, emulated by a part of this one.
 
@@ -135,6 +139,7 @@ class EmulatedComputer:
             MARK: self._mark,
             "TMPDIR": str(self.folder),
             SLOWDOWN: f"{self.slowdown:g}",
+            CPU_FILE: str(self._group.cpu_file or ""),
         }
 
 

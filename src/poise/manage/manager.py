@@ -10,11 +10,14 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import Future
 
 from poise.errors import PoiseError, RunError
 from poise.manage.adaptation.admission import check_move
+from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.replan import propose, with_present_needs
 from poise.manage.control_socket.records import (
     Command,
@@ -37,6 +40,7 @@ from poise.manage.migration.move import move, replace
 from poise.manage.migration.replacement import replace_architecture
 from poise.manage.migration.transition_run import transit
 from poise.manage.observe.estimates import Estimates
+from poise.manage.observe.misses import DeadlineMisses
 from poise.manage.observe.recording import Recording
 from poise.manage.observe.watch import Watch
 from poise.manage.run import Run
@@ -60,6 +64,8 @@ class Manager:
         Called with each sample, on the thread that calls `work`.
     samples
         Where samples wait until then.
+    adapts
+        Whether it changes the placement by itself.
     """
 
     def __init__(
@@ -69,6 +75,8 @@ class Manager:
         estimates: Estimates,
         samples: Recording,
         take: Callable[[AgentSample], object],
+        *,
+        adapts: bool = False,
     ) -> None:
         self._run = run
         self._task = task
@@ -82,6 +90,8 @@ class Manager:
         self._stopping = threading.Event()
         self._watch = Watch(run)
         self._lost = LostComputers(run)
+        self._misses = DeadlineMisses()
+        self._adaptation = Adaptation(run, self._facts, acts=adapts)
         run.check = self._look  # moves wait long: what breaks meanwhile is said at once
 
     @property
@@ -118,7 +128,11 @@ class Manager:
             placement=run.placement(),
             computers=run.agents.statuses(),
             out_of_reach=run.agents.out_of_reach(),
-            deviations=(*self._lost.deviations(), *self._watch.deviations),
+            deviations=(
+                *self._lost.deviations(),
+                *self._watch.deviations,
+                *self._adaptation.deviations,
+            ),
             faults=self._watch.num_faults,
             demand_estimates=tuple(self._estimates.demand_estimates()),
         )
@@ -136,6 +150,8 @@ class Manager:
             self._take(sample)
         self._look()
         self._lost.bring_back()
+        if not self.is_stopping:
+            self._adaptation.look()
 
     def stop(self) -> None:
         """Stop the robot, and answer whoever still waits.
@@ -191,6 +207,17 @@ class Manager:
         if dry or not proposal.steps:
             return Rebalanced(proposal)
         return Rebalanced(proposal, transit(run, proposal.steps))
+
+    def _facts(self) -> Facts:
+        run = self._run
+        return Facts(
+            robot=run.robot,
+            task=self._task,
+            placement=run.placement(),
+            loads=self._estimates.loads.loads(),
+            misses=self._misses.look(run.current(), time.monotonic()),
+            demand_estimates=tuple(self._estimates.demand_estimates()),
+        )
 
     def _look(self) -> None:
         self._lost.note()

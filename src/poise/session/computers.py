@@ -39,6 +39,8 @@ class Computers:
         Computer -> the process of its agent, where it was started here.
     faster
         Computer -> how many times more CPU it has than the robot file says.
+    emulated
+        The emulated computers, by name; none of a real robot.
 
     Attributes
     ----------
@@ -53,9 +55,11 @@ class Computers:
         watch: Callable[[bool], StarvationWatch] | None = None,
         agents: Mapping[str, subprocess.Popen[bytes]] | None = None,
         faster: Mapping[str, float] | None = None,
+        emulated: Mapping[str, EmulatedComputer] | None = None,
     ) -> None:
         self.endpoints = endpoints
         self.faster = faster or {}
+        self.emulated = emulated or {}
         self._agents = agents or {}
         # nothing can cut off agents that were started here, but they may be starved
         self.lease = 10.0 if agents else LEASE
@@ -171,6 +175,7 @@ def _emulated(
                 ),
                 agents,
                 {name: computer.slowdown for name, computer in computers.items()},
+                computers,
             )
     finally:
         os.close(lifeline)

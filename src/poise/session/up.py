@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
+from poise.emulate import EmulatedComputer
 from poise.errors import RunError, UsageError
 from poise.manage.control_socket.records import StopCommand
 from poise.manage.control_socket.server import ControlServer
@@ -19,6 +20,7 @@ from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.prometheus import MetricsServer
 from poise.manage.observe.recording import Recording, save
 from poise.model.robot import Robot
+from poise.session.computers import Computers
 from poise.session.placement import Placement, runnable
 from poise.session.profiles import read_profile
 from poise.session.robot_file import task_of
@@ -39,9 +41,19 @@ _END_LIMIT = 60.0
 class Up(Running):
     """A robot that this process keeps up."""
 
-    def __init__(self, name: str, keeper: _Keeper) -> None:
+    def __init__(self, name: str, keeper: _Keeper, computers: Computers) -> None:
         super().__init__(name)
         self._keeper = keeper
+        self._computers = computers
+
+    @property
+    def emulated(self) -> Mapping[str, EmulatedComputer]:
+        """The emulated computers, by name, to load and to break; none of a real robot.
+
+        ``running.emulated["left"].popen(["stress", "--cpu", "1"])`` starts a program
+        that competes with the robot's components.
+        """
+        return self._computers.emulated
 
     def wait(self, seconds: float | None = None) -> bool:
         """Wait up to `seconds` [s] until the robot is stopped; return whether it is.
@@ -64,6 +76,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     metrics: int | None = None,
     otel: str | None = None,
     record: Path | None = None,
+    adapt: bool = True,
     say: Say = log.info,
     check: Check = nothing,
 ) -> Iterator[Up]:
@@ -83,6 +96,9 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         URL of an OpenTelemetry collector (OTLP/HTTP); None: none.
     record
         A file for what agents say of what is used; None: it is not kept.
+    adapt
+        Whether Poise changes the placement by itself when components miss their
+        deadlines, or their computer is overloaded.
     say
         Takes a sentence at every step, and each entry of the journal. It is called on
         the manager's thread, too, and must not block.
@@ -126,10 +142,12 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         samples = Samples(
             estimates, recording if record else None, partial(book.note, "seen")
         )
-        manager = Manager(it.run, chosen, estimates, waiting, samples.take)
+        manager = Manager(
+            it.run, chosen, estimates, waiting, samples.take, adapts=adapt
+        )
         keeper = stack.enter_context(_Keeper(it, manager, samples))
         server.start(manager.submit)
-        yield Up(robot.name, keeper)
+        yield Up(robot.name, keeper, it.computers)
 
 
 def _telemetry() -> type[Telemetry]:

@@ -32,7 +32,7 @@ def test_a_timer_that_misses_deadlines_is_named(facts: Make) -> None:
 
 
 def test_only_what_lasts_counts() -> None:
-    lasting, one = Lasting(0.5), Symptom("overload", "left", "it is")
+    lasting, one = Lasting(0.5), Symptom("overload", "left", "left", "it is")
     assert lasting.select([one], 10.0) == ()
     assert lasting.select([one], 10.4) == ()
     assert lasting.select([one], 10.5) == (one,)

@@ -74,6 +74,8 @@ class Group:
     ----------
     joins
         A process enters by writing its number into each of these files.
+    cpu_file
+        The file in which the kernel counts its CPU time; None: there is none.
     """
 
     def __init__(
@@ -85,6 +87,9 @@ class Group:
         self._files = files
         folders = dict.fromkeys(homes.values())
         self.joins = tuple(folder / "cgroup.procs" for folder in folders)
+        files_of = (("cpuacct", "cpuacct.usage"), ("cpu", "cpu.stat"))
+        counted = [homes[which] / file for which, file in files_of if which in homes]
+        self.cpu_file = counted[0] if counted else None
 
     def processes(self) -> list[int]:
         """Return the numbers of the processes in it."""

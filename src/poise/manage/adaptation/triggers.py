@@ -30,12 +30,15 @@ class Symptom(Struct, frozen=True):
         What found it.
     about
         A computer, or a component's timer.
+    computer
+        Where.
     what
         A sentence for people.
     """
 
     trigger: str
     about: str
+    computer: str
     what: str
 
     @property
@@ -63,6 +66,7 @@ def overload(facts: Facts) -> Iterator[Symptom]:
             yield Symptom(
                 "overload",
                 name,
+                name,
                 f"computer '{name}' is overloaded: {load.used:.2f} of "
                 f"{load.capacity:.2f} cores are used{others}",
             )
@@ -75,6 +79,7 @@ def deadlines(facts: Facts) -> Iterator[Symptom]:
             yield Symptom(
                 "deadlines",
                 f"{each.component}.{each.timer}",
+                each.computer,
                 f"timer '{each.timer}' of component '{each.component}' on "
                 f"'{each.computer}' missed {each.missed} of {each.released} deadlines "
                 "within a second",

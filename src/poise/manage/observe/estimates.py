@@ -10,6 +10,7 @@ from msgspec import Struct
 from poise.estimate.online import Drift, Estimate, RunningEstimate
 from poise.estimate.profile import ConnectorProfile, Profile
 from poise.estimate.window import Reading
+from poise.manage.observe.loads import Loads
 from poise.model.robot import Robot
 from poise.wire.records.samples import AgentSample, ComponentSample, ConnectorSample
 
@@ -54,6 +55,11 @@ class Estimates:
     emulated
         Whether the computers are emulated: a slow one is then one that runs for a
         part of the time, and its CPU time is the reference computer's already.
+
+    Attributes
+    ----------
+    loads
+        The CPU use of whole computers.
     """
 
     def __init__(
@@ -61,6 +67,7 @@ class Estimates:
     ) -> None:
         self._speeds = {c.name: 1.0 if emulated else c.speed for c in robot.computers}
         self._profile = profile
+        self.loads = Loads(robot, emulated=emulated)
         self._lock = threading.Lock()
         self._running: dict[str, RunningEstimate] = {}
         self._where: dict[str, str] = {}
@@ -70,6 +77,7 @@ class Estimates:
 
     def take(self, sample: AgentSample) -> list[tuple[str, Drift]]:
         """Take a sample; return the components whose demand has shifted by it."""
+        self.loads.take(sample)
         drifts = []
         speed = self._speeds.get(sample.computer, 1.0)
         with self._lock:

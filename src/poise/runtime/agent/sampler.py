@@ -14,6 +14,7 @@ import msgspec
 from msgspec import Struct, structs
 
 from poise.runtime._calls import PageSampler
+from poise.runtime.agent.computer_cpu import computer_cpu
 from poise.runtime.agent.health import Usage
 from poise.runtime.agent.watchdog import LOOK_EVERY, Silence, Watchdog
 
@@ -102,7 +103,8 @@ class Sampler:
         now, own = time.monotonic(), time.process_time()
         self._note_usage(now, own, {n: (cpu, m) for n, _, _, cpu, m, *_ in found})
         # an `AgentSample`, whose records are arrays
-        return self._encoder.encode((self._computer, now, own, found))
+        sample = (self._computer, now, own, found, computer_cpu())
+        return self._encoder.encode(sample)
 
     def _note_usage(
         self, now: float, own: float, containers: dict[str, tuple[float, int]]

@@ -82,9 +82,19 @@ class ContainerSample(Struct, frozen=True, array_like=True):
 
 
 class AgentSample(Struct, frozen=True, array_like=True):
-    """A computer's counters; `cpu` is the CPU time of the agent itself [s]."""
+    """A computer's counters.
+
+    Parameters
+    ----------
+    cpu
+        CPU time of the agent itself [s].
+    busy
+        CPU time of all programs of the computer, the robot's or not [s]; None: nobody
+        counts it.
+    """
 
     computer: str
     at: float
     cpu: float
     containers: tuple[ContainerSample, ...]
+    busy: float | None = None
