@@ -201,6 +201,37 @@ def test_goes_on_without_a_computer_and_brings_it_back(field: Field, up: Up) -> 
     assert len(before & field.pids()) == len(before) - moved_container
 
 
+def test_components_of_a_lost_computer_go_on_elsewhere(field: Field, up: Up) -> None:
+    lost = at(field, "source")
+    there = "third" if lost == "left" else "left"
+    field.set_cable(lost, "down")
+    up.wait_for(rf"begin again without their state: .*'source' on '{there}'")
+    up.wait_for("they are at work")
+    assert at(field, "source") == there
+    assert f"'{lost}' is out of reach since" in run_poise("status").stdout
+
+    field.set_cable(lost, "up")
+    up.wait_for(f"computer '{lost}' is reached again")
+    wait_long(lambda: run_poise("status").returncode == 0)
+    assert at(field, "source") == there
+    active = [
+        computer
+        for computer, status in field.status().computers.items()
+        for container in status.containers
+        for component in container.components
+        if component.name == "source" and component.state == "active"
+    ]
+    assert active == [there]
+
+
+def test_what_must_stay_on_a_lost_computer_is_missing(field: Field, up: Up) -> None:
+    field.set_cable("right", "down")
+    up.wait_for("component 'sink' of 'right' is missing: it may run on right only")
+    up.wait_for("component 'large' of 'right' is missing: it fits nowhere")
+    field.set_cable("right", "up")
+    wait_long(lambda: run_poise("status").returncode == 0)
+
+
 CUT = 0.5
 """Shorter than an agent's lease [s], and long enough for what is sent to be lost."""
 

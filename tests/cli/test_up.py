@@ -132,7 +132,7 @@ def up(robot: Path, port: int) -> Iterator[Path]:
     """Start the robot."""
     beside = robot.parent
     options = ["--placement", "static", "--journal", beside / "journal"]
-    options += ["--metrics", port, "--record", beside / "recording"]
+    options += ["--no-adapt", "--metrics", port, "--record", beside / "recording"]
     with robot_up(robot, *options):
         yield beside
 

@@ -134,7 +134,7 @@ def _barring(
     only = {
         name: tuple(
             computer
-            for computer in allowed[name]
+            for computer in sorted(allowed[name])
             if computer not in computers or computer == placement.get(name)
         )
         for name, computers in barred.items()

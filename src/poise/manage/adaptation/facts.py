@@ -22,6 +22,8 @@ class Facts(Struct, frozen=True, kw_only=True):
         With the demands that it was placed by.
     placement
         Component -> computer.
+    lost
+        The computers that are out of reach.
     loads
         Computer -> its CPU use over the last second, where it is known.
     misses
@@ -33,6 +35,7 @@ class Facts(Struct, frozen=True, kw_only=True):
     robot: Robot
     task: str
     placement: Mapping[str, str]
+    lost: frozenset[str] = frozenset()
     loads: Mapping[str, Load] = {}
     misses: tuple[Misses, ...] = ()
     demand_estimates: tuple[DemandEstimate, ...] = ()

@@ -7,15 +7,16 @@ and does is in the journal.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from msgspec import Struct
 
 from poise.manage.adaptation.decision import Decision, decide
 from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.failover import fail_over
 from poise.manage.adaptation.restraint import Restraint
 from poise.manage.adaptation.triggers import TRIGGERS, Lasting, Symptom
-from poise.manage.migration.transition_run import transit
+from poise.manage.migration.transition_run import begin_again, transit
 from poise.manage.observe.deviations import Deviation
 from poise.manage.run import Run
 
@@ -52,8 +53,10 @@ class Adaptation:
         self._clock = clock
         self._lasting = Lasting()
         self._restraint = Restraint()
+        self._failures = Restraint()
         self._downtimes: dict[str, float] = {}
         self._told: dict[tuple[str, str], _Told] = {}
+        self._missing: set[str] = set()
         self.deviations: tuple[Deviation, ...] = ()
 
     def look(self) -> None:
@@ -62,11 +65,33 @@ class Adaptation:
         found = [symptom for trigger in TRIGGERS for symptom in trigger(facts)]
         symptoms = self._lasting.select(found, now)
         self._tell(symptoms)
+        if self._acts and not self._failures.rests(now) and self._fail_over(facts, now):
+            return
         if not symptoms:
             self._restraint.forget_nothing()
         elif self._acts and not self._restraint.rests(now):
             decision = decide(facts, self._restraint.barred(now), self._downtimes)
             self._carry_out(decision, facts, now)
+
+    def _fail_over(self, facts: Facts, now: float) -> bool:
+        """Let the components of lost computers begin again elsewhere, once."""
+        stranded = {n for n, c in facts.placement.items() if c in facts.lost}
+        self._missing &= stranded
+        if stranded <= self._missing:
+            return False
+        found = fail_over(facts, facts.lost)
+        self._missing = set(found.missing)
+        note = self._run.journal.note
+        for component, why in sorted(found.missing.items()):
+            where = facts.placement[component]
+            note("wrong", f"component '{component}' of '{where}' is missing: {why}")
+        if found.placement:
+            note("decided", _sentence(found.placement), placement=found.placement)
+            if begin_again(self._run, found.placement):
+                self._failures.forget_nothing()
+            else:
+                self._failures.note_nothing(now)
+        return True
 
     def _carry_out(self, decision: Decision, facts: Facts, now: float) -> None:
         steps = decision.proposal.steps if decision.proposal else ()
@@ -105,6 +130,11 @@ class Adaptation:
             for told in self._told.values():
                 told.why_not = why
             self._run.journal.note("seen", why, decision=decision)
+
+
+def _sentence(placement: Mapping[str, str]) -> str:
+    where = ", ".join(f"'{c}' on '{at}'" for c, at in sorted(placement.items()))
+    return f"components of a lost computer begin again without their state: {where}"
 
 
 class _Told(Struct):

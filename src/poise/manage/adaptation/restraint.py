@@ -62,7 +62,7 @@ class Restraint:
         return found
 
     def note_nothing(self, now: float) -> None:
-        """Remember that there was nothing to do about what is wrong."""
+        """Remember that nothing could be done about what is wrong."""
         self._rests_until = now + self._think_again
         self._think_again = min(2 * self._think_again, LONGEST_REST)
 

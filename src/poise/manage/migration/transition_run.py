@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Mapping, Sequence
 
 from msgspec import Struct, structs
 
@@ -32,6 +33,30 @@ class TransitionReport(Struct, frozen=True, kw_only=True):
     committed: bool
     reason: str = ""
     moves: tuple[MoveReport, ...] = ()
+
+
+def begin_again(run: Run, placement: Mapping[str, str]) -> bool:
+    """Start components anew on other computers; return whether they are at work.
+
+    Where they ran is out of reach: what is left of them there is ended once it is back.
+    """
+    new = [
+        structs.replace(
+            run.placed[name], computer=computer, epoch=run.next_epoch(name), fresh=True
+        )
+        for name, computer in placement.items()
+    ]
+    try:
+        run.bring([each.with_goal("inactive") for each in new], READY_LIMIT)
+        run.bring(new, ACTIVE_LIMIT)
+    except RunError as error:
+        run.journal.note("failed", f"components did not begin again: {error}")
+        with contextlib.suppress(RunError):  # whom it was not told is told later
+            run.tell(run.placed.values())
+        return False
+    run.placed |= {each.component: each for each in new}
+    run.journal.note("done", "they are at work", placement=run.placement())
+    return True
 
 
 def transit(run: Run, steps: tuple[Step, ...]) -> TransitionReport:

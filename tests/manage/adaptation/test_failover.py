@@ -1,0 +1,61 @@
+"""Where components of lost computers go on."""
+
+from __future__ import annotations
+
+from msgspec.structs import replace
+
+from poise.manage.adaptation.failover import fail_over
+from poise.model.robot import Device, Link, Robot
+from tests.manage.adaptation.conftest import Make
+
+APART = {"a": "left", "b": "right"}
+
+
+def with_first(robot: Robot, **fields: object) -> Robot:
+    (architecture,) = robot.architectures
+    first, *others = architecture.components
+    changed = replace(first, **fields)
+    whole = replace(architecture, components=(changed, *others))
+    return replace(robot, architectures=(whole,))
+
+
+def test_what_may_run_elsewhere_begins_again_there(facts: Make, two: Robot) -> None:
+    linked = replace(two, links=(Link(between=("left", "right")),))
+    found = fail_over(facts(APART, robot=linked), {"left"})
+    assert found.placement == {"a": "right"}
+    assert not found.missing
+
+
+def test_nothing_moves_when_nothing_ran_there(facts: Make) -> None:
+    found = fail_over(facts({"a": "left", "b": "left"}), {"right"})
+    assert found.placement == {}
+    assert found.missing == {}
+
+
+def test_what_its_device_holds_there_is_missing(facts: Make, two: Robot) -> None:
+    robot = replace(
+        with_first(two, devices=("laser",)),
+        devices=(Device(name="laser", computer="left"),),
+    )
+    found = fail_over(facts(APART, robot=robot), {"left"})
+    assert found.placement == {}
+    assert found.missing == {"a": "it may run on left only"}
+
+
+def test_what_may_not_move_is_missing(facts: Make, two: Robot) -> None:
+    robot = with_first(two, movable=False)
+    found = fail_over(facts(APART, robot=robot), {"left"})
+    assert found.missing == {"a": "it is not movable (robot file)"}
+
+
+def test_what_does_not_fit_beside_the_others_is_missing(facts: Make) -> None:
+    found = fail_over(facts(APART, background={"right": 0.2}), {"left"})
+    assert found.placement == {}
+    assert found.missing["a"].startswith("it fits nowhere beside what runs: ")
+
+
+def test_what_runs_elsewhere_stays(facts: Make, two: Robot) -> None:
+    """Also where it could not be placed now."""
+    robot = with_first(two, only=("left",))
+    found = fail_over(facts(APART, robot=robot), {"right"})
+    assert found.placement == {"b": "left"}
