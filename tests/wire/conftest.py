@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -76,8 +76,14 @@ class Wire:
         self.closing.callback(server.close)
         return server
 
-    def channel(self, connector: str = "echo", use: int = CALLS) -> ConnectionChannel:
-        channel = ConnectionChannel(connector, self.address(), self.folder, use)
+    def channel(
+        self,
+        connector: str = "echo",
+        use: int = CALLS,
+        on_frame: Callable[[Frame], bool] | None = None,
+    ) -> ConnectionChannel:
+        address = self.address()
+        channel = ConnectionChannel(connector, address, self.folder, use, on_frame)
         self.closing.callback(channel.close)
         return channel
 

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 
-from poise.errors import Unavailable
 from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.ports import Policy, Queue
-from poise.runtime.connectors.flow_control import CreditIssuer, Credits
+from poise.runtime.connectors.flow_control import Credit, CreditIssuer
 from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.execution.mailbox import Feed, Inbox, Mailbox
 from poise.wire import frame
-from poise.wire.codec import Codec, WireError
+from poise.wire.codec import Codec
 from poise.wire.connections.channel import Pieces
 from poise.wire.frame import Frame, Kind
 
@@ -23,55 +20,43 @@ NOTHING: Codec[None] = Codec(type(None))
 class Way:
     """Brings credit to a source, unless it is cut."""
 
-    def __init__(self, credits_: Credits) -> None:
-        self.credits = credits_
+    def __init__(self) -> None:
+        self.credit = Credit()
         self.totals: list[int] = []
-        self.is_cut = False
-        self.is_closed = False
+        self.is_cut = self.is_over = False
 
-    def is_ready(self) -> bool:
-        return True
-
-    def request(self, *_: object) -> Frame:
-        raise AssertionError
-
-    def push(self, pieces: Pieces, limit: float) -> None:  # noqa: ARG002, the protocol's
-        if self.is_cut:
-            raise Unavailable("cut")
-        received = frame.parse(b"".join(pieces))
-        self.totals.append(received.number)
-        self.credits.handle(received)
-
-    def close(self) -> None:
-        self.is_closed = True
+    def send_back(self, pieces: Pieces) -> bool:
+        assert not self.is_over
+        if not self.is_cut:
+            received = frame.parse(b"".join(pieces))
+            self.totals.append(received.number)
+            self.is_over = not self.credit.take(received)
+        return not self.is_cut
 
 
 class Joined:
     """A source and a target, without a transport between them."""
 
     def __init__(self, policy: Policy = "block", size: int = 4) -> None:
-        self.credits = Credits()
-        self.credit = self.credits.open("here")
-        self.way = Way(self.credits)
-        self.tasks: list[Callable[[], None]] = []
+        self.start_source()
         self.start_target(policy, size)
+
+    @property
+    def credit(self) -> Credit:
+        return self.way.credit
+
+    def start_source(self) -> None:
+        self.way = Way()
 
     def start_target(self, policy: Policy = "block", size: int = 4) -> None:
         self.inbox = Inbox("notes", Queue(policy, size))
         self.counts = Counts()
         self.feed = Feed(Mailbox(ComponentCounters()), self.inbox, self.counts)
-        self.issuer = CreditIssuer(
-            "a.b", self.feed, self.counts, lambda _: self.way, self.tasks.append
-        )
-
-    def run(self) -> None:
-        """Do what the I/O thread does."""
-        while self.tasks:
-            self.tasks.pop(0)()
+        self.issuer = CreditIssuer("a.b", self.feed, self.counts)
 
     def ask(self) -> None:
-        self.issuer.requested(frame.parse(b"".join(self.credit.request())))
-        self.run()
+        request = frame.parse(b"".join(self.credit.request()))
+        self.issuer.requested(request, self.way)
 
     def send(self, *, arrives: bool = True) -> None:
         assert self.credit.has_room()
@@ -100,7 +85,6 @@ class Joined:
     def take(self, count: int) -> None:
         for _ in range(count):
             assert self.inbox.take() is not None
-            self.run()
 
 
 @pytest.fixture
@@ -152,7 +136,7 @@ def test_credit_that_comes_twice_or_late_changes_nothing(joined: Joined) -> None
     joined.send_all()
     joined.take(2)
     for total in (6, 4, 1):
-        joined.credit.extend(total)
+        assert joined.credit.take(credit(total, joined.credit.route))
     assert joined.send_all() == 2
 
 
@@ -208,7 +192,7 @@ def test_a_target_that_was_restarted_gives_credit_again(joined: Joined) -> None:
 def test_a_source_that_was_restarted_counts_from_the_first(joined: Joined) -> None:
     joined.send_all()
     old = joined.credit
-    joined.credit = joined.credits.open("here")
+    joined.start_source()
     joined.take(2)  # credit for the source that is no more
     assert old.has_room()
     assert joined.send_all() == 2  # two of the old one's still wait
@@ -222,34 +206,15 @@ def test_a_queue_that_keeps_the_last_gives_credit_without_bound_once() -> None:
     for _ in range(1000):
         joined.send()
     assert len(joined.way.totals) == 1
-    assert joined.way.is_closed
+    assert joined.way.is_over
 
 
-def test_a_request_without_an_address_is_refused(joined: Joined) -> None:
-    pieces = frame.segments(NOTHING, None, Kind.CREDIT_REQUEST)
-    with pytest.raises(WireError, match="not a str"):
-        joined.issuer.requested(frame.parse(b"".join(pieces)))
+def test_credit_for_another_route_changes_nothing(joined: Joined) -> None:
+    joined.push()
+    assert joined.credit.take(credit(9, joined.credit.route ^ 2))
+    assert not joined.credit.has_room()
 
 
-def test_credit_for_a_route_that_is_gone_changes_nothing() -> None:
-    credits_ = Credits()
-    gone = credits_.open("here").route  # nobody keeps it
-    other = credits_.open("here")
-    pieces = frame.segments(NOTHING, None, Kind.CREDIT, number=9, chain=gone)
-    credits_.handle(frame.parse(b"".join(pieces)))
-    other.sent = 1
-    assert not other.has_room()
-
-
-def test_the_component_and_the_receiving_thread_send_nothing(joined: Joined) -> None:
-    """A source that takes no credit keeps only the I/O thread waiting."""
-    joined.issuer.requested(frame.parse(b"".join(joined.credit.request())))
-    assert joined.way.totals == []
-    joined.run()
-    for _ in range(4):
-        joined.push()
-    for _ in range(4):
-        assert joined.inbox.take() is not None
-    assert joined.way.totals == [4]
-    joined.run()
-    assert joined.way.totals == [4, 8]  # what came meanwhile goes out in one frame
+def credit(total: int, route: int) -> Frame:
+    pieces = frame.segments(NOTHING, None, Kind.CREDIT, number=total, chain=route)
+    return frame.parse(b"".join(pieces))

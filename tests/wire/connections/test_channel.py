@@ -20,7 +20,7 @@ from poise.errors import Timeout, Unavailable
 from poise.wire import frame
 from poise.wire.address import Address
 from poise.wire.codec import WireError, codec
-from poise.wire.connections import connection_channel, connection_server
+from poise.wire.connections import caller, connection_channel, connection_server
 from poise.wire.connections.channel import Closed, Pieces
 from poise.wire.connections.connection import HEAD, Connection
 from poise.wire.connections.connection_channel import ConnectionChannel
@@ -102,15 +102,69 @@ def test_messages_keep_their_order(wire: Wire) -> None:
 
 
 @both
-def test_many_send_over_a_shared_connector_at_the_same_time(wire: Wire) -> None:
+def test_what_comes_back_over_messages_is_taken_and_their_order_stays(
+    wire: Wire,
+) -> None:
+    """Also while messages go, and until the source needs no more."""
     receiver = Receiver()
-    server = wire.server()
-    server.open("echo", receiver, shared=True)
-    first, second = wire.channel(use=MESSAGES), wire.channel(use=MESSAGES)
-    for number, channel in enumerate((first, second) * 3, 1):
-        channel.push(message(str(number)), LIMIT)
-        receiver.wait_for(number)
-    assert len(server._connections) == 2  # none ended for another
+
+    def handle(received: Frame) -> None:
+        receiver(received)
+        back = caller.connection()
+        assert back is not None
+        back.send_back(message(received.value(TEXT)))
+
+    came: list[str] = []
+    done = threading.Event()
+
+    def take(received: Frame) -> bool:
+        came.append(received.value(TEXT))
+        if came[-1] == "99":
+            done.set()
+        return not done.is_set()
+
+    wire.server().open("echo", handle)
+    channel = wire.channel(use=MESSAGES, on_frame=take)
+    sent = [str(n) for n in range(100)]
+    for text in sent:
+        channel.push(message(text), LIMIT)
+    assert receiver.wait_for(100) == sent
+    assert done.wait(LIMIT)
+    assert came == sent
+    wait_until(lambda: "credit" not in {t.name for t in threading.enumerate()})
+    channel.push(message("more"), LIMIT)
+    assert receiver.wait_for(101)[-1] == "more"
+
+
+@both
+def test_a_source_that_takes_nothing_back_holds_nobody_up(wire: Wire) -> None:
+    """Its messages still come, in order; then it opens another connection."""
+    receiver = Receiver()
+    go_on, is_full = threading.Event(), threading.Event()
+
+    def handle(received: Frame) -> None:
+        receiver(received)
+        back = caller.connection()
+        assert back is not None
+        while not is_full.is_set() and back.send_back(message("x" * 10_000)):
+            pass
+        is_full.set()
+
+    def take(_: Frame) -> bool:
+        assert go_on.wait(LIMIT)
+        return True
+
+    wire.server().open("echo", handle)
+    channel = wire.channel(use=MESSAGES, on_frame=take)
+    channel.push(message("0"), LIMIT)
+    assert is_full.wait(LIMIT)
+    channel.push(message("1"), LIMIT)
+    (first,) = channel._messages
+    go_on.set()
+    wait_until(lambda: first.is_over)
+    channel.push(message("2"), LIMIT)
+    assert receiver.wait_for(3) == ["0", "1", "2"]
+    assert first not in {*channel._messages}
 
 
 @both

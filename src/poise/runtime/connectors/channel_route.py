@@ -168,7 +168,7 @@ def receiving(
             return serve(received)
         try:
             if received.kind is Kind.CREDIT_REQUEST:
-                issuer.requested(received)
+                issuer.requested(received, caller.connection())
                 return None
             latency = received.age + remote.ahead
             counts.add_message(0, received.size, latency, remote.error)

@@ -17,8 +17,7 @@ from poise.runtime.component.error_report import told
 from poise.runtime.component.ports import Kind, Port
 from poise.runtime.connectors.channel_route import ChannelRoute, receiving
 from poise.runtime.connectors.direct import DirectRoute
-from poise.runtime.connectors.flow_control import CREDITS, Credit, CreditIssuer, Credits
-from poise.runtime.connectors.io_thread import IoThread
+from poise.runtime.connectors.flow_control import Credit, CreditIssuer
 from poise.runtime.connectors.recorded_inputs import InputFile, recording
 from poise.runtime.connectors.remote_clock import RemoteClock, nobody_knows
 from poise.runtime.connectors.route import Route
@@ -30,12 +29,8 @@ from poise.wire.connections.channel import Channel
 from poise.wire.connections.connection_channel import ConnectionChannel
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.connections.opening import CALLS, MESSAGES
-from poise.wire.records.deployment import (
-    ConnectorKind,
-    ConnectorSpec,
-    ConnectorStatus,
-    End,
-)
+from poise.wire.frame import Frame
+from poise.wire.records.deployment import ConnectorSpec, ConnectorStatus, End
 
 SENDING: AbstractSet[Kind] = {"publishes", "requires"}
 TAKING: AbstractSet[Kind] = {"subscribes", "provides"}
@@ -71,34 +66,28 @@ class Transports:
 
     def __init__(self, place: Place) -> None:
         self._place = place
-        self._credits = Credits()
-        self.io = IoThread()
         self.server = ConnectionServer(Path(place.folder), place.container)
-        self.server.open(CREDITS, self._credits.handle, shared=True)
 
-    def channel(self, connector: str, address: str, *, calls: bool = True) -> Channel:
-        """Return a pipe to the container at an address; for messages without `calls`.
+    def channel(
+        self,
+        connector: str,
+        address: str,
+        use: int = CALLS,
+        on_frame: Callable[[Frame], bool] | None = None,
+    ) -> Channel:
+        """Return a channel to the container at an address (`ConnectionChannel`).
 
         Raises
         ------
         WireError
             `address` is none.
         """
-        where, use = Address.parse(address), CALLS if calls else MESSAGES
-        return ConnectionChannel(connector, where, Path(self._place.folder), use)
-
-    def credit(self, kind: ConnectorKind) -> Credit:
-        """Return the credit of a new path."""
-        place = self._place
-        near = (
-            place.container if kind == "local" else f"{place.gateway}/{place.container}"
-        )
-        return self._credits.open(near)
+        where, folder = Address.parse(address), Path(self._place.folder)
+        return ConnectionChannel(connector, where, folder, use, on_frame)
 
     def close(self) -> None:
-        """Close all that was opened."""
+        """Receive no more."""
         self.server.close()
-        self.io.close()
 
 
 class OpenEndpoints:
@@ -264,10 +253,10 @@ class Wiring:
                 spec.name, target.endpoints, far, spec.limit, sender
             )
         else:
-            credit = self._transports.credit(spec.kind)
+            credit = Credit()
             credit.on_credit = sender.room
-            calls = port.kind == "requires"
-            channel = self._transports.channel(spec.key, spec.address, calls=calls)
+            use = CALLS if port.kind == "requires" else MESSAGES
+            channel = self._transports.channel(spec.key, spec.address, use, credit.take)
             ends.route = ChannelRoute(
                 channel, port, spec.limit, credit, ends.remote_clock
             )
@@ -280,11 +269,7 @@ class Wiring:
         spec = ends.spec
         port = _port(target, spec.target_port, TAKING)
         feed = target.endpoints.feed(port.name, ends.counts)
-        transports = self._transports
-        open_channel = partial(transports.channel, CREDITS, calls=False)
-        issuer = CreditIssuer(
-            spec.name, feed, ends.counts, open_channel, transports.io.post
-        )
+        issuer = CreditIssuer(spec.name, feed, ends.counts)
         ends.closing.callback(issuer.close)
         handler = receiving(
             spec, target.endpoints, port, feed, issuer, ends.remote_clock
@@ -293,7 +278,7 @@ class Wiring:
             file = InputFile(Path(spec.record))
             ends.closing.callback(file.close)
             handler = recording(handler, f"{spec.source}.{spec.source_port}", file)
-        server = transports.server
+        server = self._transports.server
         server.open(spec.key, handler, ends.counts.refuse)
         ends.closing.callback(server.shut, spec.key)
 

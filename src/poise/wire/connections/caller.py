@@ -19,6 +19,11 @@ def serve(connection: Connection) -> None:
     _served.connection = connection
 
 
+def connection() -> Connection | None:
+    """Return the connection over which came what this thread handles."""
+    return _served.connection
+
+
 def is_gone() -> bool:
     """Return at once whether the caller gave up or ended; False without a caller."""
     connection = _served.connection

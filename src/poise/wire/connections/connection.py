@@ -23,7 +23,9 @@ import os
 import select
 import socket
 import struct
+import threading
 import time
+from collections.abc import Callable
 from weakref import WeakValueDictionary
 
 from poise.errors import Timeout, Unavailable
@@ -69,7 +71,7 @@ class Connection:
 
     Deadlines are moments of the monotonic clock [s]. `is_local` says that it needs no
     network; `is_lost` that the other computer was silent for too long, once `is_idle`
-    has found that.
+    has found that; `is_over` that no more comes back over it (`follow`).
     """
 
     def __init__(self, connection: socket.socket) -> None:
@@ -77,7 +79,9 @@ class Connection:
         keep_private(connection)
         self.is_local = connection.family == socket.AF_UNIX
         self._channel = _channel.Channel(connection.fileno(), LOST_AFTER)
-        self.is_lost = False
+        self.is_lost = self.is_over = False
+        self._reader: threading.Thread | None = None
+        self._closing = threading.Lock()
         self._pool = Pool(Block)
         self._lenders: dict[int, _channel.Lender] = {}
         self._slot: int | None = None
@@ -89,12 +93,13 @@ class Connection:
         return bool(self._lenders or self._pool)
 
     def is_idle(self) -> bool:
-        """Return at once whether the other end is there and has said nothing.
+        """Return at once whether the other end is there, and said nothing unexpected.
 
         Over AF_UNIX sending fails when it is gone; TCP accepts bytes for nobody.
         """
         try:
-            self._connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
+            said = self._connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
+            return bool(said) and self._reader is not None
         except BlockingIOError:
             self.is_lost = self._channel.is_lost()
             return not self.is_lost
@@ -104,7 +109,11 @@ class Connection:
 
     def close(self) -> None:
         """Close the connection; arrays that were received stay as they are."""
-        self._connection.close()
+        if self._reader is not None:
+            self.end()
+            self._reader.join(LOST_AFTER)
+        with self._closing:
+            self._connection.close()
         self._pool.close()
         self._lenders.clear()
         slot, self._slot = self._slot, None
@@ -118,6 +127,40 @@ class Connection:
         """
         with contextlib.suppress(OSError):
             self._connection.shutdown(how)
+
+    def follow(self, handle: Callable[[Frame], bool]) -> None:
+        """Let a thread take what comes back, until `handle` returns False.
+
+        Raises
+        ------
+        Unavailable
+            No thread can be started.
+        """
+        self._reader = threading.Thread(
+            target=self._follow, args=(handle,), name="credit", daemon=True
+        )
+        try:
+            self._reader.start()
+        except RuntimeError as error:
+            self._reader = None
+            raise Unavailable(str(error)) from error
+
+    def send_back(self, pieces: Pieces) -> bool:
+        """Send a frame, from any thread, if the other end takes it at once.
+
+        Else nothing more goes this way: part of the frame may have been sent.
+        """
+        with self._closing:
+            if self._connection.fileno() < 0:
+                return False
+            try:
+                self._channel.send(pieces, 0.0, LARGEST)
+            except Unavailable:
+                return False
+            except Timeout:
+                self.end(socket.SHUT_WR)
+                return False
+        return True
 
     def send(self, pieces: Pieces, deadline: float = math.inf) -> None:
         """Send a frame.
@@ -183,6 +226,13 @@ class Connection:
         """
         got = self._channel.receive(deadline, LARGEST, self._lenders)
         return got if type(got) is Frame else self._with_block(got, deadline)
+
+    def _follow(self, handle: Callable[[Frame], bool]) -> None:
+        try:
+            while handle(self.receive()):
+                pass
+        except (Unavailable, Timeout, WireError):
+            self.is_over = True
 
     def _with_block(
         self, got: tuple[int, int, bytes] | Frame, deadline: float

@@ -4,8 +4,9 @@ Each connection carries one connector: its first frame names it, and says whethe
 or messages follow. A call uses a connection alone until its answer is there, so answers
 need no sorting, and the thread that calls reads the answer; concurrent callers use
 several. The thread that reads a call at the other end runs it and answers: no thread
-wakes another. Messages use one connection, which keeps their order. When it breaks and
-another replaces it, the receiver first takes all that came over the first.
+wakes another. Messages use one connection, which keeps their order; credit comes back
+over it. When it breaks and another replaces it, the receiver first takes all that came
+over the first.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from poise.errors import CallError, Timeout, Unavailable
@@ -110,15 +111,23 @@ class ConnectionChannel:
         Where the sockets of this computer's containers are.
     use
         `CALLS` or `MESSAGES`: the use of the connection that `is_ready` opens.
+    on_frame
+        Takes what comes back where messages go; returns whether more may come.
     """
 
     def __init__(
-        self, connector: str, address: Address, folder: Path, use: int = CALLS
+        self,
+        connector: str,
+        address: Address,
+        folder: Path,
+        use: int = CALLS,
+        on_frame: Callable[[Frame], bool] | None = None,
     ) -> None:
         self._connector = connector
         self._address = address
         self._folder = folder
         self._use = use
+        self._on_frame = on_frame
         self._calls, self._messages = self._connections = _Connections(), _Connections()
         self._openings: dict[int, Opening] = {}
         self._is_closed = False
@@ -210,8 +219,8 @@ class ConnectionChannel:
 
         Over AF_UNIX, sending fails when it does not; TCP takes bytes for nobody.
         """
-        while (connection := connections.take()) and not (
-            connection.is_local or connection.is_idle()
+        while (connection := connections.take()) and (
+            connection.is_over or not (connection.is_local or connection.is_idle())
         ):
             self._is_lost |= connection.is_lost
             connections.drop(connection)
@@ -259,8 +268,11 @@ class ConnectionChannel:
         )
         if opening.go_on(use, deadline):
             self._is_lost = False
-            self._connections[use].add(opening.connection)
-            return opening.connection
+            connection = opening.connection
+            if use == MESSAGES and self._on_frame:
+                connection.follow(self._on_frame)
+            self._connections[use].add(connection)
+            return connection
         if opening.is_late() or self._is_closed:
             self._is_lost = self._address.gateway is not None
             opening.close()

@@ -67,7 +67,6 @@ class ConnectionServer:
 
     def __init__(self, folder: Path, container: str) -> None:
         self._handlers: dict[str, Handler] = {}
-        self._shared: set[str] = set()
         self._refused: dict[str, Refused] = {}
         self._connections: set[_Served] = set()
         self._messages: dict[str, _Served] = {}
@@ -86,17 +85,12 @@ class ConnectionServer:
         connector: str,
         handler: Handler,
         refused: Refused = ignore,
-        *,
-        shared: bool = False,
     ) -> None:
         """Receive the frames of `connector` from now on.
 
         Malformed frames are logged, answered with an error where a caller waits, and
-        reported to `refused`. A `shared` connector has many senders: a new connection
-        replaces no other, and there is no order among them.
+        reported to `refused`.
         """
-        if shared:
-            self._shared.add(connector)
         self._refused[connector] = refused
         self._handlers[connector] = handler
 
@@ -197,7 +191,7 @@ class ConnectionServer:
             raise
         served.connector, served.use = name, hello.number
         before = None
-        if served.use == MESSAGES and name not in self._shared:
+        if served.use == MESSAGES:
             before = self._messages.get(name)
             self._messages[name] = served
         connection.send(frame.segments(NAME, name, Kind.HELLO), deadline)
