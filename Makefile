@@ -64,7 +64,7 @@ sanitize: setup
 	@LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" ASAN_OPTIONS=detect_leaks=0 \
 	  PYTHONPATH=build/sanitize/site:$(SITE) $(BIN)/python -S -m pytest -q -s --timeout 600 \
 	  -p no:tests.quick tests/plan/test_native.py tests/plan/test_feasibility.py tests/plan/test_core_boundary.py \
-	  tests/wire/test_filling.py tests/wire/test_frame.py tests/wire/connections/test_connection.py \
+	  tests/wire/test_frame.py tests/wire/connections/test_connection.py tests/wire/connections/test_loans.py \
 	  tests/wire/connections/test_channel.py \
 	  tests/runtime/connectors tests/runtime/execution/test_histogram.py tests/runtime/hosting/test_stats_page.py \
 	  tests/runtime/component/test_deadline.py tests/runtime/test_served_call.py \

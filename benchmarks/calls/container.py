@@ -29,8 +29,8 @@ from poise.runtime.component.ports import (
 )
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.wiring import Place, Transports, Wiring
+from poise.wire.connections.blocks import loan
 from poise.wire.connections.gateway import Gateway
-from poise.wire.connections.loans import loan
 from poise.wire.records.deployment import ComponentSpec, ConnectorKind, ConnectorSpec
 
 HOST, PORT = "127.0.0.1", 17448

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from poise.session.running import connect as connect
     from poise.session.stop import stop_without_manager as stop_without_manager
     from poise.session.up import up as up
-    from poise.wire.connections.loans import loan as loan
+    from poise.wire.connections.blocks import loan as loan
 else:
     _HOMES = {
         "Calibration": "session.calibration.calibrate",
@@ -74,7 +74,7 @@ else:
         "connect": "session.running",
         "every": "runtime.component.ports",
         "load": "session.robot_file",
-        "loan": "wire.connections.loans",
+        "loan": "wire.connections.blocks",
         "oneway": "runtime.component.ports",
         "place": "session.placement",
         "profile": "session.profiling.profile",

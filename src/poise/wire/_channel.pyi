@@ -38,6 +38,7 @@ class Channel:
         block: int = 0,
         used: int = 0,
         target: memoryview | None = None,
+        file: int = -1,
     ) -> None: ...
     def receive(
         self, deadline: float, largest: int, lenders: dict[int, Lender]
@@ -51,8 +52,9 @@ class Channel:
         block: int = 0,
         used: int = 0,
         target: memoryview | None = None,
+        file: int = -1,
     ) -> Frame | tuple[int, int, bytes] | None: ...
-    def take(self, size: int, deadline: float) -> bytes: ...
+    def take_file(self) -> int: ...
 
 class Lender:
     """The receiver's side of a block: its data, and its byte `slot` of the flags.
@@ -61,6 +63,7 @@ class Lender:
     """
 
     def __init__(self, data: mmap, flags: mmap, slot: int) -> None: ...
+    def lend(self, used: int) -> memoryview: ...
 
 def parse(data: Bytes, buffers: memoryview | None = None) -> Frame: ...
 def segments(

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import gc
+import itertools
 import os
+import random
 import resource
 import socket
 import struct
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -20,7 +25,7 @@ import pytest
 from poise.errors import Timeout, Unavailable
 from poise.wire import frame
 from poise.wire.codec import Unreadable, WireError, codec
-from poise.wire.connections import shared_memory
+from poise.wire.connections.blocks import MOST_BYTES, MOST_LENT, Block, Blocks
 from poise.wire.connections.connection import Connection
 from poise.wire.frame import LARGEST, Kind
 
@@ -106,7 +111,7 @@ def test_arrays_that_are_kept_stay_as_they_are(
     ends: tuple[Connection, Connection],
 ) -> None:
     """More are kept than there are blocks; then the socket carries them."""
-    most = 3 * shared_memory.MOST_BLOCKS
+    most = 3 * MOST_LENT
     kept = [ask(ends[0], image(number)) for number in range(most)]
     assert all((array == number).all() for number, array in enumerate(kept))
     part = kept[3][10:20]
@@ -153,19 +158,32 @@ def test_makes_room_for_larger_arrays(ends: tuple[Connection, Connection]) -> No
 
 
 def test_a_pool_is_bounded_while_nothing_is_given_back() -> None:
-    pool = shared_memory.Pool(shared_memory.Block)
-    taken = []
-    while (block := pool.take(1 << 16)[0]) is not None:
-        block.lend()
-        taken.append(block)
-    assert len(taken) == shared_memory.MOST_BLOCKS
-    pool.close()
+    pool = Blocks()
+    for slot in (3, 4):  # one receiver keeps nothing from another
+        taken = [pool.take(1 << 16, slot) for _ in range(MOST_LENT)]
+        assert len({block.number for block in taken if block}) == MOST_LENT
+        assert pool.take(1 << 16, slot) is None
 
 
 def test_a_pool_makes_no_block_that_is_too_large() -> None:
-    pool = shared_memory.Pool(shared_memory.Block)
-    assert pool.take(shared_memory.MOST_BYTES + 1) == (None, False)
-    pool.close()
+    pool = Blocks()
+    assert pool.take(MOST_BYTES + 1, 3) is None
+
+
+def test_blocks_go_with_the_last_connection() -> None:
+    pool = Blocks()
+    first, second = pool.take_slot(), pool.take_slot()
+    assert first is not None
+    assert second is not None
+    before = open_files()
+    block = pool.take(1 << 16, first)
+    assert block is not None
+    block.take_back(first)
+    del block
+    pool.give_slot_back(first)
+    assert open_files() == before + 2  # a map has a file, too
+    pool.give_slot_back(second)
+    assert open_files() == before
 
 
 def open_files() -> int:
@@ -193,9 +211,7 @@ def raw() -> Iterator[tuple[socket.socket, Connection]]:
         (head(3, 0) + b"abc", "cut short"),
         (head((1 << 30) + 1, 0), "is the largest"),
         (head(24, 3, 10) + bytes(24), "no shared block 3"),
-        (head(0, NEW, 4096), "block 0 of 4096 B was announced"),
-        (head(0, NEW | 99, 4096), "block 99 of 4096 B was announced"),
-        (head(0, NEW | 1, 1 << 40), "was announced"),
+        (head(0, NEW | 1, 1 << 16), "no file came for a shared block 1"),
     ],
 )
 def test_refuses_what_is_no_frame(
@@ -210,64 +226,55 @@ def test_refuses_what_is_no_frame(
     ("kind", "why"),
     [
         ("unsealed", "may shrink"),
-        ("too small", "is not of 131072 B"),
+        ("empty", "block of -4096 B"),
         ("no memory", "cannot be mapped"),
-        ("none", "no file came"),
+        ("slot", "with slot 5000"),
     ],
 )
 def test_refuses_a_block_that_could_crash_it(
     raw: tuple[socket.socket, Connection], kind: str, why: str
 ) -> None:
-    small = shared_memory.Block(1, 1 << 16)
+    good = Block(1, 1 << 16)
+    seals = os.MFD_ALLOW_SEALING
     files = {
-        "unsealed": os.memfd_create("test", os.MFD_ALLOW_SEALING),
+        "unsealed": os.memfd_create("test", seals),
+        "empty": os.memfd_create("test", seals),
         "no memory": os.open("/dev/null", os.O_RDWR),
-        "too small": os.dup(small.file),
+        "slot": os.dup(good.file),
     }
-    raw[0].sendall(head(0, NEW | 1, 1 << 17))
-    answered = threading.Thread(target=_hand_over, args=(raw[0], files.get(kind)))
-    answered.start()
+    all_seals = fcntl.fcntl(good.file, fcntl.F_GET_SEALS)
+    fcntl.fcntl(files["empty"], fcntl.F_ADD_SEALS, all_seals)
+    slot = 5000 if kind == "slot" else 1
+    socket.send_fds(raw[0], [head(0, NEW | slot << 8 | 1, 1)], [files[kind]])
     with pytest.raises(WireError, match=why):
         raw[1].receive(time.monotonic() + LONG)
-    answered.join(LONG)
     for file in files.values():
         os.close(file)
-    small.close()
 
 
-def test_who_is_gone_amid_announcing_a_block_is_gone(
+def test_who_is_gone_amid_sending_a_block_is_gone(
     raw: tuple[socket.socket, Connection],
 ) -> None:
-    raw[0].sendall(head(0, NEW | 1, 1 << 17))
+    before = open_files()
+    block = Block(1, 1 << 16)
+    socket.send_fds(raw[0], [head(24, NEW | 1 << 8 | 1, 10)], [block.file])
     raw[0].shutdown(socket.SHUT_WR)
     with pytest.raises(Unavailable, match="is gone"):
         raw[1].receive(time.monotonic() + LONG)
-
-
-def _hand_over(sock: socket.socket, file: int | None) -> None:
-    assert sock.recv(1) == b"+"
-    if file is None:
-        sock.sendall(b"+")
-    else:
-        socket.send_fds(sock, [b"+"], [file])
+    del block
+    raw[1].close()
+    raw[1].__init__(raw[0])  # type: ignore[misc]
+    assert open_files() <= before  # the file that came is closed
 
 
 def test_refuses_more_of_a_block_than_it_has(
     raw: tuple[socket.socket, Connection],
 ) -> None:
-    block = shared_memory.Block(1, 1 << 16)
-
-    def send() -> None:
-        _hand_over(raw[0], block.file)
-        raw[0].sendall(head(24, 1, block.capacity + 1) + bytes(24))
-
-    raw[0].sendall(head(0, NEW | 1, block.capacity))
-    sender = threading.Thread(target=send)
-    sender.start()
+    block = Block(1, 1 << 16)
+    said = head(24, NEW | 1 << 8 | 1, block.capacity + 1) + bytes(24)
+    socket.send_fds(raw[0], [said], [block.file])
     with pytest.raises(WireError, match="65537 B announced in a block of 65536 B"):
         raw[1].receive(time.monotonic() + LONG)
-    sender.join(LONG)
-    block.close()
 
 
 def test_over_tcp_arrays_come_inline(far: tuple[Connection, socket.socket]) -> None:
@@ -329,18 +336,19 @@ def test_arrays_of_one_frame_lie_end_to_end_on_a_block(
         assert all(np.array_equal(one, other) for one, other in pairs)
 
 
-Known = tuple[Connection, Connection, shared_memory.Block]
+Known = tuple[Connection, Connection, Block]
 
 
 @pytest.fixture
-def known() -> Iterator[Known]:
+def known(monkeypatch: pytest.MonkeyPatch) -> Iterator[Known]:
     """Give two ends, and a block of the first one that the other knows."""
+    monkeypatch.setattr("poise.wire.connections.connection.BLOCKS", Blocks())
     ours, theirs = map(Connection, socket.socketpair())
     thread = threading.Thread(target=ours.send, args=(call(image(1)),))
     thread.start()
     theirs.receive()
     thread.join(LONG)
-    (block,) = ours._pool.blocks()
+    block = ours._known[1]
     yield ours, theirs, block
     ours.close()
     theirs.close()
@@ -390,3 +398,43 @@ def test_arrays_come_inline_when_no_block_can_be_had(
     monkeypatch.setattr(os, "memfd_create", fail)
     assert bool((ask(ends[0], image(1)) == image(1)).all())
     assert not ends[0].has_blocks
+
+
+SENDER = """
+import sys, socket
+from typing import Any
+import numpy as np
+from poise.wire import frame
+from poise.wire.codec import codec
+from poise.wire.connections.connection import Connection
+from poise.wire.frame import Kind
+
+connection = Connection(socket.socket(fileno=int(sys.argv[1])))
+array = np.empty(1 << 18, np.uint32)
+for number in range(10_000_000):
+    array[:] = number
+    connection.send(frame.segments(codec(Any), array, Kind.MESSAGE, number=number))
+"""
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_sender_that_is_killed_at_any_point_leaves_whole_frames(seed: int) -> None:
+    ours, theirs = socket.socketpair()
+    argv = [sys.executable, "-c", SENDER, str(theirs.fileno())]
+    process = subprocess.Popen(argv, pass_fds=[theirs.fileno()])
+    theirs.close()
+    connection = Connection(ours)
+    assert is_whole(connection, 0)
+    after = random.Random(seed).uniform(0, 0.02)
+    threading.Timer(after, process.kill).start()
+    with pytest.raises(Unavailable):
+        all(is_whole(connection, number) for number in itertools.count(1))
+    process.wait(LONG)
+    connection.close()
+
+
+def is_whole(connection: Connection, number: int) -> bool:
+    received = connection.receive(time.monotonic() + LONG)
+    assert received.number == number
+    assert (received.value(ANY) == number).all()
+    return True

@@ -16,9 +16,8 @@ from poise import loan
 from poise.errors import Unavailable
 from poise.wire import frame
 from poise.wire.codec import WireError, codec
-from poise.wire.connections import loans
+from poise.wire.connections.blocks import MOST_BLOCKS, MOST_LENT, THRESHOLD, Blocks
 from poise.wire.connections.connection import Connection
-from poise.wire.connections.shared_memory import MOST_BLOCKS, THRESHOLD
 from poise.wire.frame import Kind
 
 pytestmark = pytest.mark.slow
@@ -67,11 +66,11 @@ class Receiver:
 
 
 @pytest.fixture(autouse=True)
-def pool(monkeypatch: pytest.MonkeyPatch) -> loans.Loans:
-    """Give the loans of a process that has none yet."""
-    made = loans.Loans()
-    monkeypatch.setattr("poise.wire.connections.loans.LOANS", made)
-    monkeypatch.setattr("poise.wire.connections.connection.LOANS", made)
+def pool(monkeypatch: pytest.MonkeyPatch) -> Blocks:
+    """Give the blocks of a process that has none yet."""
+    made = Blocks()
+    monkeypatch.setattr("poise.wire.connections.blocks.BLOCKS", made)
+    monkeypatch.setattr("poise.wire.connections.connection.BLOCKS", made)
     return made
 
 
@@ -95,7 +94,7 @@ def filled(number: int, size: int = SIZE) -> Any:
     return array
 
 
-def is_on_a_block(pool: loans.Loans, array: np.ndarray) -> bool:
+def is_on_a_block(pool: Blocks, array: np.ndarray) -> bool:
     return pool.find(array.data) is not None
 
 
@@ -103,7 +102,7 @@ def address(array: np.ndarray) -> int:
     return int(array.__array_interface__["data"][0])
 
 
-def test_a_loan_has_the_wanted_shape_and_type(pool: loans.Loans) -> None:
+def test_a_loan_has_the_wanted_shape_and_type(pool: Blocks) -> None:
     image = loan((480, 640, 3), np.float32)
     assert image.shape == (480, 640, 3)
     assert image.dtype == np.float32
@@ -163,11 +162,9 @@ def test_a_loan_that_its_sender_keeps_stays_as_it_is(receiver: Receiver) -> None
     assert all((array == 9).all() for array in later)
 
 
-def test_what_receivers_keep_stays_as_it_is(
-    pool: loans.Loans, receiver: Receiver
-) -> None:
+def test_what_receivers_keep_stays_as_it_is(pool: Blocks, receiver: Receiver) -> None:
     """More is kept than there are blocks; then arrays are ordinary ones, and copied."""
-    most = 3 * MOST_BLOCKS
+    most = MOST_BLOCKS + 2
     for number in range(most):
         receiver.send(filled(number))
     assert all((array == n).all() for n, array in enumerate(receiver.got))
@@ -225,7 +222,7 @@ def test_loans_among_other_arrays_are_copied(receiver: Receiver) -> None:
 
 
 @pytest.mark.parametrize("shape", [(), 0, (0, 5), 10, (THRESHOLD - 1,)])
-def test_small_arrays_are_ordinary_ones(pool: loans.Loans, shape: Any) -> None:
+def test_small_arrays_are_ordinary_ones(pool: Blocks, shape: Any) -> None:
     array = loan(shape, np.uint8)
     assert array.shape == np.empty(shape).shape
     assert not is_on_a_block(pool, array)
@@ -251,7 +248,7 @@ def test_what_is_lent_over_a_connection_that_ended_is_not_used_again(
     del array
     another.got.clear()
     gc.collect()
-    later = [filled(2) for _ in range(MOST_BLOCKS)]
+    later = [filled(2) for _ in range(MOST_LENT)]
     assert all((array == 2).all() for array in later)
     assert (got == 1).all()
 
@@ -274,22 +271,10 @@ def test_links_that_end_give_their_slots_back() -> None:
 
 
 def test_without_a_slot_loans_are_copied(
-    pool: loans.Loans, monkeypatch: pytest.MonkeyPatch, receiver: Receiver
+    pool: Blocks, monkeypatch: pytest.MonkeyPatch, receiver: Receiver
 ) -> None:
     monkeypatch.setattr(pool, "take_slot", lambda: None)
     array = filled(1)
     got = receiver.send(array)
     array[0] = 2
     assert got[0] == 1
-
-
-def test_refuses_a_slot_beyond_the_first_page(
-    pool: loans.Loans, monkeypatch: pytest.MonkeyPatch, receiver: Receiver
-) -> None:
-    monkeypatch.setattr(pool, "take_slot", lambda: 1)
-    announce = receiver.sender._channel.send
-    announce(
-        [(5000).to_bytes(2, "little")], time.monotonic() + LONG, 10, 9 | 1 << 31, SIZE
-    )
-    receiver._thread.join(LONG)
-    assert "slot 5000" in str(receiver.errors[0])

@@ -5,9 +5,9 @@
     length u32, block u32, [used u64 when block is not 0,] inline bytes
 
 Little endian. The inline bytes are a frame. When `block` is not 0, its buffers are the
-first `used` bytes of that block of shared memory. With the bit `_NEW`, no frame but a
-block of `used` bytes is announced, and the inline bytes are its slot (`loans`): the
-receiver answers with one byte, and the file descriptor follows. Over TCP there are no
+first `used` bytes of a block of shared memory (`blocks`): the lowest 8 bits are the
+block's number, the next 16 bits its slot for this connection, and the highest bit says
+that the block is new here and its file comes with the frame. Over TCP there are no
 blocks: all buffers come inline. Records have this framing, too
 (`poise.wire.record_channel`).
 
@@ -20,34 +20,26 @@ import contextlib
 import errno
 import math
 import os
-import select
 import socket
 import struct
 import threading
-import time
 from collections.abc import Callable
+from typing import NamedTuple
 from weakref import WeakValueDictionary
 
 from poise.errors import Timeout, Unavailable
 from poise.wire import _channel
 from poise.wire.address import LOST_AFTER
 from poise.wire.codec import Unreadable, WireError
+from poise.wire.connections.blocks import BLOCKS, DATA, THRESHOLD, Block, lender
 from poise.wire.connections.channel import Pieces
 from poise.wire.connections.fork import keep_private
-from poise.wire.connections.loans import LOANS, LoanBlock
-from poise.wire.connections.shared_memory import (
-    DATA,
-    MOST_BLOCKS,
-    MOST_BYTES,
-    THRESHOLD,
-    Block,
-    Pool,
-    lender,
-)
 from poise.wire.frame import LARGEST, Frame
 
 _NEW = 1 << 31
-_READY = b"+"
+_NUMBER, _SLOT = (1 << 8) - 1, (1 << 16) - 1
+_SLOT_AT = 8
+"""The bits of `block`."""
 HEAD = struct.Struct("<II")
 """The head before each frame: its length and block."""
 LAST_ANSWER = 1
@@ -57,13 +49,18 @@ _INLINE = 2
 """The first pieces of a frame are its head and body; padding and buffers follow."""
 _ALONE = _INLINE + 3
 """The pieces of a frame with one array: it has padding before and behind."""
-_MOST_NUMBER = 2 * MOST_BLOCKS
-"""A connection's own blocks come first, then loans."""
 
-_Where = tuple[int, int, memoryview | None]
-"""A block's number, how much of it is used [bytes], and where to copy arrays to."""
-_Placed = tuple[Block, int, Pieces, _Where]
-"""A block, the slot of its receiver, the pieces to be sent, and where arrays are."""
+
+class _Placed(NamedTuple):
+    """A frame whose arrays go over a block, which is lent to the other end.
+
+    `where` is what the native code takes: `block` and `used` of the framing, where to
+    copy arrays to, and the file to be sent.
+    """
+
+    block: Block
+    pieces: Pieces
+    where: tuple[int, int, memoryview | None, int]
 
 
 class Connection:
@@ -82,15 +79,14 @@ class Connection:
         self.is_lost = self.is_over = False
         self._reader: threading.Thread | None = None
         self._closing = threading.Lock()
-        self._pool = Pool(Block)
         self._lenders: dict[int, _channel.Lender] = {}
         self._slot: int | None = None
-        self._loans: WeakValueDictionary[int, LoanBlock] = WeakValueDictionary()
+        self._known: WeakValueDictionary[int, Block] = WeakValueDictionary()
 
     @property
     def has_blocks(self) -> bool:
         """Whether either end has shared memory for it."""
-        return bool(self._lenders or self._pool)
+        return bool(self._lenders or self._known)
 
     def is_idle(self) -> bool:
         """Return at once whether the other end is there, and said nothing unexpected.
@@ -114,11 +110,10 @@ class Connection:
             self._reader.join(LOST_AFTER)
         with self._closing:
             self._connection.close()
-        self._pool.close()
         self._lenders.clear()
         slot, self._slot = self._slot, None
         if slot is not None:
-            LOANS.give_slot_back(slot)
+            BLOCKS.give_slot_back(slot)
 
     def end(self, how: int = socket.SHUT_RDWR) -> None:
         """Let its user find it closed; from any thread.
@@ -175,18 +170,17 @@ class Connection:
         Unavailable
             The other end is gone, and has not got the frame.
         """
-        placed = self._place(pieces, deadline) if len(pieces) > _INLINE else None
+        placed = self._place(pieces) if len(pieces) > _INLINE else None
         if placed is None:
             self._channel.send(pieces, deadline, LARGEST)
             return
-        block, slot, pieces, where = placed
         try:
-            block.lend(slot)
-            self._channel.send(pieces, deadline, LARGEST, *where)
+            self._channel.send(placed.pieces, deadline, LARGEST, *placed.where)
         except BaseException:
             # also when a signal's handler raises: else the block were lost for good
-            block.take_back(slot)
+            self._take_back(placed)
             raise
+        self._known[placed.block.number] = placed.block
 
     def ask(self, pieces: Pieces, deadline: float) -> Frame | None:
         """Send a call and return its answer.
@@ -194,23 +188,18 @@ class Connection:
         None when the other end was gone before, and has not got the call. Raises what
         `send` and `receive` do; after any of it the connection must be closed.
         """
-        try:
-            placed = self._place(pieces, deadline) if len(pieces) > _INLINE else None
-        except Unavailable:
-            return None
+        placed = self._place(pieces) if len(pieces) > _INLINE else None
         ask, lenders = self._channel.ask, self._lenders
         if placed is None:
             got = ask(pieces, deadline, LARGEST, lenders)
         else:
-            # no block is taken back after an error: the other end may read it
-            block, slot, pieces, where = placed
-            block.lend(slot)
-            got = ask(pieces, deadline, LARGEST, lenders, *where)
+            # after an error it is not taken back: the other end may read it
+            got = ask(placed.pieces, deadline, LARGEST, lenders, *placed.where)
             if got is None:
-                block.take_back(slot)
-        if got is None or type(got) is Frame:
-            return got
-        return self._with_block(got, deadline)
+                self._take_back(placed)
+            else:
+                self._known[placed.block.number] = placed.block
+        return self._on_new_block(*got) if isinstance(got, tuple) else got
 
     def receive(self, deadline: float = math.inf) -> Frame:
         """Return the next frame.
@@ -225,7 +214,7 @@ class Connection:
             It is not a frame; after `Unreadable`, the connection must be closed.
         """
         got = self._channel.receive(deadline, LARGEST, self._lenders)
-        return got if type(got) is Frame else self._with_block(got, deadline)
+        return self._on_new_block(*got) if isinstance(got, tuple) else got
 
     def _follow(self, handle: Callable[[Frame], bool]) -> None:
         try:
@@ -234,95 +223,53 @@ class Connection:
         except (Unavailable, Timeout, WireError):
             self.is_over = True
 
-    def _with_block(
-        self, got: tuple[int, int, bytes] | Frame, deadline: float
-    ) -> Frame:
-        """Return the frame that comes after a new block."""
-        while not isinstance(got, Frame):
-            block, used, data = got
-            if not self.is_local:
-                raise Unreadable(f"a shared block {block} was announced over TCP")
-            if not block & _NEW:
-                raise Unreadable(f"there is no shared block {block}")
-            slot = int.from_bytes(data, "little")
-            self._accept(block ^ _NEW, used, slot, deadline)
-            got = self._channel.receive(deadline, LARGEST, self._lenders)
-        return got
-
-    def _place(self, pieces: Pieces, deadline: float) -> _Placed | None:
-        """Find a block for the arrays of a frame; None when they go inline."""
+    def _place(self, pieces: Pieces) -> _Placed | None:
+        """Lend the other end a block for the arrays; None when they go inline."""
         size = sum(map(len, pieces[_INLINE + 1 :]))
         if size > LARGEST:
             raise WireError(f"arrays of {size} B; {LARGEST} B is the largest")
         if size < THRESHOLD or not self.is_local:
             return None
-        if len(pieces) == _ALONE and (placed := self._place_loan(pieces, deadline)):
-            return placed
-        try:
-            block, is_new = self._pool.take(size)
-        except OSError:  # no memory or file is left: the socket takes them
-            return None
-        if block is None:
-            return None
-        if is_new:
-            self._introduce(block, block.number, deadline)
-        return block, 0, pieces, (block.number, size, block.memory)
-
-    def _place_loan(self, pieces: Pieces, deadline: float) -> _Placed | None:
-        """Find the block on which the array lies already.
-
-        None when there is none, or the receiver has it: there is one byte to give it
-        back.
-        """
-        block = LOANS.find(pieces[_INLINE + 1])
-        if block is None:
-            return None
         if self._slot is None:
-            self._slot = LOANS.take_slot()
+            self._slot = BLOCKS.take_slot()
         slot = self._slot
-        if slot is None or block.is_lent(slot):
+        if slot is None:
             return None
-        number = MOST_BLOCKS + block.number
-        if self._loans.get(number) is not block:
-            self._introduce(block, number, deadline, slot.to_bytes(2, "little"))
-            self._loans[number] = block
-        where = number, len(pieces[_INLINE + 1]), None
-        return block, slot, pieces[:_INLINE], where
+        target = None
+        block = BLOCKS.find(pieces[_INLINE + 1]) if len(pieces) == _ALONE else None
+        # a loan that the other end has, has one slot to be given back
+        if block is not None and not block.is_lent(slot):
+            block.lend(slot)
+            size = len(pieces[_INLINE + 1])
+            pieces = pieces[:_INLINE]
+        elif block := BLOCKS.take(size, slot):
+            target = block.memory[DATA:]
+        else:
+            return None
+        number, file = slot << _SLOT_AT | block.number, -1
+        if self._known.get(block.number) is not block:
+            number, file = number | _NEW, block.file
+        return _Placed(block, pieces, (number, size, target, file))
 
-    def _introduce(
-        self, block: Block, number: int, deadline: float, slot: bytes = b""
-    ) -> None:
-        self._channel.send([slot], deadline, LARGEST, number | _NEW, block.capacity)
-        if self._channel.take(1, deadline) != _READY:
-            raise Unavailable("the other end takes no shared memory")
-        try:
-            socket.send_fds(self._connection, [_READY], [block.file])
-        except OSError as error:
-            raise Unavailable(f"the other end is gone: {error}") from error
+    def _take_back(self, placed: _Placed) -> None:
+        """Undo `_place`: the other end has not got the frame."""
+        if self._slot is not None:
+            placed.block.take_back(self._slot)
 
-    def _accept(self, number: int, capacity: int, slot: int, deadline: float) -> None:
-        """Map a block that the other end announced; its file comes soon."""
-        if not (0 < number <= _MOST_NUMBER and 0 < capacity <= MOST_BYTES):
-            raise Unreadable(f"a shared block {number} of {capacity} B was announced")
-        if slot >= DATA:
-            raise Unreadable(f"a shared block with slot {slot} was announced")
-        poll = select.poll()
-        poll.register(self._connection, select.POLLIN)
-        left = min(LOST_AFTER, deadline - time.monotonic())
+    def _on_new_block(self, block: int, used: int, data: bytes) -> Frame:
+        """Return the frame in `data`, the first one with a block that is new here."""
+        number, slot = block & _NUMBER, block >> _SLOT_AT & _SLOT
+        if not self.is_local:
+            raise Unreadable(f"a shared block {number} was announced over TCP")
+        if not block & _NEW:
+            raise Unreadable(f"there is no shared block {number}")
+        file = self._channel.take_file()
+        if file < 0:
+            raise Unreadable(f"no file came for a shared block {number}")
         try:
-            self._connection.sendall(_READY)
-            if not poll.poll(max(0.0, 1000 * left)):
-                raise Timeout("no file came for a shared block")
-            data, files, _, _ = socket.recv_fds(self._connection, 1, 1)
-        except OSError as error:
-            raise Unavailable(f"the other end is gone: {error}") from error
-        if not data:
-            raise Unavailable("the other end is gone: it announced a block at its end")
-        if not files:
-            raise Unreadable("a shared block was announced, and no file came")
-        try:
-            self._lenders[number] = lender(files[0], capacity, slot)
+            self._lenders[number] = lender(file, slot)
         except (OSError, ValueError) as error:
             raise Unreadable(f"a shared block cannot be mapped: {error}") from error
         finally:
-            os.close(files[0])
+            os.close(file)
+        return _channel.parse(data, self._lenders[number].lend(used))

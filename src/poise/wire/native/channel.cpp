@@ -4,6 +4,7 @@
 #include <netinet/tcp.h>
 #include <poll.h>
 #include <sys/socket.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
@@ -45,6 +46,35 @@ void drop(std::vector<iovec>& pieces, std::size_t count) {
   pieces.front().iov_len -= count;
 }
 
+// Room for one open file beside the bytes of a message.
+class FileRights {
+ public:
+  void expect(msghdr& message) {
+    message.msg_control = memory_;
+    message.msg_controllen = sizeof memory_;
+  }
+
+  void attach(msghdr& message, int file) {
+    expect(message);
+    cmsghdr* part = CMSG_FIRSTHDR(&message);
+    part->cmsg_level = SOL_SOCKET;
+    part->cmsg_type = SCM_RIGHTS;
+    part->cmsg_len = CMSG_LEN(sizeof file);
+    std::memcpy(CMSG_DATA(part), &file, sizeof file);
+  }
+
+  static int found(msghdr& message) {
+    const cmsghdr* part = CMSG_FIRSTHDR(&message);
+    int file = no_file;
+    if (part && part->cmsg_level == SOL_SOCKET && part->cmsg_type == SCM_RIGHTS)
+      std::memcpy(&file, CMSG_DATA(part), sizeof file);
+    return file;
+  }
+
+ private:
+  alignas(cmsghdr) char memory_[CMSG_SPACE(sizeof(int))] = {};
+};
+
 // What TCP knows; all 0 over AF_UNIX.
 tcp_info look(int file) {
   tcp_info found{};
@@ -62,15 +92,21 @@ Channel::Channel(int file, double lost_after, bool reads_ahead)
       reads_ahead_(reads_ahead),
       ahead_(reads_ahead ? ahead_size : Head::with_block) {}
 
+Channel::~Channel() {
+  for (const int file : files_) close(file);
+}
+
 bool Channel::is_lost() const {
   const tcp_info found = look(file_);
   return found.tcpi_unacked > 0 && found.tcpi_retransmits >= in_vain &&
          found.tcpi_last_ack_recv > 1e3 * lost_after_;
 }
 
-bool Channel::is_gone() const {
-  pollfd looking{file_, POLLRDHUP, 0};
-  return poll(&looking, 1, 0) > 0;
+int Channel::take_file() {
+  if (files_.empty()) return no_file;
+  const int file = files_.front();
+  files_.pop_front();
+  return file;
 }
 
 // Sleep until the socket is ready. Reading waits here and not in `recv`, because that is
@@ -96,13 +132,16 @@ Outcome Channel::wait(short event, double deadline) {
   }
 }
 
-Outcome Channel::send(std::vector<iovec>& pieces, double deadline) {
+Outcome Channel::send(std::vector<iovec>& pieces, double deadline, int& attached) {
   while (!pieces.empty()) {
     msghdr message{};
     message.msg_iov = pieces.data();
     message.msg_iovlen = std::min<std::size_t>(pieces.size(), IOV_MAX);
+    FileRights rights;
+    if (attached != no_file) rights.attach(message, attached);
     const ssize_t sent = sendmsg(file_, &message, MSG_NOSIGNAL | MSG_DONTWAIT);
     if (sent >= 0) {
+      attached = no_file;
       drop(pieces, static_cast<std::size_t>(sent));
       continue;
     }
@@ -168,8 +207,15 @@ Outcome Channel::read(char* target, std::size_t size, double deadline, std::size
   while (true) {
     Outcome outcome = wait(POLLIN, deadline);
     if (outcome != Outcome::done) return outcome;
-    const ssize_t count = recv(file_, target, size, MSG_DONTWAIT);
+    FileRights rights;
+    iovec into{target, size};
+    msghdr message{};
+    message.msg_iov = &into;
+    message.msg_iovlen = 1;
+    rights.expect(message);
+    const ssize_t count = recvmsg(file_, &message, MSG_DONTWAIT | MSG_CMSG_CLOEXEC);
     if (count > 0) {
+      if (const int file = FileRights::found(message); file != no_file) files_.push_back(file);
       got = static_cast<std::size_t>(count);
       return Outcome::done;
     }

@@ -4,13 +4,14 @@
 //
 // src/poise/wire/connections/connection.py says what the numbers mean. Nothing here knows
 // Python: waiting and copying happen without its lock. One thread at a time may send, and one
-// receive.
+// receive. Over AF_UNIX, open files cross with the bytes.
 #pragma once
 
 #include <sys/uio.h>
 
 #include <cstddef>
 #include <cstdint>
+#include <deque>
 #include <vector>
 
 namespace poise {
@@ -24,6 +25,8 @@ enum class Outcome {
   gone,         // the other end closed, or the socket broke; `errno` or 0
   interrupted,  // by a signal: look at it, and go on
 };
+
+constexpr int no_file = -1;
 
 // As it lies on the wire; little endian, as every computer that runs Poise.
 struct Head {
@@ -41,10 +44,13 @@ class Channel {
   // Over TCP the other end is lost when it confirms nothing for `lost_after` [s]. A channel
   // that does not read ahead keeps nothing between two frames: `poll` reports each frame.
   Channel(int file, double lost_after, bool reads_ahead);
+  ~Channel();
+  Channel(const Channel&) = delete;
+  Channel& operator=(const Channel&) = delete;
 
   // Send all of `pieces` before `deadline` [s, of the monotonic clock], and take off what
-  // was sent.
-  Outcome send(std::vector<iovec>& pieces, double deadline);
+  // was sent; with the first bytes goes an open file, unless `attached` is `no_file`.
+  Outcome send(std::vector<iovec>& pieces, double deadline, int& attached);
 
   // Have a head; call `take` or `skip` for what follows it.
   Outcome receive_head(Head& head, double deadline);
@@ -52,12 +58,12 @@ class Channel {
   // Copy the next bytes to `target`, moving it on, until `left` is 0.
   Outcome take(char*& target, std::size_t& left, double deadline);
 
-  // Whether the other end has closed the socket, or its process ended.
-  bool is_gone() const;
-
   // Whether the other computer was silent for too long about something that was sent. A
   // process that takes nothing does no harm: its computer says so.
   bool is_lost() const;
+
+  // The first file that came and was not taken; `no_file` when there is none.
+  int take_file();
 
   // How many bytes are here already, behind the last head.
   std::size_t num_ahead() const { return end_ - start_; }
@@ -81,6 +87,7 @@ class Channel {
   double lost_after_;
   bool is_remote_, reads_ahead_;
   std::vector<char> ahead_;
+  std::deque<int> files_;
   std::size_t start_ = 0, end_ = 0;
 };
 

@@ -8,7 +8,7 @@ namespace poise {
 
 Lender::Lender(nb::handle data, nb::handle flags, std::size_t slot)
     : data_(data, PyBUF_SIMPLE), flags_(flags, PyBUF_WRITABLE), slot_(slot) {
-  if (slot >= flags_.size() || flags_.size() < sizeof(Owner)) throw nb::value_error("there is no such slot");
+  if (slot >= flags_.size()) throw nb::value_error("there is no such slot");
 }
 
 // The sender writes as soon as it sees this: not before all was read here.

@@ -1,24 +1,21 @@
-// The receiver's side of a block of shared memory: see src/poise/wire/connections/shared_memory.py.
+// The receiver's side of a block of shared memory: see src/poise/wire/connections/blocks.py.
 #pragma once
 
 #include <nanobind/nanobind.h>
 
 #include <cstddef>
 
-#include "filling.h"
 #include "memory.h"
 
 namespace poise {
 
-// Where arrays lie that the other end sends, and the byte that tells its owner.
+// Where arrays lie that the other end sends, and the byte that says whether they are in use.
 class Lender {
  public:
   Lender(nanobind::handle data, nanobind::handle flags, std::size_t slot);
 
   char* data() const { return data_.begin(); }
   std::size_t size() const { return data_.size(); }
-  // The owner of the block; null for a loan, which was filled before it is lent.
-  Owner* owner() const { return slot_ == 0 ? reinterpret_cast<Owner*>(flags_.begin()) : nullptr; }
   void give_back();
 
  private:

@@ -8,7 +8,6 @@
 #include <ctime>
 
 #include "channel.h"
-#include "filling.h"
 #include "lender.h"
 #include "memory.h"
 
@@ -61,44 +60,43 @@ void refuse_too_large(std::size_t size, std::size_t largest, const char* error =
           nb::str("a frame of {} B; {} B is the largest").format(size, largest));
 }
 
-// The pieces of a frame; with a block, its arrays go there.
+// The pieces of a frame; with a block, its arrays are copied there or are there already.
 class Pieces {
  public:
   Pieces(nb::list pieces, std::size_t largest, std::uint32_t block, std::uint64_t used,
-         nb::handle target)
-      : head_{0, block, target.is_none() ? used : 0} {
+         nb::handle target, int file)
+      : head_{0, block, target.is_none() ? used : 0}, file_(file) {
     const std::size_t num_inline = target.is_none() ? nb::len(pieces) : num_inline_with_block;
     const std::size_t padding = num_inline;  // between body and arrays; not in a block
     held_.reserve(nb::len(pieces) + 1);
     vectors_.reserve(nb::len(pieces) + 1);
     vectors_.push_back({&head_, block ? Head::with_block : Head::plain});
-    std::vector<iovec> arrays;
     std::size_t length = 0;
     for (nb::handle piece : pieces) {
       const bool is_inline = held_.size() < num_inline;
       const Memory& memory = held_.emplace_back(piece, PyBUF_SIMPLE);
       if (!memory.size() || held_.size() == padding + 1) continue;
-      (is_inline ? vectors_ : arrays).push_back({memory.begin(), memory.size()});
+      (is_inline ? vectors_ : arrays_).push_back({memory.begin(), memory.size()});
       (is_inline ? length : head_.used) += memory.size();
     }
     refuse_too_large(length, largest);
     head_.length = static_cast<std::uint32_t>(length);
     if (target.is_none()) return;
     const Memory& room = held_.emplace_back(target, PyBUF_WRITABLE);
-    if (poise::data_offset() + head_.used > room.size())
-      throw nb::value_error("the arrays are larger than the block");
-    filling_ = poise::Filling(reinterpret_cast<poise::Owner*>(room.begin()),
-                              room.begin() + poise::data_offset(), std::move(arrays));
+    if (head_.used > room.size()) throw nb::value_error("the arrays are larger than the block");
+    target_ = room.begin();
   }
   Pieces(const Pieces&) = delete;
   Pieces& operator=(const Pieces&) = delete;
 
-  // Send a frame's head and body, and copy its arrays to the block.
+  // Copy the arrays to the block, and send the head and the body.
   Outcome send(Channel& channel, double deadline) {
-    filling_.begin();
-    const Outcome outcome = channel.send(vectors_, deadline);
-    if (outcome == Outcome::done) filling_.finish();
-    return outcome;
+    for (const iovec& array : arrays_) {
+      std::memcpy(target_, array.iov_base, array.iov_len);
+      target_ += array.iov_len;
+    }
+    arrays_.clear();  // a step that was interrupted is taken again
+    return channel.send(vectors_, deadline, file_);
   }
 
  private:
@@ -107,8 +105,9 @@ class Pieces {
 
   Head head_;
   std::vector<Memory> held_;
-  std::vector<iovec> vectors_;
-  poise::Filling filling_;
+  std::vector<iovec> vectors_, arrays_;
+  char* target_ = nullptr;
+  int file_;
 };
 
 // What `poise.wire.frame` calls things; never given back.
@@ -241,8 +240,8 @@ std::uintptr_t address(nb::handle memory) {
 }
 
 void send(Channel& channel, nb::list list, double deadline, std::size_t largest,
-          std::uint32_t block, std::uint64_t used, nb::handle target) {
-  Pieces pieces(list, largest, block, used, target);
+          std::uint32_t block, std::uint64_t used, nb::handle target, int file) {
+  Pieces pieces(list, largest, block, used, target, file);
   run([&] { return pieces.send(channel, deadline); }, not_taken);
 }
 
@@ -259,22 +258,27 @@ nb::bytes take(Channel& channel, std::size_t size, double deadline) {
   return data;
 }
 
-// The frame behind a head, or what Python is to look at.
+// `block` in a head: the number of a block, and whether it is new here.
+constexpr std::uint32_t number_of(std::uint32_t block) { return block & 0xff; }
+constexpr bool is_new(std::uint32_t block) { return block >> 31; }
+
+nb::object lend(nb::object object, std::uint64_t used) {
+  const std::size_t size = nb::cast<const Lender&>(object).size();
+  if (used > size)
+    raise_wire_error(nb::str("{} B announced in a block of {} B").format(used, size));
+  return poise::lend(std::move(object), used);
+}
+
+// The frame behind a head, or what Python is to look at: it has a block that is new here.
 nb::object rest_of(Channel& channel, const Head& head, double deadline, std::size_t largest,
                    const nb::dict& lenders) {
   refuse_too_large(head.length, largest, "Unreadable");
   if (head.block) {
     const nb::bytes data = take(channel, head.length, deadline);
-    const nb::object number = nb::cast(head.block);
-    if (!lenders.contains(number)) return nb::make_tuple(head.block, head.used, data);
-    const nb::object object = lenders[number];
-    const Lender& lender = nb::cast<const Lender&>(object);
-    if (head.used > lender.size())
-      raise_wire_error(
-          nb::str("{} B announced in a block of {} B").format(head.used, lender.size()));
-    if (poise::Owner* owner = lender.owner(); owner && poise::is_being_filled(owner))
-      run([&] { return poise::wait_until_filled(owner, channel, deadline); }, not_come);
-    return parse(data, poise::lend(object, head.used));
+    const nb::object number = nb::cast(number_of(head.block));
+    if (is_new(head.block) || !lenders.contains(number))
+      return nb::make_tuple(head.block, head.used, data);
+    return parse(data, lend(lenders[number], head.used));
   }
   if (head.length <= std::min(small, channel.num_ahead())) {
     const char* data = channel.skip(head.length);
@@ -294,8 +298,9 @@ nb::object receive(Channel& channel, double deadline, std::size_t largest, nb::d
 
 // Both in one step, for one thread; None when the other end has not got the call.
 nb::object ask(Channel& channel, nb::list list, double deadline, std::size_t largest,
-               nb::dict lenders, std::uint32_t block, std::uint64_t used, nb::handle target) {
-  Pieces pieces(list, largest, block, used, target);
+               nb::dict lenders, std::uint32_t block, std::uint64_t used, nb::handle target,
+               int file) {
+  Pieces pieces(list, largest, block, used, target, file);
   Head head;
   bool is_sent = false, is_gone = false;
   run(
@@ -323,15 +328,18 @@ NB_MODULE(_channel, module) {
            nb::arg("reads_ahead") = true)
       .def("is_lost", &Channel::is_lost)
       .def("send", &send, nb::arg("pieces"), nb::arg("deadline"), nb::arg("largest"),
-           nb::arg("block") = 0, nb::arg("used") = 0, nb::arg("target") = nb::none())
+           nb::arg("block") = 0, nb::arg("used") = 0, nb::arg("target") = nb::none(),
+           nb::arg("file") = poise::no_file)
       .def("receive", &receive, nb::arg("deadline"), nb::arg("largest"), nb::arg("lenders"))
       .def("ask", &ask, nb::arg("pieces"), nb::arg("deadline"), nb::arg("largest"),
            nb::arg("lenders"), nb::arg("block") = 0, nb::arg("used") = 0,
-           nb::arg("target") = nb::none())
-      .def("take", &take, nb::arg("size"), nb::arg("deadline"));
+           nb::arg("target") = nb::none(), nb::arg("file") = poise::no_file)
+      .def("take_file", &Channel::take_file);
   nb::class_<Lender>(module, "Lender")
       .def(nb::init<nb::handle, nb::handle, std::size_t>(), nb::arg("data"), nb::arg("flags"),
-           nb::arg("slot"));
+           nb::arg("slot"))
+      .def("lend", [](nb::handle self, std::uint64_t used) { return lend(nb::borrow(self), used); },
+           nb::arg("used"));
   nb::class_<Lent>(module, "Lent", nb::type_slots(Lent::slots));
   module.def("parse", &parse, nb::arg("data"), nb::arg("buffers") = nb::none());
   module.def("segments", &segments, nb::arg("codec"), nb::arg("value").none(), nb::arg("kind"),

@@ -1,0 +1,225 @@
+"""Blocks of shared memory for the arrays that cross connections.
+
+A block is an anonymous file (``memfd_create``) that both ends map. The sender copies
+arrays into it, or they lie there from the start (`loan`); the receiver's arrays are
+read-only views on it. Its first page has a byte, a *slot*, for each connection of the
+sender, and one for the sender's own loan: the sender sets it, and the receiver clears
+it when the last array on the block is gone. A block whose slots are all clear is used
+again. When a receiver keeps its arrays, the sender takes another block, or sends
+through the socket when there is none.
+
+When a connection ends, nobody clears its slot: a block that is still lent over it is
+given up. The kernel frees a block when the last process unmaps it, and so whatever a
+crash leaves behind: it has no name in the file system.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import mmap
+import os
+import threading
+import weakref
+from math import prod
+from typing import TYPE_CHECKING, Any
+
+from poise.wire import _channel
+from poise.wire.codec import Bytes, WireError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import DTypeLike
+
+THRESHOLD = 1 << 16
+"""Fewer bytes of arrays go through the socket, which is as quick [bytes]."""
+MOST_LENT = 8
+"""Blocks that the receiver of one connection may have, and loans of a process."""
+MOST_BLOCKS = 64
+"""Blocks of a process."""
+MOST_BYTES = 1 << 28
+"""Memory of these blocks in all [bytes]."""
+
+DATA = mmap.PAGESIZE
+"""Where the data begin [bytes]: the page before holds bytes that both ends write."""
+OWN = 0
+"""The slot of a loan, which its own process has."""
+_FREE, _LENT = 0, 1
+_ALL_FREE = bytes(DATA)
+_SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL
+
+
+class Block:
+    """The sender's side of a block with room for `capacity` bytes.
+
+    Sending copies arrays to its `memory`, or leaves them there.
+    """
+
+    def __init__(self, number: int, capacity: int) -> None:
+        self.number = number
+        self.capacity = capacity
+        self.file = os.memfd_create("poise", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+        # a connection may be about to send its file when it is given up
+        weakref.finalize(self, os.close, self.file)
+        os.ftruncate(self.file, DATA + capacity)
+        fcntl.fcntl(self.file, fcntl.F_ADD_SEALS, _SEALS)
+        self._map = mmap.mmap(
+            self.file, 0, mmap.MAP_SHARED | mmap.MAP_POPULATE, mmap.PROT_WRITE
+        )
+        self.memory = memoryview(self._map)
+        self.address = _channel.address(self.memory) + DATA
+        self._loan: weakref.ref[np.ndarray] | None = None
+
+    def is_free(self) -> bool:
+        """Return whether nobody has an array on it."""
+        return self._map[:DATA] == _ALL_FREE
+
+    def is_lent(self, slot: int) -> bool:
+        """Return whether a slot's user has an array on it."""
+        return self._map[slot] != _FREE
+
+    def lend(self, slot: int) -> None:
+        """Set a slot: its user owns it. From now on nobody may write to a loan."""
+        loan = self._loan() if self._loan else None
+        if loan is not None:
+            loan.flags.writeable = False
+        self._map[slot] = _LENT
+
+    def take_back(self, slot: int) -> None:
+        """Undo `lend`: no frame was sent, or the loan is gone."""
+        self._map[slot] = _FREE
+
+    def make_loan(self, shape: Any, dtype: DTypeLike) -> np.ndarray:  # noqa: ANN401, as numpy's
+        """Return an array on it, which has the slot `OWN` for as long as it lives."""
+        import numpy as np  # noqa: PLC0415, only where users' arrays are
+
+        array: np.ndarray = np.ndarray(shape, dtype, self._map, DATA)
+        self._loan = weakref.ref(array)
+        weakref.finalize(array, self.take_back, OWN).atexit = False
+        return array
+
+
+class Blocks:
+    """The blocks of a process and the slots of its connections, for any thread."""
+
+    def __init__(self) -> None:
+        self._blocks: dict[int, Block] = {}
+        self._changing = threading.Lock()
+        self._free_slots = list(reversed(range(1, DATA)))
+
+    def new_loan(self, shape: Any, dtype: DTypeLike) -> np.ndarray:  # noqa: ANN401, as numpy's
+        """Return an array of any content; an ordinary one when there is no block."""
+        import numpy as np  # noqa: PLC0415, only where users' arrays are
+
+        kind = np.dtype(dtype)
+        sides = (shape,) if isinstance(shape, int) else tuple(shape)
+        size = prod(sides) * kind.itemsize
+        if size >= THRESHOLD and not kind.hasobject and min(sides) > 0:
+            block = self.take(size, OWN)
+            if block is not None:
+                return block.make_loan(sides, kind)
+        return np.empty(sides, kind)
+
+    def take(self, size: int, slot: int) -> Block | None:
+        """Return a free block for `size` bytes, lent to a slot.
+
+        None when its receiver has not given back enough of them, or no memory or file
+        is left.
+        """
+        with self._changing, contextlib.suppress(OSError):
+            blocks = self._blocks.values()
+            if sum(block.is_lent(slot) for block in blocks) >= MOST_LENT:
+                return None
+            free = sorted((b for b in blocks if b.is_free()), key=_capacity)
+            fitting = (block for block in free if block.capacity >= size)
+            block = next(fitting, None) or self._make(size, free)
+            if block is not None:
+                block.lend(slot)
+            return block
+        return None
+
+    def find(self, sent: Bytes) -> Block | None:
+        """Return the block whose loan begins where `sent` does, if there is one."""
+        address = _channel.address(sent)
+        with self._changing:
+            found = (b for b in self._blocks.values() if b.address == address)
+            return next(found, None)
+
+    def take_slot(self) -> int | None:
+        """Return a slot for a connection; None when all are used."""
+        with self._changing:
+            return self._free_slots.pop() if self._free_slots else None
+
+    def give_slot_back(self, slot: int) -> None:
+        """End a connection: blocks that are lent over it are not used again.
+
+        Behind the last connection no block is kept for another.
+        """
+        with self._changing:
+            self._free_slots.append(slot)
+            is_last = len(self._free_slots) == len(range(1, DATA))
+            for block in list(self._blocks.values()):
+                if block.is_lent(slot) or (is_last and block.is_free()):
+                    del self._blocks[block.number]
+
+    def _make(self, size: int, free: list[Block]) -> Block | None:
+        """Make a block, and give up free ones, all too small, as far as it needs it."""
+        capacity = max(THRESHOLD, 1 << (size - 1).bit_length())
+        room = MOST_BYTES - capacity
+        blocks = self._blocks
+        while len(blocks) == MOST_BLOCKS or sum(map(_capacity, blocks.values())) > room:
+            if not free:
+                return None
+            del blocks[free.pop(0).number]
+        number = next(n for n in range(1, MOST_BLOCKS + 1) if n not in blocks)
+        block = blocks[number] = Block(number, capacity)
+        return block
+
+
+BLOCKS = Blocks()
+"""Those of this process; it has none when it forks containers."""
+
+
+def lender(file: int, slot: int) -> _channel.Lender:
+    """Return the receiver's side of a block, which lends what was sent on it.
+
+    WireError when the file is none.
+    """
+    if fcntl.fcntl(file, fcntl.F_GET_SEALS) & _SEALS != _SEALS:
+        raise WireError("a shared block may shrink: not sealed")
+    capacity = os.fstat(file).st_size - DATA
+    if not (0 < capacity <= MOST_BYTES and slot < DATA):
+        raise WireError(f"a shared block of {capacity} B with slot {slot}")
+    shared = mmap.MAP_SHARED | mmap.MAP_POPULATE
+    flags = mmap.mmap(file, DATA, shared, mmap.PROT_WRITE)
+    data = mmap.mmap(file, capacity, shared, mmap.PROT_READ, offset=DATA)
+    return _channel.Lender(data, flags, slot)
+
+
+def loan(shape: int | tuple[int, ...], dtype: DTypeLike = float) -> np.ndarray:
+    """Return a new array to be filled and sent; on one computer nothing copies it.
+
+    It lies in shared memory. A message, argument or result that has it, or a part that
+    begins where it begins, as its only array reaches other containers of the computer
+    as it is; to other computers, and together with other arrays, it is copied as any
+    other. Once it was sent it must not be changed, and is read-only where it was lent.
+
+    An array of less than 64 KB, or one more than 8 that are in use here, or without
+    room in the 256 MiB of this process, is an ordinary one.
+
+    Parameters
+    ----------
+    shape
+        Sides [elements], each 0 or more.
+    dtype
+        What it holds, as NumPy names it.
+
+    Returns
+    -------
+    An array of any content, of that shape.
+    """
+    return BLOCKS.new_loan(shape, dtype)
+
+
+def _capacity(block: Block) -> int:
+    return block.capacity
