@@ -173,38 +173,16 @@ class Counts:
     def leave(self) -> None: ...
 
 class DirectCall:
-    """Calls `method` on the caller's thread, under `exclusion`, and counts it.
+    """What `direct_call` returns holds."""
 
-    Parameters
-    ----------
-    limit
-        Of the wait to enter, and of the whole call [s]; less in a call of which
-        less is left.
-    translate
-        Takes the exception that the method raised, and raises what the caller gets.
-    resend
-        Is called instead when the component has moved, with the same arguments; then
-        nothing is counted here. None: `Redirected` is raised.
-
-    Raises
-    ------
-    Timeout
-        The component was busy, or the result came later than `limit`; the
-        callee itself is not interrupted.
-    """
-
-    limit: float
-
-    def __init__(
-        self,
-        method: Callable[..., Any],
-        exclusion: Exclusion,
-        limit: float,
-        counts: Counts,
-        translate: Callable[[Exception | SystemExit], NoReturn],
-        resend: Callable[..., Any] | None = None,
-    ) -> None: ...
-    def __call__(self, *args: Any, **kwargs: Any) -> Any: ...
+def direct_call(
+    method: Callable[..., Any],
+    exclusion: Exclusion,
+    limit: float,
+    counts: Counts,
+    translate: Callable[[Exception | SystemExit], NoReturn],
+    resend: Callable[..., Any] | None = None,
+) -> Callable[..., Any]: ...
 
 class ServedCall:
     """Answers the calls of one method from other containers.

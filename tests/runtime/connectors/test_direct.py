@@ -156,8 +156,8 @@ def test_says_that_the_callee_moved_when_nobody_sends_on(
 
 
 def test_refuses_what_is_no_exclusion(counts: Counts) -> None:
-    with pytest.raises(TypeError, match="an Exclusion and a Counts"):
-        _calls.DirectCall(len, object(), 1.0, counts, translate)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="incompatible function arguments"):
+        _calls.direct_call(len, object(), 1.0, counts, translate)  # type: ignore[arg-type]
 
 
 def test_is_freed_with_the_component_that_it_calls(

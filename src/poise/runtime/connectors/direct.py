@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any, NoReturn, Protocol
 
 from poise.errors import CalleeError
-from poise.runtime._calls import DirectCall
+from poise.runtime import _calls
 from poise.runtime.component.error_report import told
 from poise.runtime.component.ports import Port
 from poise.runtime.connectors.interface import Method, message_tag
@@ -101,7 +101,9 @@ def direct_call(
     When the result comes later than `limit` [s], the caller gets `Timeout`; the callee
     is not interrupted. `resend` takes calls to a component that has moved.
     """
-    return DirectCall(method, exclusion, limit, counts, raise_callee_error, resend)
+    return _calls.direct_call(
+        method, exclusion, limit, counts, raise_callee_error, resend
+    )
 
 
 def raise_callee_error(error: Exception | SystemExit) -> NoReturn:

@@ -1,32 +1,24 @@
 #include "direct_call.h"
 
-#include <structmember.h>
-
-#include <cstddef>
+#include <utility>
 
 #include "deadline.h"
-#include "exclusion.h"
 
 namespace nb = nanobind;
 
 namespace poise {
 namespace {
 
+// `_of` is what is inside the object of that name.
 struct DirectCall {
-  PyObject_HEAD
-  vectorcallfunc vectorcall;
-  PyObject* method;
-  PyObject* exclusion;
-  PyObject* counts;
-  PyObject* translate;  // raises what a caller gets when its callee raised
-  PyObject* resend;     // takes a call whose callee has moved away; or None
-  Exclusion* exclusion_of;        // inside `exclusion`
-  Counts* counts_of;    // inside `counts`
-  double limit;         // [s]
+  nb::object method, exclusion, counts, translate, resend;
+  Exclusion& exclusion_of;
+  Counts& counts_of;
+  double limit;  // [s]
 };
 
-void set_too_late(const DirectCall* call, double elapsed, double limit) {
-  nb::object name = nb::getattr(call->method, "__qualname__", nb::str("the callee"));
+void set_too_late(const DirectCall& call, double elapsed, double limit) {
+  nb::object name = nb::getattr(call.method, "__qualname__", nb::str("the callee"));
   nb::object error = nb::module_::import_("poise.errors").attr("Timeout");
   nb::str text = nb::str("{} took {:.3f} s, limit {:.3g} s").format(name, elapsed, limit);
   PyErr_SetObject(error.ptr(), text.ptr());
@@ -38,41 +30,42 @@ void count_failed(Counts& counts, double elapsed) {
   counts.delay.add(elapsed);
 }
 
-PyObject* refuse(DirectCall* call, Entry entry, Moment began, double limit, PyObject* const* args,
-                 std::size_t num, PyObject* names) {
-  if (entry == Entry::redirected && call->resend != Py_None)
-    return PyObject_Vectorcall(call->resend, args, num, names);
+PyObject* refuse(const DirectCall& call, Entry entry, Moment began, double limit,
+                 PyObject* const* args, std::size_t num, PyObject* names) {
+  if (entry == Entry::redirected && !call.resend.is_none())
+    return PyObject_Vectorcall(call.resend.ptr(), args, num, names);
   if (entry == Entry::timeout)
-    count_failed(*call->counts_of, 1e-9 * static_cast<double>(wall_now() - began));
-  set_entry_error(call->exclusion_of->what(), static_cast<int>(entry), limit, "was busy for");
+    count_failed(call.counts_of, 1e-9 * static_cast<double>(wall_now() - began));
+  set_entry_error(call.exclusion_of.what(), entry, limit, "was busy for");
   return nullptr;
 }
 
-PyObject* invoke(PyObject* self, PyObject* const* args, std::size_t num, PyObject* names) {
-  auto* call = reinterpret_cast<DirectCall*>(self);
-  Counts& counts = *call->counts_of;
+PyObject* invoke(PyObject* self, PyObject* const* args, Py_ssize_t count, PyObject* names) {
+  const DirectCall& call = *nb::inst_ptr<DirectCall>(self);
+  const auto num = static_cast<std::size_t>(count);
+  Counts& counts = call.counts_of;
   const Moment began = wall_now();
-  const double limit = time_left(call->limit, began);
+  const double limit = time_left(call.limit, began);
   if (limit <= 0.0) {
     count_failed(counts, 0.0);
-    set_over(call->exclusion_of->what());
+    set_over(call.exclusion_of.what());
     return nullptr;
   }
-  const Entry entry = call->exclusion_of->enter(current_chain(), limit);
+  const Entry entry = call.exclusion_of.enter(current_chain(), limit);
   if (entry > Entry::late) return refuse(call, entry, began, limit, args, num, names);
   const Moment inside = entry == Entry::late ? wall_now() : began;
 
   // the facade may let go of this object while the callee runs
-  Py_INCREF(self);
+  const nb::object held = nb::borrow(self);
   const bool measured = counts.totals().cpu.should_measure(inside);
   const std::int64_t cpu_began = measured ? cpu_now() : 0;
   PyObject* result;
   {
     const Deadline deadline(moment_after(began, limit));
-    result = PyObject_Vectorcall(call->method, args, num, names);
+    result = PyObject_Vectorcall(call.method.ptr(), args, num, names);
   }
   const std::int64_t cpu = measured ? cpu_now() - cpu_began : 0;
-  call->exclusion_of->leave();
+  call.exclusion_of.leave();
 
   const Moment ended = wall_now();
   ConnectorTotals& totals = counts.totals();  // by now it may be elsewhere than before
@@ -85,100 +78,36 @@ PyObject* invoke(PyObject* self, PyObject* const* args, std::size_t num, PyObjec
   counts.delay.add(elapsed);
   if (!result) {
     totals.errors.add(1);
-    translate_error(call->translate);
+    translate_error(call.translate);
   } else if (elapsed > limit) {
     totals.errors.add(1);
     Py_CLEAR(result);
     set_too_late(call, elapsed, limit);
   }
-  Py_DECREF(self);
   return result;
 }
 
 int traverse(PyObject* self, visitproc visit, void* arg) {
-  auto* call = reinterpret_cast<DirectCall*>(self);
   Py_VISIT(Py_TYPE(self));
-  Py_VISIT(call->method);
-  Py_VISIT(call->exclusion);
-  Py_VISIT(call->counts);
-  Py_VISIT(call->translate);
-  Py_VISIT(call->resend);
+  if (!nb::inst_ready(self)) return 0;
+  const DirectCall& call = *nb::inst_ptr<DirectCall>(self);
+  for (const nb::object* held :
+       {&call.method, &call.exclusion, &call.counts, &call.translate, &call.resend})
+    Py_VISIT(held->ptr());
   return 0;
 }
 
 // Break the cycle component -> facade -> this -> method -> component.
 int clear(PyObject* self) {
-  auto* call = reinterpret_cast<DirectCall*>(self);
-  Py_SETREF(call->method, Py_NewRef(Py_None));
-  Py_SETREF(call->resend, Py_NewRef(Py_None));
+  DirectCall& call = *nb::inst_ptr<DirectCall>(self);
+  call.method = call.resend = nb::none();
   return 0;
 }
 
-void deallocate(PyObject* self) {
-  PyTypeObject* type = Py_TYPE(self);
-  PyObject_GC_UnTrack(self);
-  auto* call = reinterpret_cast<DirectCall*>(self);
-  Py_CLEAR(call->method);
-  Py_CLEAR(call->resend);
-  Py_CLEAR(call->exclusion);
-  Py_CLEAR(call->counts);
-  Py_CLEAR(call->translate);
-  PyObject_GC_Del(self);
-  Py_DECREF(type);
-}
-
-PyObject* create(PyTypeObject* type, PyObject* args, PyObject* keywords) {
-  static const char* names[] = {"method", "exclusion", "limit", "counts", "translate", "resend", nullptr};
-  PyObject *method, *exclusion, *counts, *translate, *resend = Py_None;
-  double limit = 0.0;
-  if (!PyArg_ParseTupleAndKeywords(args, keywords, "OOdOO|O", const_cast<char**>(names), &method,
-                                   &exclusion, &limit, &counts, &translate, &resend))
-    return nullptr;
-  Exclusion* exclusion_of = nullptr;
-  Counts* counts_of = nullptr;
-  if (!nb::try_cast(nb::handle(exclusion), exclusion_of) || !nb::try_cast(nb::handle(counts), counts_of) ||
-      !exclusion_of || !counts_of) {
-    PyErr_SetString(PyExc_TypeError, "DirectCall takes an Exclusion and a Counts");
-    return nullptr;
-  }
-  auto* call = PyObject_GC_New(DirectCall, type);
-  if (!call) return nullptr;
-  call->vectorcall = invoke;
-  call->method = Py_NewRef(method);
-  call->exclusion = Py_NewRef(exclusion);
-  call->counts = Py_NewRef(counts);
-  call->translate = Py_NewRef(translate);
-  call->resend = Py_NewRef(resend);
-  call->exclusion_of = exclusion_of;
-  call->counts_of = counts_of;
-  call->limit = limit;
-  auto* self = reinterpret_cast<PyObject*>(call);
-  PyObject_GC_Track(self);
-  return self;
-}
-
-PyMemberDef members[] = {
-    {"__vectorcalloffset__", T_PYSSIZET, offsetof(DirectCall, vectorcall), READONLY, nullptr},
-    {"limit", T_DOUBLE, offsetof(DirectCall, limit), READONLY, nullptr},
-    {nullptr, 0, 0, 0, nullptr},
-};
-
 PyType_Slot slots[] = {
-    {Py_tp_new, reinterpret_cast<void*>(create)},
-    {Py_tp_dealloc, reinterpret_cast<void*>(deallocate)},
     {Py_tp_traverse, reinterpret_cast<void*>(traverse)},
     {Py_tp_clear, reinterpret_cast<void*>(clear)},
-    {Py_tp_call, reinterpret_cast<void*>(PyVectorcall_Call)},
-    {Py_tp_members, members},
     {0, nullptr},
-};
-
-PyType_Spec spec = {
-    "poise.runtime._calls.DirectCall",
-    sizeof(DirectCall),
-    0,
-    Py_TPFLAGS_DEFAULT | Py_TPFLAGS_HAVE_GC | Py_TPFLAGS_HAVE_VECTORCALL,
-    slots,
 };
 
 }  // namespace
@@ -195,11 +124,29 @@ void translate_error(nb::handle translate) {
   Py_XDECREF(trace);
 }
 
-nb::object make_direct_call_type() { return nb::steal(PyType_FromSpec(&spec)); }
+nb::object direct_call(nb::object method, nb::handle_t<Exclusion> exclusion, double limit,
+                       nb::handle_t<Counts> counts, nb::object translate, nb::object resend) {
+  static PyMethodDef definition{
+      "direct_call", reinterpret_cast<PyCFunction>(reinterpret_cast<void (*)()>(invoke)),
+      METH_FASTCALL | METH_KEYWORDS, nullptr};
+  const nb::object call = nb::cast(
+      new DirectCall{std::move(method), nb::borrow(exclusion), nb::borrow(counts),
+                     std::move(translate), std::move(resend), *nb::inst_ptr<Exclusion>(exclusion),
+                     *nb::inst_ptr<Counts>(counts), limit},
+      nb::rv_policy::take_ownership);
+  return nb::steal(PyCFunction_New(&definition, call.ptr()));
+}
 
-void set_entry_error(const std::string& what, int entry, double limit, const char* action) {
-  if (entry == static_cast<int>(Entry::interrupted)) return;  // already set
-  if (entry == static_cast<int>(Entry::redirected)) {
+void bind_direct_call(nb::module_& module) {
+  nb::class_<DirectCall>(module, "DirectCall", nb::type_slots(slots));
+  module.def("direct_call", &direct_call, nb::arg("method"), nb::arg("exclusion"),
+             nb::arg("limit"), nb::arg("counts"), nb::arg("translate"),
+             nb::arg("resend") = nb::none());
+}
+
+void set_entry_error(const std::string& what, Entry entry, double limit, const char* action) {
+  if (entry == Entry::interrupted) return;  // already set
+  if (entry == Entry::redirected) {
     nb::object error = nb::module_::import_("poise.runtime.execution.exclusion").attr("Redirected");
     PyErr_Format(error.ptr(), "component '%s' has moved away", what.c_str());
     return;

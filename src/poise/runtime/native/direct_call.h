@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "exclusion.h"
 #include "histogram.h"
 #include "stats_page.h"
 
@@ -51,8 +52,8 @@ struct Counts {
   }
 };
 
-// The type `DirectCall`: a callable with the vectorcall protocol.
-nanobind::object make_direct_call_type();
+// Add `direct_call` to the module.
+void bind_direct_call(nanobind::module_& module);
 
 // Let `translate` raise what a caller gets instead of an Exception or SystemExit of its callee;
 // other errors, such as KeyboardInterrupt, go on as they are.
@@ -60,8 +61,7 @@ void translate_error(nanobind::handle translate);
 
 // Set the Python error that stands for an entry that failed. `action` says, with the
 // limit, what was waited for.
-void set_entry_error(const std::string& what, int entry, double limit,
-                     const char* action);
+void set_entry_error(const std::string& what, Entry entry, double limit, const char* action);
 
 // Set the Python error of a call for which no time was left.
 void set_over(const std::string& what);

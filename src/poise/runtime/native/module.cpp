@@ -21,7 +21,7 @@ constexpr double unknown = std::numeric_limits<double>::quiet_NaN();
 
 static void check(const Exclusion& exclusion, Entry entry, double limit, const char* action) {
   if (entry == Entry::entered || entry == Entry::late) return;
-  set_entry_error(exclusion.what(), static_cast<int>(entry), limit, action);
+  set_entry_error(exclusion.what(), entry, limit, action);
   throw nb::python_error();
 }
 
@@ -165,5 +165,5 @@ NB_MODULE(_calls, module) {
   module.def("call_remote", &call_remote, nb::arg("chain"), nb::arg("limit"), nb::arg("what"),
              nb::arg("request"), nb::arg("pieces"));
 
-  module.attr("DirectCall") = make_direct_call_type();
+  bind_direct_call(module);
 }

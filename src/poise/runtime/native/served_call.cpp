@@ -49,7 +49,7 @@ class Inside {
     const Entry entry = exclusion.enter(chain, limit);
     waited_ = entry == Entry::late;
     if (entry <= Entry::late) return;
-    set_entry_error(exclusion.what(), static_cast<int>(entry), limit, "was busy for");
+    set_entry_error(exclusion.what(), entry, limit, "was busy for");
     throw nb::python_error();
   }
   ~Inside() { exclusion_.leave(); }
