@@ -1,15 +1,9 @@
-"""What every call inside a container runs; explained in ``runtime/native/*.h``.
-
-All of it relies on the GIL as its only lock: every method is atomic, and those that
-wait give the GIL up meanwhile.
-"""
-
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
-from poise.wire.codec import Bytes
-from poise.wire.frame import Frame
-from poise.wire.records.deployment import Summary
+import poise.wire.codec
+import poise.wire.frame
+import poise.wire.records.deployment
 
 def begin_chains(first: int) -> None: ...
 def new_chain() -> int: ...
@@ -20,13 +14,6 @@ def deadline() -> int: ...
 def set_deadline(moment: int) -> None: ...
 
 class Exclusion:
-    """Mutual exclusion of call chains in a component; paused until first resumed.
-
-    It is ROS 2's mutually exclusive callback group, with re-entrance: the chain that is
-    inside may enter again. Chains that wait enter in the order in which they came.
-    `what` names the component in errors.
-    """
-
     def __init__(self, what: str) -> None: ...
     @property
     def is_redirected(self) -> bool: ...
@@ -40,42 +27,17 @@ class Exclusion:
     def redirect(self) -> None: ...
 
 class Histogram:
-    """Counts values >= 0 with quantiles that are right within 5 %.
-
-    Mean and maximum are exact. Values from 2^-30 to 2^64 are distinguished; it holds
-    at most some 750 numbers, however many values come.
-    """
-
     def __init__(self) -> None: ...
     def add(self, value: float) -> None: ...
-    def summary(self) -> Summary: ...
+    def summary(self) -> poise.wire.records.deployment.Summary: ...
 
 class StatsPage:
-    """The container's end of its stats page, for `stats_page.StatsPage`.
-
-    Parameters
-    ----------
-    descriptor
-        From `stats_page.new_memory`; not needed any more when this returns.
-    """
-
     def __init__(self, descriptor: int) -> None: ...
     def beat(self) -> None: ...
 
-RECORD_SIZE: int
-"""What one record of a stats page takes [bytes]."""
+RECORD_SIZE: int = 448
 
 class PageSampler:
-    """The agent's end of a container's stats page.
-
-    Parameters
-    ----------
-    process
-        The container's.
-    proc
-        Where the kernel's files about processes are.
-    """
-
     def __init__(self, descriptor: int, process: int, proc: str = "/proc") -> None: ...
     def read(
         self,
@@ -92,8 +54,6 @@ class PageSampler:
     def commands(self) -> list[int]: ...
 
 class ComponentCounters:
-    """What a component used and did, in a stats page or not."""
-
     def __init__(self) -> None: ...
     def begin(self) -> None: ...
     def watch(self, process: int) -> None: ...
@@ -108,35 +68,31 @@ class ComponentCounters:
     def leave(self) -> None: ...
 
 class Counts:
-    """What one end of a connector counts, in a stats page or not.
-
-    Parameters
-    ----------
-    bytes_out, bytes_in
-        Of what left this end over a wire, and of what came to it, without the
-        transport's own [bytes].
-    delay
-        Of calls [s]: where they begin, there and back; where they end, until the
-        answer.
-    wait
-        Of messages [s]: where they begin, until they went out; where they end, from
-        their arrival until the component took them.
-    size
-        Of what went over a wire, calls both ways [bytes].
-    latency
-        Of what came over a wire: since it was sent [s].
-    latency_error
-        How far those are off at most, in the mean [s].
-    """
-
-    calls: int
-    messages: int
-    bytes_out: int
-    bytes_in: int
-    errors: int
-    drops: int
-
     def __init__(self) -> None: ...
+    @property
+    def calls(self) -> int: ...
+    @calls.setter
+    def calls(self, arg: int, /) -> None: ...
+    @property
+    def messages(self) -> int: ...
+    @messages.setter
+    def messages(self, arg: int, /) -> None: ...
+    @property
+    def bytes_out(self) -> int: ...
+    @bytes_out.setter
+    def bytes_out(self, arg: int, /) -> None: ...
+    @property
+    def bytes_in(self) -> int: ...
+    @bytes_in.setter
+    def bytes_in(self, arg: int, /) -> None: ...
+    @property
+    def errors(self) -> int: ...
+    @errors.setter
+    def errors(self, arg: int, /) -> None: ...
+    @property
+    def drops(self) -> int: ...
+    @drops.setter
+    def drops(self, arg: int, /) -> None: ...
     @property
     def delay(self) -> Histogram: ...
     @property
@@ -145,8 +101,6 @@ class Counts:
     def size(self) -> Histogram: ...
     @property
     def latency(self) -> Histogram: ...
-    @property
-    def latency_error(self) -> float: ...
     def add_call(
         self,
         seconds: float,
@@ -164,6 +118,8 @@ class Counts:
         error: float = 0.0,
     ) -> None: ...
     @property
+    def latency_error(self) -> float: ...
+    @property
     def cpu(self) -> float: ...
     def add_cpu(self, seconds: float) -> None: ...
     def enter(self, page: StatsPage, name: str) -> bool: ...
@@ -172,8 +128,31 @@ class Counts:
     ) -> None: ...
     def leave(self) -> None: ...
 
-class DirectCall:
-    """What `direct_call` returns holds."""
+class ServedCall:
+    def __init__(
+        self,
+        decode: Callable[[poise.wire.codec.Bytes, memoryview], tuple[Any, ...]],
+        method: Callable[..., Any],
+        encode: Callable[[Any], list[poise.wire.codec.Bytes]],
+        exclusion: Exclusion,
+        limit: float,
+        counts: Counts,
+        translate: Callable[[Exception | SystemExit], NoReturn],
+        is_over: Callable[[], bool],
+    ) -> None: ...
+    def __call__(
+        self, frame: poise.wire.frame.Frame, ahead: float = 0.0
+    ) -> list[poise.wire.codec.Bytes]: ...
+
+def call_remote(
+    chain: int,
+    limit: float,
+    what: str,
+    request: Callable[[list[poise.wire.codec.Bytes], float], poise.wire.frame.Frame],
+    pieces: list[poise.wire.codec.Bytes],
+) -> poise.wire.frame.Frame: ...
+
+class DirectCall: ...
 
 def direct_call(
     method: Callable[..., Any],
@@ -183,58 +162,3 @@ def direct_call(
     translate: Callable[[Exception | SystemExit], NoReturn],
     resend: Callable[..., Any] | None = None,
 ) -> Callable[..., Any]: ...
-
-class ServedCall:
-    """Answers the calls of one method from other containers.
-
-    It runs `method` under `exclusion`, on the thread that received the call, and counts
-    the CPU time in `counts`. A call chain runs on one thread of a process at a time: a
-    call back enters when the chain's first thread waits in `call_remote`.
-
-    Parameters
-    ----------
-    decode
-        Turns a frame's body and buffers into the tuple of arguments.
-    encode
-        Turns a result into an answer, under the exclusion: the result may be state.
-    limit
-        Of the wait for chain and exclusion [s]; less when the caller waits for less.
-    translate
-        As `DirectCall`'s.
-    is_over
-        Returns whether the caller is gone. Then a call that had to wait is not run.
-
-    Calling it takes a frame, and how far the caller's clock is ahead at most [s]; NaN
-    when nobody knows. Then the time on the wire does not count.
-
-    Raises
-    ------
-    Timeout
-        The caller's limit has passed, another thread ran the chain or another chain
-        was inside all the time, or the caller is gone. The method was not called.
-    Redirected
-        The component has moved away; its method was not called.
-    WireError
-        What `decode` raised.
-    """
-
-    def __init__(
-        self,
-        decode: Callable[[Bytes, memoryview], tuple[Any, ...]],
-        method: Callable[..., Any],
-        encode: Callable[[Any], list[Bytes]],
-        exclusion: Exclusion,
-        limit: float,
-        counts: Counts,
-        translate: Callable[[Exception | SystemExit], NoReturn],
-        is_over: Callable[[], bool],
-    ) -> None: ...
-    def __call__(self, frame: Frame, ahead: float = 0.0) -> list[Bytes]: ...
-
-def call_remote(
-    chain: int,
-    limit: float,
-    what: str,
-    request: Callable[[list[Bytes], float], Frame],
-    pieces: list[Bytes],
-) -> Frame: ...

@@ -139,9 +139,6 @@ nb::object direct_call(nb::object method, nb::handle_t<Exclusion> exclusion, dou
 
 void bind_direct_call(nb::module_& module) {
   nb::class_<DirectCall>(module, "DirectCall", nb::type_slots(slots));
-  module.def("direct_call", &direct_call, nb::arg("method"), nb::arg("exclusion"),
-             nb::arg("limit"), nb::arg("counts"), nb::arg("translate"),
-             nb::arg("resend") = nb::none());
 }
 
 void set_entry_error(const std::string& what, Entry entry, double limit, const char* action) {

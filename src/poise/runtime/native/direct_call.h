@@ -52,7 +52,16 @@ struct Counts {
   }
 };
 
-// Add `direct_call` to the module.
+// Return a function that calls `method` on the caller's thread, under `exclusion`, and counts it.
+// `limit` is of the wait to enter and of the whole call [s]; less in a call of which less is left.
+// The function raises Timeout when the component was busy, or the result came later than that;
+// the callee itself is not interrupted. When the component has moved, it calls `resend` with the
+// same arguments and counts nothing, or raises Redirected without one.
+nanobind::object direct_call(nanobind::object method, nanobind::handle_t<Exclusion> exclusion,
+                             double limit, nanobind::handle_t<Counts> counts,
+                             nanobind::object translate, nanobind::object resend);
+
+// Add the type that it needs to the module.
 void bind_direct_call(nanobind::module_& module);
 
 // Let `translate` raise what a caller gets instead of an Exception or SystemExit of its callee;

@@ -1,4 +1,5 @@
-// What Python sees; src/poise/runtime/_calls.pyi describes it.
+// What Python sees; `make stubs` writes src/poise/runtime/_calls.pyi from it. All of it relies on
+// the GIL as its only lock: every method is atomic, and those that wait give it up meanwhile.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/shared_ptr.h>
@@ -18,6 +19,12 @@ namespace nb = nanobind;
 using namespace poise;
 
 constexpr double unknown = std::numeric_limits<double>::quiet_NaN();
+
+#define CALLABLE "collections.abc.Callable"
+#define ANY_CALLABLE CALLABLE "[..., typing.Any]"
+#define TRANSLATE CALLABLE "[[Exception | SystemExit], typing.NoReturn]"
+#define PIECES "list[poise.wire.codec.Bytes]"
+#define FRAME "poise.wire.frame.Frame"
 
 static void check(const Exclusion& exclusion, Entry entry, double limit, const char* action) {
   if (entry == Entry::entered || entry == Entry::late) return;
@@ -83,7 +90,7 @@ NB_MODULE(_calls, module) {
         return nb::module_::import_("poise.wire.records.deployment")
             .attr("Summary")(histogram.count(), histogram.mean(), histogram.quantile(0.5),
                              histogram.quantile(0.99), histogram.maximum());
-      });
+      }, nb::sig("def summary(self) -> poise.wire.records.deployment.Summary"));
 
   nb::class_<StatsPage>(module, "StatsPage")
       .def(nb::init<int>(), nb::arg("descriptor"))
@@ -93,7 +100,10 @@ NB_MODULE(_calls, module) {
   nb::class_<PageSampler>(module, "PageSampler")
       .def(nb::init<int, int, std::string>(), nb::arg("descriptor"), nb::arg("process"),
            nb::arg("proc") = "/proc")
-      .def("read", &PageSampler::read)
+      .def("read", &PageSampler::read,
+           nb::sig("def read(self) -> tuple[float, float, "
+                   "list[tuple[str, int, float, float, int, int]], "
+                   "list[tuple[str, int, int, int, int, int, int, int, float, float]]] | None"))
       .def("heartbeat", &PageSampler::heartbeat)
       .def("commands", &PageSampler::commands);
 
@@ -160,10 +170,24 @@ NB_MODULE(_calls, module) {
       .def(nb::init<nb::object, nb::object, nb::object, nb::object, double, nb::object,
                     nb::object, nb::object>(),
            nb::arg("decode"), nb::arg("method"), nb::arg("encode"), nb::arg("exclusion"),
-           nb::arg("limit"), nb::arg("counts"), nb::arg("translate"), nb::arg("is_over"))
-      .def("__call__", &ServedCall::answer, nb::arg("frame"), nb::arg("ahead") = 0.0);
+           nb::arg("limit"), nb::arg("counts"), nb::arg("translate"), nb::arg("is_over"),
+           nb::sig("def __init__(self, decode: " CALLABLE
+                   "[[poise.wire.codec.Bytes, memoryview], tuple[typing.Any, ...]], "
+                   "method: " ANY_CALLABLE ", encode: " CALLABLE "[[typing.Any], " PIECES "], "
+                   "exclusion: Exclusion, limit: float, counts: Counts, "
+                   "translate: " TRANSLATE ", is_over: " CALLABLE "[[], bool]) -> None"))
+      .def("__call__", &ServedCall::answer, nb::arg("frame"), nb::arg("ahead") = 0.0,
+           nb::sig("def __call__(self, frame: " FRAME ", ahead: float = 0.0) -> " PIECES));
   module.def("call_remote", &call_remote, nb::arg("chain"), nb::arg("limit"), nb::arg("what"),
-             nb::arg("request"), nb::arg("pieces"));
+             nb::arg("request"), nb::arg("pieces"),
+             nb::sig("def call_remote(chain: int, limit: float, what: str, request: " CALLABLE
+                     "[[" PIECES ", float], " FRAME "], pieces: " PIECES ") -> " FRAME));
 
   bind_direct_call(module);
+  module.def("direct_call", &direct_call, nb::arg("method"), nb::arg("exclusion"),
+             nb::arg("limit"), nb::arg("counts"), nb::arg("translate"),
+             nb::arg("resend") = nb::none(),
+             nb::sig("def direct_call(method: " ANY_CALLABLE ", exclusion: Exclusion, "
+                     "limit: float, counts: Counts, translate: " TRANSLATE ", "
+                     "resend: " ANY_CALLABLE " | None = None) -> " ANY_CALLABLE));
 }

@@ -1,4 +1,7 @@
-// Answers a call from another container, on the thread that received it.
+// Answers the calls of one method from other containers, on the thread that received each.
+//
+// It runs the method under the exclusion and counts its CPU time. A call chain runs on one thread
+// of a process at a time: a call back enters when the chain's first thread waits in `call_remote`.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -15,8 +18,12 @@ class ServedCall {
              nanobind::object exclusion, double limit, nanobind::object counts,
              nanobind::object translate, nanobind::object is_over);
 
-  // The pieces of the answer to a call's frame; raises what keeps it from one. `ahead` is how
-  // far the caller's clock is ahead at most [s]; no number: nobody knows.
+  // The pieces of the answer to a call's frame. `ahead` is how far the caller's clock is ahead at
+  // most [s]; no number: nobody knows, and the time on the wire does not count. Raises
+  //   Timeout     the caller's limit has passed, another thread ran the chain or another chain was
+  //               inside all the time, or the caller is gone: the method was not called
+  //   Redirected  the component has moved away: the method was not called
+  //   WireError   what `decode` raised
   nanobind::object answer(nanobind::handle frame, double ahead);
 
  private:

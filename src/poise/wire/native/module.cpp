@@ -1,4 +1,4 @@
-// What Python sees; src/poise/wire/_channel.pyi describes it.
+// What Python sees; `make stubs` writes src/poise/wire/_channel.pyi from it.
 #include <nanobind/nanobind.h>
 
 #include <algorithm>
@@ -320,6 +320,11 @@ nb::object ask(Channel& channel, nb::list list, double deadline, std::size_t lar
 
 }  // namespace
 
+#define BYTES "poise.wire.codec.Bytes"
+#define PIECES "list[" BYTES "]"
+#define BLOCK "block: int = 0, used: int = 0, target: memoryview | None = None, file: int = -1"
+#define FRAME "poise.wire.frame.Frame | tuple[int, int, bytes]"
+
 NB_MODULE(_channel, module) {
   nb::set_leak_warnings(false);  // containers end without finalising the interpreter
 
@@ -329,20 +334,32 @@ NB_MODULE(_channel, module) {
       .def("is_lost", &Channel::is_lost)
       .def("send", &send, nb::arg("pieces"), nb::arg("deadline"), nb::arg("largest"),
            nb::arg("block") = 0, nb::arg("used") = 0, nb::arg("target") = nb::none(),
-           nb::arg("file") = poise::no_file)
-      .def("receive", &receive, nb::arg("deadline"), nb::arg("largest"), nb::arg("lenders"))
+           nb::arg("file") = poise::no_file,
+           nb::sig("def send(self, pieces: " PIECES ", deadline: float, largest: int, " BLOCK
+                   ") -> None"))
+      .def("receive", &receive, nb::arg("deadline"), nb::arg("largest"), nb::arg("lenders"),
+           nb::sig("def receive(self, deadline: float, largest: int, lenders: dict[int, Lender])"
+                   " -> " FRAME))
       .def("ask", &ask, nb::arg("pieces"), nb::arg("deadline"), nb::arg("largest"),
            nb::arg("lenders"), nb::arg("block") = 0, nb::arg("used") = 0,
-           nb::arg("target") = nb::none(), nb::arg("file") = poise::no_file)
+           nb::arg("target") = nb::none(), nb::arg("file") = poise::no_file,
+           nb::sig("def ask(self, pieces: " PIECES ", deadline: float, largest: int, "
+                   "lenders: dict[int, Lender], " BLOCK ") -> " FRAME " | None"))
       .def("take_file", &Channel::take_file);
   nb::class_<Lender>(module, "Lender")
       .def(nb::init<nb::handle, nb::handle, std::size_t>(), nb::arg("data"), nb::arg("flags"),
-           nb::arg("slot"))
+           nb::arg("slot"),
+           nb::sig("def __init__(self, data: mmap.mmap, flags: mmap.mmap, slot: int) -> None"))
       .def("lend", [](nb::handle self, std::uint64_t used) { return lend(nb::borrow(self), used); },
-           nb::arg("used"));
+           nb::arg("used"), nb::sig("def lend(self, used: int) -> memoryview"));
   nb::class_<Lent>(module, "Lent", nb::type_slots(Lent::slots));
-  module.def("parse", &parse, nb::arg("data"), nb::arg("buffers") = nb::none());
+  module.def("parse", &parse, nb::arg("data"), nb::arg("buffers") = nb::none(),
+             nb::sig("def parse(data: " BYTES ", buffers: memoryview | None = None)"
+                     " -> poise.wire.frame.Frame"));
   module.def("segments", &segments, nb::arg("codec"), nb::arg("value").none(), nb::arg("kind"),
-             nb::arg("tag") = 0, nb::arg("number") = 0, nb::arg("chain") = 0);
-  module.def("address", &address, nb::arg("memory"));
+             nb::arg("tag") = 0, nb::arg("number") = 0, nb::arg("chain") = 0,
+             nb::sig("def segments(codec: poise.wire.codec.Codec[typing.Any], value: object, "
+                     "kind: int, tag: int = 0, number: int = 0, chain: int = 0) -> " PIECES));
+  module.def("address", &address, nb::arg("memory"),
+             nb::sig("def address(memory: " BYTES ") -> int"));
 }
