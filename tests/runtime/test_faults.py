@@ -13,8 +13,8 @@ from poise.errors import CalleeError
 from poise.runtime.connectors.channel_route import ChannelRoute
 from poise.runtime.connectors.interface import message_tag, methods
 from poise.wire.codec import WireError, codec
-from poise.wire.connections.channel import Channel, Pieces
-from poise.wire.frame import FAILURE, LARGEST, Kind, segments
+from poise.wire.connections.channel import Channel
+from poise.wire.frame import FAILURE, LARGEST, Kind, Pieces, segments
 from tests.waiting import LIMIT, wait_until
 
 from .conftest import Pair, every_kind
@@ -161,7 +161,7 @@ def test_a_frame_that_is_too_large_is_refused(
     pair: Pair, ends: tuple[Source, Target], caplog: pytest.LogCaptureFixture
 ) -> None:
     assert ends[0].doubling.double(1) == 2
-    connection = next(iter(pipe_of(pair, CALL)._calls))  # type: ignore[attr-defined]
+    connection = next(iter(pipe_of(pair, CALL)._calls))
     connection._connection.sendall(struct.pack("<II", LARGEST + 1, 0))
     wait_until(lambda: refusals(pair, CALL) == 1)
     wait_until(lambda: f"connector {CALL}" in caplog.text)

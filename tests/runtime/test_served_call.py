@@ -20,8 +20,7 @@ from poise.runtime.execution.exclusion import (
     current_chain,
     new_chain,
 )
-from poise.wire.connections.channel import Pieces
-from poise.wire.frame import Frame, Kind
+from poise.wire.frame import Frame, Kind, Pieces
 from tests.waiting import wait_until
 
 LONG = 20.0

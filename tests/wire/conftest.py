@@ -13,12 +13,11 @@ import pytest
 from poise.wire import frame
 from poise.wire.address import Address
 from poise.wire.codec import codec
-from poise.wire.connections.channel import Pieces
-from poise.wire.connections.connection_channel import ConnectionChannel
+from poise.wire.connections.channel import Channel
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.connections.gateway import Gateway
 from poise.wire.connections.opening import CALLS
-from poise.wire.frame import Frame, Kind
+from poise.wire.frame import Frame, Kind, Pieces
 from tests.waiting import LIMIT
 
 TEXT = codec(str)
@@ -81,9 +80,9 @@ class Wire:
         connector: str = "echo",
         use: int = CALLS,
         on_frame: Callable[[Frame], bool] | None = None,
-    ) -> ConnectionChannel:
+    ) -> Channel:
         address = self.address()
-        channel = ConnectionChannel(connector, address, self.folder, use, on_frame)
+        channel = Channel(connector, address, self.folder, use, on_frame)
         self.closing.callback(channel.close)
         return channel
 

@@ -14,7 +14,7 @@ from poise.emulate import EmulatedComputer, Emulation, look
 from poise.errors import CallError, Unavailable
 from poise.model.robot import Computer, Robot
 from poise.wire.address import LOST_AFTER, Address
-from poise.wire.connections.connection_channel import ConnectionChannel
+from poise.wire.connections.channel import Channel
 from tests.waiting import LIMIT, wait_until
 
 from .conftest import TEXT, call, message
@@ -86,16 +86,14 @@ def there(tmp_path: Path) -> Iterator[There]:
 
 
 @pytest.fixture
-def channel(there: There, tmp_path: Path) -> Iterator[ConnectionChannel]:
-    channel = ConnectionChannel(
-        "echo", Address.parse(f"{there.gateway}/there"), tmp_path
-    )
+def channel(there: There, tmp_path: Path) -> Iterator[Channel]:
+    channel = Channel("echo", Address.parse(f"{there.gateway}/there"), tmp_path)
     yield channel
     channel.close()
 
 
 def test_a_cut_cable_is_noticed_at_both_ends_and_its_mending_too(
-    there: There, channel: ConnectionChannel
+    there: There, channel: Channel
 ) -> None:
     assert channel.request(call("ab"), LIMIT).value(TEXT) == "ba"
     channel.push(message("first"), LIMIT)
@@ -120,7 +118,7 @@ def test_a_cut_cable_is_noticed_at_both_ends_and_its_mending_too(
 
 
 def test_what_is_sent_while_a_cable_is_cut_for_a_moment_arrives(
-    there: There, channel: ConnectionChannel
+    there: There, channel: Channel
 ) -> None:
     channel.push(message("first"), LIMIT)
     assert there.line() == "first"

@@ -14,7 +14,7 @@ import pytest
 
 from poise.errors import CallError
 from poise.wire.address import LOST_AFTER, Address
-from poise.wire.connections.connection_channel import ConnectionChannel
+from poise.wire.connections.channel import Channel
 from tests.waiting import LIMIT
 
 from .conftest import message
@@ -59,7 +59,7 @@ def test_what_was_sent_to_a_process_that_stood_still_arrives(
     there: subprocess.Popen[bytes], tmp_path: Path
 ) -> None:
     address = Address.parse(f"{line(there)}/there")
-    channel = ConnectionChannel("many", address, tmp_path)
+    channel = Channel("many", address, tmp_path)
     channel.push(message("x" * SMALLEST), LIMIT)
     head = int(line(there)) - SMALLEST
     there.send_signal(signal.SIGSTOP)

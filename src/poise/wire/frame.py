@@ -47,6 +47,18 @@ class Kind(IntEnum):
     RECORD = 11
 
 
+Pieces = list[Bytes]
+"""A frame as it is sent, one piece after the other."""
+
+segments = _channel.segments
+"""Return the pieces of a frame; the buffers of its value are not copied."""
+
+parse = _channel.parse
+"""Return the frame in bytes; its buffers lie behind the body, or are given.
+
+WireError when the bytes are cut short, or from a protocol version that is not ours.
+"""
+
 FAILURE: Codec[tuple[str, str, str]] = Codec(tuple[str, str, str])
 """The body of an ERROR: type, message and traceback."""
 
@@ -80,37 +92,13 @@ class Frame(Struct, frozen=True):
         return codec.decode(self.body, self.buffers)
 
 
-def segments(
-    codec: Codec[Any],
-    value: object,
-    kind: Kind,
-    *,
-    tag: int = 0,
-    number: int = 0,
-    chain: int = 0,
-) -> list[Bytes]:
-    """Return the pieces of a frame, to be sent one after the other without a copy."""
-    return _channel.segments(codec, value, kind, tag, number, chain)
-
-
-def failure(type_name: str, message: str, traceback: str = "") -> list[Bytes]:
+def failure(type_name: str, message: str, traceback: str = "") -> Pieces:
     """Return the answer to a call that failed; a callee's error has a traceback."""
     return segments(FAILURE, (type_name, message, traceback), Kind.ERROR)
 
 
-def size_of(pieces: list[Bytes]) -> int:
+def size_of(pieces: Pieces) -> int:
     """Return the size of a frame [bytes], without padding."""
     if len(pieces) == _INLINE:
         return _HEAD + len(pieces[1])
     return sum(map(len, pieces)) - len(pieces[_INLINE])
-
-
-def parse(data: Bytes, buffers: memoryview | None = None) -> Frame:
-    """Return the frame in `data`; its buffers lie behind the body, or in `buffers`.
-
-    Raises
-    ------
-    WireError
-        When the bytes are cut short, or from a protocol version that is not ours.
-    """
-    return _channel.parse(data, buffers)

@@ -11,8 +11,7 @@ from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.execution.mailbox import Feed, Inbox, Mailbox
 from poise.wire import frame
 from poise.wire.codec import Codec
-from poise.wire.connections.channel import Pieces
-from poise.wire.frame import Frame, Kind
+from poise.wire.frame import Frame, Kind, Pieces
 
 NOTHING: Codec[None] = Codec(type(None))
 

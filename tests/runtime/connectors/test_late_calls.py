@@ -12,8 +12,7 @@ from poise import Component, Provided, Required
 from poise.clock import Elapsed
 from poise.runtime.connectors.channel_route import ChannelRoute
 from poise.runtime.connectors.interface import methods
-from poise.wire.connections.channel import Pieces
-from poise.wire.frame import FAILURE, Frame, Kind, segments
+from poise.wire.frame import FAILURE, Frame, Kind, Pieces, segments
 from tests.runtime.conftest import Pair
 from tests.waiting import LIMIT
 

@@ -14,7 +14,7 @@ from poise import Message
 from poise.runtime.connectors.recorded_inputs import InputFile, read_inputs, recording
 from poise.wire import frame
 from poise.wire.codec import codec
-from poise.wire.connections.channel import Handler
+from poise.wire.connections.connection_server import Handler
 from poise.wire.frame import Frame, Kind
 
 

@@ -18,8 +18,8 @@ from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration.state_receiver import fetch, restore
 from poise.runtime.migration.state_sender import Request, StateSender
 from poise.wire import frame
-from poise.wire.connections.channel import Pieces
-from poise.wire.frame import Frame
+from poise.wire.connections.channel import Channel
+from poise.wire.frame import Frame, Pieces
 from poise.wire.records.deployment import ComponentSpec
 from tests.waiting import wait_until
 
@@ -101,7 +101,7 @@ def adapt(old: Notes) -> Counted:
     return Counted(len(old.texts))
 
 
-class DirectPipe:
+class DirectPipe(Channel):
     """Asks the old incarnation on the thread of the new."""
 
     def __init__(self, runner: Runner) -> None:
@@ -114,11 +114,6 @@ class DirectPipe:
 
     def request(self, pieces: Pieces, limit: float) -> Frame:  # noqa: ARG002, it is here
         return frame.parse(b"".join(self._serve(frame.parse(b"".join(pieces)))))
-
-    def push(self, pieces: Pieces, limit: float) -> None:
-        raise NotImplementedError
-
-    def close(self) -> None: ...
 
 
 class Incarnations:

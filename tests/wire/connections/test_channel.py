@@ -20,13 +20,13 @@ from poise.errors import Timeout, Unavailable
 from poise.wire import frame
 from poise.wire.address import Address
 from poise.wire.codec import WireError, codec
-from poise.wire.connections import caller, connection_channel, connection_server
-from poise.wire.connections.channel import Closed, Pieces
+from poise.wire.connections import caller, connection_server
+from poise.wire.connections import channel as channels
+from poise.wire.connections.channel import Channel, Closed
 from poise.wire.connections.connection import HEAD, Connection
-from poise.wire.connections.connection_channel import ConnectionChannel
 from poise.wire.connections.opening import CALLS, MESSAGES
 from poise.wire.connections.socket_path import socket_path
-from poise.wire.frame import LARGEST, Frame, Kind
+from poise.wire.frame import LARGEST, Frame, Kind, Pieces
 from tests.waiting import LIMIT, wait_until
 from tests.wire.conftest import SHORT, TEXT, Receiver, Wire, both, call, message, remote
 
@@ -189,7 +189,7 @@ def test_a_slow_receiver_holds_the_sender_up_until_its_limit(wire: Wire) -> None
     go_on.set()
 
 
-def _push_for_ever(channel: ConnectionChannel) -> None:
+def _push_for_ever(channel: Channel) -> None:
     while True:
         channel.push(message("x" * 1_000_000), SHORT)
 
@@ -243,7 +243,7 @@ def test_what_nobody_uses_is_closed_in_time(
 
         assert [a.value(TEXT) for a in callers.map(ask, ["ab", "cd"])] == ["ba", "dc"]
     before = [*channel._calls, *channel._messages]
-    monkeypatch.setattr(connection_channel, "_IDLE", 0.0)
+    monkeypatch.setattr(channels, "_IDLE", 0.0)
     assert channel.is_ready()  # they were used since it was last asked
     assert [*channel._calls, *channel._messages] == before
     assert channel.is_ready()
@@ -294,8 +294,8 @@ def test_a_connector_that_does_not_end_there_is_unavailable(wire: Wire) -> None:
 def test_who_was_refused_is_not_asked_all_the_time(
     wire: Wire, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connection_channel, "_PAUSE", 1e6)
-    monkeypatch.setattr(connection_channel, "_LONGEST_PAUSE", 1e6)
+    monkeypatch.setattr(channels, "_PAUSE", 1e6)
+    monkeypatch.setattr(channels, "_LONGEST_PAUSE", 1e6)
     server, channel = wire.server(), wire.channel()
     wait_until(lambda: not channel.is_ready() and channel._ask_at > 0.0)
     server.open("echo", Receiver())
@@ -499,7 +499,7 @@ def test_nothing_is_lost_to_a_peer_that_ended_and_came_back(wire: Wire) -> None:
     assert receiver.wait_for(1) == ["b"]
 
 
-def _wait_until_gone(channel: ConnectionChannel) -> None:
+def _wait_until_gone(channel: Channel) -> None:
     for connection in [*channel._calls, *channel._messages]:
         connection._connection.setblocking(True)
         assert connection._connection.recv(1, socket.MSG_PEEK) == b""
@@ -594,7 +594,7 @@ def test_whoever_looks_does_not_wait_for_a_computer_that_is_silent(wire: Wire) -
         address = silent.getsockname()
         with socket.create_connection(address):
             there = Address("there", Endpoint(*address))
-            channel = ConnectionChannel("echo", there, wire.folder)
+            channel = Channel("echo", there, wire.folder)
             assert not channel.is_ready()
             assert not channel.is_ready()
             (opening,) = channel._openings.values()
@@ -614,7 +614,7 @@ def test_the_first_call_after_a_short_cut_reaches_the_other_computer(
     """A full backlog drops the first SYN, as a cut does; the kernel waits 1 s then."""
     with socket.create_server(("127.0.0.1", 0), backlog=0) as cut:
         there = Address("there", Endpoint(*cut.getsockname()))
-        channel = ConnectionChannel("echo", there, wire.folder)
+        channel = Channel("echo", there, wire.folder)
         with socket.create_connection(cut.getsockname()):
             assert not channel.is_ready()  # the SYN is lost
             with pytest.raises(Unavailable, match="no answer from"):

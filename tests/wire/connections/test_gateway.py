@@ -17,8 +17,8 @@ from poise.errors import RunError, Unavailable
 from poise.wire import frame
 from poise.wire.address import Address
 from poise.wire.connections import gateway as gateway_module
+from poise.wire.connections.channel import Channel
 from poise.wire.connections.connection import HEAD, Connection
-from poise.wire.connections.connection_channel import ConnectionChannel
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.connections.gateway import Gateway
 from poise.wire.connections.opening import MESSAGES
@@ -203,7 +203,7 @@ def test_it_comes_in_by_ipv6_too(folder: Path) -> None:
     server = ConnectionServer(folder, "there")
     server.open("echo", Receiver())
     with Gateway(folder, "::1") as there:
-        channel = ConnectionChannel("echo", Address.parse(f"{there}/there"), folder)
+        channel = Channel("echo", Address.parse(f"{there}/there"), folder)
         assert channel.request(call("ab"), LIMIT).value(TEXT) == "ba"
         channel.close()
     server.close()

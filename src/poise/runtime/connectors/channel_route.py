@@ -11,7 +11,8 @@ from poise.errors import CalleeError, CallError, Timeout
 from poise.runtime._calls import ServedCall, call_remote, time_left
 from poise.runtime.component.error_report import Sparing
 from poise.runtime.component.ports import Port
-from poise.runtime.connectors.direct import Target, raise_callee_error
+from poise.runtime.connectors.direct import raise_callee_error
+from poise.runtime.connectors.endpoints import Endpoints
 from poise.runtime.connectors.flow_control import Credit, CreditIssuer
 from poise.runtime.connectors.interface import Method, message_tag, methods
 from poise.runtime.connectors.remote_clock import RemoteClock
@@ -22,8 +23,9 @@ from poise.runtime.execution.mailbox import Feed
 from poise.wire import frame
 from poise.wire.codec import Codec, WireError, codec
 from poise.wire.connections import caller
-from poise.wire.connections.channel import Channel, Closed, Handler, Pieces
-from poise.wire.frame import Frame, Kind, segments, size_of
+from poise.wire.connections.channel import Channel, Closed
+from poise.wire.connections.connection_server import Handler
+from poise.wire.frame import Frame, Kind, Pieces, segments, size_of
 from poise.wire.records.deployment import ConnectorSpec
 
 log = logging.getLogger(__name__)
@@ -143,7 +145,7 @@ class ChannelRoute:
 
 def receiving(
     spec: ConnectorSpec,
-    target: Target,
+    target: Endpoints,
     port: Port,
     feed: Feed,
     issuer: CreditIssuer,
@@ -237,7 +239,7 @@ def _refuse(port: Port) -> NoReturn:
 
 
 def _answering(
-    target: Target, method: Method, limit: float, counts: Counts
+    target: Endpoints, method: Method, limit: float, counts: Counts
 ) -> ServedCall:
     """Return what answers the calls of a method."""
     result, tag = method.result, method.tag

@@ -8,43 +8,29 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any, NoReturn, Protocol
+from typing import Any, NoReturn
 
 from poise.errors import CalleeError
 from poise.runtime import _calls
 from poise.runtime.component.error_report import told
 from poise.runtime.component.ports import Port
+from poise.runtime.connectors.endpoints import Endpoints
 from poise.runtime.connectors.interface import Method, message_tag
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.execution.exclusion import Exclusion
-from poise.runtime.execution.mailbox import Feed
-
-
-class Target(Protocol):
-    """The incarnation of a component that a route leads to: its `Endpoints`."""
-
-    exclusion: Exclusion
-
-    @property
-    def component(self) -> object:
-        """The component itself."""
-        ...
-
-    def feed(self, port: str, counts: Counts, /) -> Feed:
-        """Return the way into a port's queue for the connector of `counts`."""
-        ...
-
-    def note_marker(self, connector: str, number: int, /) -> None:
-        """Note that all that was sent before this marker has come."""
-        ...
 
 
 class DirectRoute:
     """A way to a component in this process."""
 
     def __init__(
-        self, connector: str, target: Target, port: Port, limit: float, sender: Sender
+        self,
+        connector: str,
+        target: Endpoints,
+        port: Port,
+        limit: float,
+        sender: Sender,
     ) -> None:
         self._connector = connector
         self._target = target

@@ -25,8 +25,7 @@ from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.execution.mailbox import Feed
 from poise.wire import frame
 from poise.wire.codec import Codec
-from poise.wire.connections.channel import Pieces
-from poise.wire.frame import Frame, Kind
+from poise.wire.frame import Frame, Kind, Pieces
 
 log = logging.getLogger(__name__)
 

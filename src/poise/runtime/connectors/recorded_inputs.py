@@ -14,8 +14,8 @@ from pathlib import Path
 
 import msgspec
 
-from poise.wire.connections.channel import Handler, Pieces
-from poise.wire.frame import Frame, Kind
+from poise.wire.connections.connection_server import Handler
+from poise.wire.frame import Frame, Kind, Pieces
 from poise.wire.records.recorded import Input
 
 log = logging.getLogger(__name__)

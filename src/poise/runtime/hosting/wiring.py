@@ -26,7 +26,6 @@ from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.hosting.runner import Runner
 from poise.wire.address import Address
 from poise.wire.connections.channel import Channel
-from poise.wire.connections.connection_channel import ConnectionChannel
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.connections.opening import CALLS, MESSAGES
 from poise.wire.frame import Frame
@@ -75,7 +74,7 @@ class Transports:
         use: int = CALLS,
         on_frame: Callable[[Frame], bool] | None = None,
     ) -> Channel:
-        """Return a channel to the container at an address (`ConnectionChannel`).
+        """Return a channel to the container at an address (`Channel`).
 
         Raises
         ------
@@ -83,7 +82,7 @@ class Transports:
             `address` is none.
         """
         where, folder = Address.parse(address), Path(self._place.folder)
-        return ConnectionChannel(connector, where, folder, use, on_frame)
+        return Channel(connector, where, folder, use, on_frame)
 
     def close(self) -> None:
         """Receive no more."""

@@ -23,9 +23,8 @@ from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration.state_check import describe_type
 from poise.wire import frame
 from poise.wire.codec import Codec, codec
-from poise.wire.connections.channel import Pieces
 from poise.wire.connections.connection_server import ConnectionServer
-from poise.wire.frame import Frame, Kind
+from poise.wire.frame import Frame, Kind, Pieces
 
 SERVE_LIMIT = 1.0
 """A snapshot waits at most this long for the component's turn [s]."""

@@ -1,46 +1,164 @@
-"""Channels carry connectors between containers; handlers take what they bring."""
+"""The sending end of a connector: connections to the container where it ends.
+
+Each connection carries one connector: its first frame names it, and says whether calls
+or messages follow. A call uses a connection alone until its answer is there, so answers
+need no sorting, and the thread that calls reads the answer; concurrent callers use
+several. The thread that reads a call at the other end runs it and answers: no thread
+wakes another. Messages use one connection, which keeps their order; credit comes back
+over it. When it breaks and another replaces it, the receiver first takes all that came
+over the first.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
-from poise.errors import Unavailable
-from poise.wire.codec import Bytes, WireError
-from poise.wire.frame import Frame
-
-Pieces = list[Bytes]
+from poise.errors import CallError, Timeout, Unavailable
+from poise.wire.address import Address
+from poise.wire.connections.connection import LAST_ANSWER, Connection
+from poise.wire.connections.opening import CALLS, MESSAGES, Opening
+from poise.wire.frame import Frame, Pieces
 
 
 class Closed(Unavailable):
     """The channel was closed here before anything was sent."""
 
 
-Handler = Callable[[Frame], Pieces | None]
-"""Takes a frame and returns the pieces of an answer, or None.
-
-It may block, and must not raise. Messages of one channel come one after the other, in
-order.
-"""
-
-
-Refused = Callable[[WireError], None]
-"""Takes the error of a malformed frame; must not block or raise."""
+_PAUSE, _LONGEST_PAUSE = 0.02, 0.1
+"""After a refusal it is not tried for this time, and then ever longer [s]."""
+_SPARE = 8
+"""Connections kept open per connector when no call uses them."""
+_IDLE = 30.0
+"""Connections unused for this time are closed, with their shared memory [s]."""
 
 
-def ignore(_: WireError) -> None:
-    """Ignore it."""
+class _Connections:
+    """Open connections for one use; idle ones are closed."""
+
+    def __init__(self) -> None:
+        self._open: set[Connection] = set()
+        self._recent: list[Connection] = []
+        self._older: list[Connection] = []
+        self._is_closed = False
+
+    def __iter__(self) -> Iterator[Connection]:
+        """Yield the idle ones."""
+        return iter([*self._recent, *self._older])
+
+    def is_alive(self) -> bool:
+        """Return at once whether one reaches the other end, as far as is known."""
+        spare = {*self}
+        return any(
+            connection not in spare or connection.is_idle()
+            for connection in list(self._open)
+        )
+
+    def take(self) -> Connection | None:
+        """Return the idle one that was used last."""
+        try:
+            return self._recent.pop() if self._recent else self._older.pop()
+        except IndexError:  # also when another thread was quicker
+            return None
+
+    def add(self, connection: Connection) -> None:
+        """Add one that is in use."""
+        self._open.add(connection)
+
+    def give_back(self, connection: Connection) -> None:
+        """Keep one that is idle now, or close it."""
+        if len(self._recent) >= _SPARE:
+            self.drop(connection)
+            return
+        self._recent.append(connection)
+        if self._is_closed:  # perhaps just now
+            self.close()
+
+    def drop(self, connection: Connection) -> None:
+        """Close one that was in use."""
+        self._open.discard(connection)
+        connection.close()
+
+    def close_older(self) -> None:
+        """Close those that were idle since the last time.
+
+        The last one stays when it holds no memory: opening another takes time.
+        """
+        if not self._recent and self._older and not self._older[-1].has_blocks:
+            self._recent.append(self._older.pop())
+        self._drop_all(self._older)
+        self._older, self._recent = self._recent, []
+
+    def close(self) -> None:
+        """Close all, also those that are given back later."""
+        self._is_closed = True
+        self._drop_all(self._recent)
+        self._drop_all(self._older)
+
+    def _drop_all(self, connections: list[Connection]) -> None:
+        with contextlib.suppress(IndexError):  # others may take some meanwhile
+            while True:
+                self.drop(connections.pop())
 
 
-class Channel(Protocol):
-    """The sending end of a connector between containers. Any thread may use it."""
+class Channel:
+    """The sending end; connects when first used, and again when the peer came back.
+
+    Any thread may use it.
+
+    Parameters
+    ----------
+    address
+        Where the container is in which the connector ends.
+    folder
+        Where the sockets of this computer's containers are.
+    use
+        `CALLS` or `MESSAGES`: the use of the connection that `is_ready` opens.
+    on_frame
+        Takes what comes back where messages go; returns whether more may come.
+    """
+
+    def __init__(
+        self,
+        connector: str,
+        address: Address,
+        folder: Path,
+        use: int = CALLS,
+        on_frame: Callable[[Frame], bool] | None = None,
+    ) -> None:
+        self._connector = connector
+        self._address = address
+        self._folder = folder
+        self._use = use
+        self._on_frame = on_frame
+        self._calls, self._messages = self._connections = _Connections(), _Connections()
+        self._openings: dict[int, Opening] = {}
+        self._is_closed = False
+        self._is_lost = False
+        self._ordering = threading.Lock()
+        self._looked_at = time.monotonic()
+        self._ask_at, self._pause = 0.0, _PAUSE
 
     def is_ready(self) -> bool:
-        """Return at once whether the receiving end is there."""
-        ...
+        """Return at once whether the receiving end is there, by connecting to it.
+
+        It also closes idle connections now and then.
+        """
+        now = time.monotonic()
+        if now - self._looked_at > _IDLE:
+            self._looked_at = now
+            for connections in self._connections:
+                connections.close_older()
+        return (
+            any(connections.is_alive() for connections in self._connections)
+            or self._is_reached()
+        )
 
     def request(self, pieces: Pieces, limit: float) -> Frame:
-        """Send a call and return the answer.
+        """Send a call and return its answer.
 
         Raises
         ------
@@ -51,18 +169,132 @@ class Channel(Protocol):
         Timeout
             No answer within `limit` [s].
         """
-        ...
+        if self._is_closed:
+            raise Closed(f"{self._connector} is closed")
+        deadline = time.monotonic() + limit
+        connections = self._calls
+        while True:
+            found = self._fresh(connections)
+            connection = found or self._connect(CALLS, deadline)
+            try:
+                answer = connection.ask(pieces, deadline)
+            except BaseException:
+                # also when a signal's handler raises: the answer may still come, and
+                # the next call must not read it
+                connections.drop(connection)
+                raise
+            if answer is not None and answer.number != LAST_ANSWER:
+                connections.give_back(connection)
+                return answer
+            connections.drop(connection)
+            if answer is not None:
+                return answer
+            if found is None:  # else the receiver had closed it while it was idle
+                raise Unavailable(f"{self._connector}: {self._address} went away")
 
     def push(self, pieces: Pieces, limit: float) -> None:
-        """Send a message; may block up to `limit` [s] when the receiver is slow.
+        """Send a message; all use one connection, which keeps their order.
 
-        Raises
-        ------
-        Unavailable, Timeout
-            As for `request`.
+        It may block up to `limit` [s] when the receiver is slow; raises as `request`.
         """
-        ...
+        deadline = time.monotonic() + limit
+        if not self._ordering.acquire(timeout=limit):
+            raise Timeout(f"{self._connector}: others send since {limit:g} s")
+        try:
+            self._messages.give_back(self._send(pieces, deadline))
+        finally:
+            self._ordering.release()
 
     def close(self) -> None:
-        """Send no more, and return at once; calls under way go on."""
-        ...
+        """Send no more; connections in use are closed when their call is over."""
+        self._is_closed = True
+        self._messages.close()
+        self._calls.close()
+        while self._openings:
+            self._openings.popitem()[1].close()
+
+    def _send(self, pieces: Pieces, deadline: float) -> Connection:
+        """Send a message over the open connection or a new one; return that."""
+        connections = self._messages
+        while True:
+            found = self._fresh(connections)
+            connection = found or self._connect(MESSAGES, deadline)
+            try:
+                connection.send(pieces, deadline)
+            except Unavailable:
+                connections.drop(connection)
+                if found is None:
+                    raise
+                # the receiver closed it while it was idle, and has got nothing
+            except BaseException:
+                # also when a signal's handler raises: part of it may have been sent
+                connections.drop(connection)
+                raise
+            else:
+                return connection
+
+    def _fresh(self, connections: _Connections) -> Connection | None:
+        """Return an open connection that, as far as is known, reaches the other end.
+
+        Over AF_UNIX, sending fails when it does not; TCP takes bytes for nobody.
+        """
+        while (connection := connections.take()) and (
+            connection.is_over or not (connection.is_local or connection.is_idle())
+        ):
+            self._is_lost |= connection.is_lost
+            connections.drop(connection)
+        return connection
+
+    def _connect(self, use: int, deadline: float) -> Connection:
+        """Return a new connection.
+
+        A call waits for it until its deadline. A message waits for a computer that was
+        silent once only, so a publisher is not held up by a lost computer; `is_ready`
+        finds out when that is back.
+        """
+        waits = use == CALLS or not self._is_lost
+        connection = self._opened(use, deadline if waits else 0.0)
+        if connection is None:
+            self._is_lost = self._address.gateway is not None
+            raise Unavailable(f"{self._connector}: no answer from {self._address}")
+        return connection
+
+    def _is_reached(self) -> bool:
+        """Open a connection as far as that needs no wait; whether it is open."""
+        # two connections for messages would not keep their order
+        if time.monotonic() < self._ask_at or not self._ordering.acquire(
+            blocking=False
+        ):
+            return False
+        try:
+            connection = self._opened(self._use, 0.0)
+            if connection is not None:
+                self._connections[self._use].give_back(connection)
+                self._pause = _PAUSE
+        except CallError:
+            self._ask_at = time.monotonic() + self._pause
+            self._pause = min(2 * self._pause, _LONGEST_PAUSE)
+            return False
+        finally:
+            self._ordering.release()
+        return connection is not None
+
+    def _opened(self, use: int, deadline: float) -> Connection | None:
+        """Return a new connection that is open before `deadline`, or None."""
+        # taken out of the table, it belongs to this thread alone
+        opening = self._openings.pop(use, None) or Opening(
+            self._connector, self._address, self._folder
+        )
+        if opening.go_on(use, deadline):
+            self._is_lost = False
+            connection = opening.connection
+            if use == MESSAGES and self._on_frame:
+                connection.follow(self._on_frame)
+            self._connections[use].add(connection)
+            return connection
+        if opening.is_late() or self._is_closed:
+            self._is_lost = self._address.gateway is not None
+            opening.close()
+        else:
+            self._openings[use] = opening
+        return None

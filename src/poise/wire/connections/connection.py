@@ -32,9 +32,8 @@ from poise.wire import _channel
 from poise.wire.address import LOST_AFTER
 from poise.wire.codec import Unreadable, WireError
 from poise.wire.connections.blocks import BLOCKS, DATA, THRESHOLD, Block, lender
-from poise.wire.connections.channel import Pieces
 from poise.wire.connections.fork import keep_private
-from poise.wire.frame import LARGEST, Frame
+from poise.wire.frame import LARGEST, Frame, Pieces
 
 _NEW = 1 << 31
 _NUMBER, _SLOT = (1 << 8) - 1, (1 << 16) - 1

@@ -15,6 +15,7 @@ import select
 import socket
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from msgspec import Struct
@@ -24,14 +25,22 @@ from poise.wire import frame
 from poise.wire.codec import Unreadable, WireError
 from poise.wire.connections import caller
 from poise.wire.connections.accept_warning import AcceptWarning
-from poise.wire.connections.channel import Handler, Pieces, Refused, ignore
 from poise.wire.connections.connection import LAST_ANSWER, Connection
 from poise.wire.connections.fork import keep_private
 from poise.wire.connections.opening import ANSWER_LIMIT, MESSAGES, NAME
 from poise.wire.connections.socket_path import gateway_path, socket_path
-from poise.wire.frame import Kind
+from poise.wire.frame import Frame, Kind, Pieces
 
 log = logging.getLogger(__name__)
+
+Handler = Callable[[Frame], Pieces | None]
+"""Takes a frame and returns the pieces of an answer, or None.
+
+It may block, and must not raise. Messages of one channel come one after the other, in
+order.
+"""
+Refused = Callable[[WireError], None]
+"""Takes the error of a malformed frame; must not block or raise."""
 
 LAST_LIMIT = 0.5
 """When it closes, calls under way have this time to be answered [s]."""
@@ -43,6 +52,10 @@ _PATIENCE = 1.0
 """Time for what was sent over a connection before its sender left it [s]."""
 _MOST_CONNECTIONS = 256
 """Connections that a container serves at a time; others are closed at once."""
+
+
+def ignore(_: WireError) -> None:
+    """Ignore it."""
 
 
 class _Served(Struct, eq=False):
