@@ -63,30 +63,38 @@ def receive(connection: socket.socket, type_: type[S]) -> S:
     return record
 
 
-class RecordReader:
-    """Reads records from a stream socket as they come, and never waits for the rest.
+class FrameReader:
+    """Reads frames from a stream socket as they come, and nothing behind them.
+
+    It never waits for the rest of a frame.
+
+    Parameters
+    ----------
+    largest
+        A larger frame is refused [bytes].
 
     Attributes
     ----------
     since
-        When the record began of which a part has come [s, monotonic]; None: there is
+        When the frame began of which a part has come [s, monotonic]; None: there is
         none.
     """
 
-    def __init__(self, connection: socket.socket) -> None:
+    def __init__(self, connection: socket.socket, largest: int = LARGEST) -> None:
         self._connection = connection
+        self._largest = largest
         self._data = bytearray()
         self.since: float | None = None
 
-    def next(self, type_: type[S]) -> S | None:
-        """Return the next record, or None when not all of it has come yet.
+    def next(self) -> Frame | None:
+        """Return the next frame, or None when not all of it has come yet.
 
         Raises
         ------
         Unavailable
             The other end is gone.
         WireError
-            It is not a record of `type_`.
+            It is not a frame.
         """
         while missing := self._missing():
             try:
@@ -100,18 +108,22 @@ class RecordReader:
             if self.since is None:
                 self.since = time.monotonic()
             self._data += data
-        received = frame.parse(bytes(self._data[HEAD.size :]))
+        data = bytes(self._data[HEAD.size :])
         self._data.clear()
         self.since = None
-        record: S = _record(received, type_)
-        return record
+        return frame.parse(data)
+
+    def next_record(self, type_: type[S]) -> S | None:
+        """Return the next record; raises as `next`, also when it is none of `type_`."""
+        received = self.next()
+        return None if received is None else _record(received, type_)
 
     def _missing(self) -> int:
         if len(self._data) < HEAD.size:
             return HEAD.size - len(self._data)
         length, block = HEAD.unpack_from(self._data)
-        if length > LARGEST or block:
-            raise Unreadable(f"a record of {length} B; {LARGEST} B is the largest")
+        if length > self._largest or block:
+            raise Unreadable(f"a frame of {length} B; {self._largest} B is the largest")
         return int(HEAD.size + length - len(self._data))
 
 

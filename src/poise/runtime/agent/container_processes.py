@@ -91,7 +91,7 @@ class ContainerProcess:
         self.name = spec.name
         self.spec = spec
         self.connection = connection
-        self._reader = record_channel.RecordReader(connection)
+        self._reader = record_channel.FrameReader(connection)
         self.pid = 0
         self.counted: PageSampler | None = None
         self._stats_page = stats_page
@@ -140,7 +140,7 @@ class ContainerProcess:
         killed.
         """
         try:
-            record = self._reader.next(FromContainer)
+            record = self._reader.next_record(FromContainer)
         except (Unavailable, WireError) as error:
             # a container that ends closes its end: the zygote reports that
             self.give_up("" if isinstance(error, Unavailable) else str(error))

@@ -22,15 +22,16 @@ from pathlib import Path
 from typing import Self
 
 from poise.endpoint import Endpoint
-from poise.errors import CallError, RunError
+from poise.errors import CallError, RunError, Unavailable
 from poise.wire import frame
 from poise.wire.address import family_of, tune
 from poise.wire.codec import WireError
 from poise.wire.connections.accept_warning import AcceptWarning
-from poise.wire.connections.connection import HEAD, Connection
+from poise.wire.connections.connection import Connection
 from poise.wire.connections.opening import ANSWER_LIMIT, NAME
 from poise.wire.connections.socket_path import gateway_path
 from poise.wire.frame import Kind
+from poise.wire.record_channel import FrameReader
 
 log = logging.getLogger(__name__)
 
@@ -52,7 +53,7 @@ class _Arrival:
         self.until = time.monotonic() + SAY_LIMIT
         self.container = ""
         self.is_refused = False
-        self._data = bytearray()
+        self._frames = FrameReader(connection, _LARGEST)
 
     def read(self) -> None:
         """Read the container's name, and nothing behind it.
@@ -61,18 +62,16 @@ class _Arrival:
         ------
         WireError
             It is not a frame with a name.
-        OSError
-            The connection has ended, or nothing more has come.
+        Unavailable, OSError
+            The connection has ended.
         """
-        data = self.connection.recv(_LARGEST if self.is_refused else self._missing())
-        if not data:
-            raise ConnectionResetError
         if self.is_refused:  # unread bytes would reset the answer
+            if not self.connection.recv(_LARGEST):
+                raise ConnectionResetError
             return
-        self._data += data
-        if self._missing():
+        hello = self._frames.next()
+        if hello is None:
             return
-        hello = frame.parse(bytes(self._data[HEAD.size :]))
         if hello.kind is not Kind.HELLO:
             raise WireError(f"a frame of the kind {hello.kind.name}, not a name")
         self.container = hello.value(NAME)
@@ -86,14 +85,6 @@ class _Arrival:
             pieces = frame.segments(NAME, why, Kind.ERROR)
             Connection(self.connection).send(pieces, time.monotonic())
             self.connection.shutdown(socket.SHUT_WR)
-
-    def _missing(self) -> int:
-        if len(self._data) < HEAD.size:
-            return HEAD.size - len(self._data)
-        length, block = HEAD.unpack_from(self._data)
-        if length > _LARGEST or block:
-            raise WireError(f"a first frame of {length} B; {_LARGEST} B is the largest")
-        return int(HEAD.size + length - len(self._data))
 
 
 class Gateway:
@@ -205,9 +196,7 @@ class Gateway:
         except WireError as error:
             log.warning("a connection from %s is refused: %s", _peer(arrival), error)
             arrival.refuse(str(error))
-        except BlockingIOError:
-            pass
-        except OSError:
+        except (Unavailable, OSError):
             arrival.until = 0.0
 
     def _hand_on(self, arrival: _Arrival) -> None:
