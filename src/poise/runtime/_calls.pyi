@@ -14,6 +14,8 @@ def deadline() -> int: ...
 def set_deadline(moment: int) -> None: ...
 
 class Exclusion:
+    """Mutual exclusion of call chains in a component (exclusion.h)."""
+
     def __init__(self, what: str) -> None: ...
     @property
     def is_redirected(self) -> bool: ...
@@ -27,17 +29,23 @@ class Exclusion:
     def redirect(self) -> None: ...
 
 class Histogram:
+    """Counts values, with quantiles right within 5 % (histogram.h)."""
+
     def __init__(self) -> None: ...
     def add(self, value: float) -> None: ...
     def summary(self) -> poise.wire.records.deployment.Summary: ...
 
 class StatsPage:
+    """The container's end of its stats page (stats_page.h)."""
+
     def __init__(self, descriptor: int) -> None: ...
     def beat(self) -> None: ...
 
 RECORD_SIZE: int = 448
 
 class PageSampler:
+    """The agent's end of a container's stats page (page_sampler.h)."""
+
     def __init__(self, descriptor: int, process: int, proc: str = "/proc") -> None: ...
     def read(
         self,
@@ -54,6 +62,8 @@ class PageSampler:
     def commands(self) -> list[int]: ...
 
 class ComponentCounters:
+    """What a component used and did (counters.h)."""
+
     def __init__(self) -> None: ...
     def begin(self) -> None: ...
     def watch(self, process: int) -> None: ...
@@ -68,6 +78,8 @@ class ComponentCounters:
     def leave(self) -> None: ...
 
 class Counts:
+    """What one end of a connector counts (direct_call.h)."""
+
     def __init__(self) -> None: ...
     @property
     def calls(self) -> int: ...
@@ -129,6 +141,8 @@ class Counts:
     def leave(self) -> None: ...
 
 class ServedCall:
+    """Answers the calls of one method (served_call.h)."""
+
     def __init__(
         self,
         decode: Callable[[poise.wire.codec.Bytes, memoryview], tuple[Any, ...]],
@@ -152,7 +166,8 @@ def call_remote(
     pieces: list[poise.wire.codec.Bytes],
 ) -> poise.wire.frame.Frame: ...
 
-class DirectCall: ...
+class DirectCall:
+    """What a function that `direct_call` returned holds."""
 
 def direct_call(
     method: Callable[..., Any],

@@ -5,6 +5,8 @@ import poise.wire.codec
 import poise.wire.frame
 
 class Channel:
+    """Frames over a connected stream socket (channel.h)."""
+
     def __init__(
         self, file: int, lost_after: float, reads_ahead: bool = True
     ) -> None: ...
@@ -34,12 +36,15 @@ class Channel:
         file: int = -1,
     ) -> poise.wire.frame.Frame | tuple[int, int, bytes] | None: ...
     def take_file(self) -> int: ...
+    def lend(self, lender: Lender, used: int, deadline: float) -> memoryview: ...
 
 class Lender:
-    def __init__(self, data: mmap.mmap, flags: mmap.mmap, slot: int) -> None: ...
-    def lend(self, used: int) -> memoryview: ...
+    """The receiver's side of a block (lender.h)."""
 
-class Lent: ...
+    def __init__(self, data: mmap.mmap, flags: mmap.mmap, slot: int) -> None: ...
+
+class Lent:
+    """What was sent on a block, until nobody looks at it."""
 
 def parse(
     data: poise.wire.codec.Bytes, buffers: memoryview | None = None

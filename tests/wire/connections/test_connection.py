@@ -17,6 +17,8 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import TimeoutError as FutureTimeout
 from typing import Any
 
 import numpy as np
@@ -25,7 +27,13 @@ import pytest
 from poise.errors import Timeout, Unavailable
 from poise.wire import frame
 from poise.wire.codec import Unreadable, WireError, codec
-from poise.wire.connections.blocks import MOST_BYTES, MOST_LENT, Block, Blocks
+from poise.wire.connections.blocks import (
+    DATA,
+    MOST_BYTES,
+    MOST_LENT,
+    Block,
+    Blocks,
+)
 from poise.wire.connections.connection import Connection
 from poise.wire.frame import LARGEST, Kind
 
@@ -34,6 +42,7 @@ pytestmark = pytest.mark.slow
 ANY = codec(Any)
 LONG = 20.0
 NEW = 1 << 31
+BEING_FILLED = 2
 
 
 @pytest.fixture
@@ -438,3 +447,40 @@ def is_whole(connection: Connection, number: int) -> bool:
     assert received.number == number
     assert (received.value(ANY) == number).all()
     return True
+
+
+@pytest.fixture
+def half(known: Known) -> Known:
+    """Send a frame on a block that is not filled yet."""
+    ours, _, block = known
+    slot = ours._slot
+    assert slot is not None
+    block.lend(slot)
+    block.memory[slot] = BEING_FILLED
+    head = frame.segments(ANY, image(1), Kind.CALL)[:2]
+    where = slot << 8 | block.number
+    ours._channel.send(head, time.monotonic() + LONG, LARGEST, where, 1 << 20)
+    return known
+
+
+def test_who_comes_before_the_rest_waits_for_it(half: Known) -> None:
+    ours, theirs, block = half
+    with ThreadPoolExecutor(1) as pool:
+        came = pool.submit(theirs.receive, time.monotonic() + LONG)
+        with pytest.raises(FutureTimeout):
+            came.result(0.01)
+        block.memory[DATA : DATA + (1 << 20)] = b"\x07" * (1 << 20)
+        assert ours._slot is not None
+        block.lend(ours._slot)
+        assert (came.result(LONG).value(ANY) == 7).all()
+
+
+def test_a_sender_that_goes_amid_copying_leaves_no_frame(half: Known) -> None:
+    half[0].end()
+    with pytest.raises(Unavailable, match="closed the connection"):
+        half[1].receive(time.monotonic() + LONG)
+
+
+def test_the_rest_has_a_limit(half: Known) -> None:
+    with pytest.raises(Timeout, match="in time"):
+        half[1].receive(time.monotonic() + 0.01)

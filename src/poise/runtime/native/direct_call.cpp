@@ -138,7 +138,8 @@ nb::object direct_call(nb::object method, nb::handle_t<Exclusion> exclusion, dou
 }
 
 void bind_direct_call(nb::module_& module) {
-  nb::class_<DirectCall>(module, "DirectCall", nb::type_slots(slots));
+  nb::class_<DirectCall>(module, "DirectCall", nb::type_slots(slots),
+                         "What a function that `direct_call` returned holds.");
 }
 
 void set_entry_error(const std::string& what, Entry entry, double limit, const char* action) {

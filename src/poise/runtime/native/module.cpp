@@ -56,7 +56,7 @@ NB_MODULE(_calls, module) {
   module.def("deadline", [] { return thread_deadline; });
   module.def("set_deadline", [](Moment moment) { thread_deadline = moment; }, nb::arg("moment"));
 
-  nb::class_<Exclusion>(module, "Exclusion")
+  nb::class_<Exclusion>(module, "Exclusion", "Mutual exclusion of call chains in a component (exclusion.h).")
       .def(nb::init<std::string>(), nb::arg("what"))
       .def_prop_ro("is_redirected", &Exclusion::is_redirected)
       .def(
@@ -83,7 +83,7 @@ NB_MODULE(_calls, module) {
           nb::arg("limit"))
       .def("redirect", &Exclusion::redirect);
 
-  nb::class_<Histogram>(module, "Histogram")
+  nb::class_<Histogram>(module, "Histogram", "Counts values, with quantiles right within 5 % (histogram.h).")
       .def(nb::init<>())
       .def("add", &Histogram::add, nb::arg("value"))
       .def("summary", [](const Histogram& histogram) {
@@ -92,12 +92,12 @@ NB_MODULE(_calls, module) {
                              histogram.quantile(0.99), histogram.maximum());
       }, nb::sig("def summary(self) -> poise.wire.records.deployment.Summary"));
 
-  nb::class_<StatsPage>(module, "StatsPage")
+  nb::class_<StatsPage>(module, "StatsPage", "The container's end of its stats page (stats_page.h).")
       .def(nb::init<int>(), nb::arg("descriptor"))
       .def("beat", &StatsPage::beat);
   module.attr("RECORD_SIZE") = sizeof(Record);
 
-  nb::class_<PageSampler>(module, "PageSampler")
+  nb::class_<PageSampler>(module, "PageSampler", "The agent's end of a container's stats page (page_sampler.h).")
       .def(nb::init<int, int, std::string>(), nb::arg("descriptor"), nb::arg("process"),
            nb::arg("proc") = "/proc")
       .def("read", &PageSampler::read,
@@ -107,7 +107,7 @@ NB_MODULE(_calls, module) {
       .def("heartbeat", &PageSampler::heartbeat)
       .def("commands", &PageSampler::commands);
 
-  nb::class_<ComponentCounters>(module, "ComponentCounters")
+  nb::class_<ComponentCounters>(module, "ComponentCounters", "What a component used and did (counters.h).")
       .def(nb::init<>())
       .def("begin", &ComponentCounters::begin)
       .def("watch", &ComponentCounters::watch, nb::arg("process"))
@@ -121,7 +121,7 @@ NB_MODULE(_calls, module) {
       .def("enter", &ComponentCounters::enter, nb::arg("page"), nb::arg("name"), nb::arg("epoch"))
       .def("leave", &ComponentCounters::leave);
 
-  auto counts = nb::class_<Counts>(module, "Counts").def(nb::init<>());
+  auto counts = nb::class_<Counts>(module, "Counts", "What one end of a connector counts (direct_call.h).").def(nb::init<>());
   def_number<&ConnectorTotals::calls>(counts, "calls");
   def_number<&ConnectorTotals::messages>(counts, "messages");
   def_number<&ConnectorTotals::bytes_out>(counts, "bytes_out");
@@ -166,7 +166,7 @@ NB_MODULE(_calls, module) {
           nb::arg("source").none(), nb::arg("target").none())
       .def("leave", [](Counts& counts) { counts.entered.leave(); });
 
-  nb::class_<ServedCall>(module, "ServedCall")
+  nb::class_<ServedCall>(module, "ServedCall", "Answers the calls of one method (served_call.h).")
       .def(nb::init<nb::object, nb::object, nb::object, nb::object, double, nb::object,
                     nb::object, nb::object>(),
            nb::arg("decode"), nb::arg("method"), nb::arg("encode"), nb::arg("exclusion"),

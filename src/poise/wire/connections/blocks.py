@@ -6,7 +6,8 @@ read-only views on it. Its first page has a byte, a *slot*, for each connection 
 sender, and one for the sender's own loan: the sender sets it, and the receiver clears
 it when the last array on the block is gone. A block whose slots are all clear is used
 again. When a receiver keeps its arrays, the sender takes another block, or sends
-through the socket when there is none.
+through the socket when there is none. While a block is being filled, the byte has a
+third value, and the receiver waits (``native/filling.h``).
 
 When a connection ends, nobody clears its slot: a block that is still lent over it is
 given up. The kernel frees a block when the last process unmaps it, and so whatever a

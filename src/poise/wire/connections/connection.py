@@ -31,7 +31,7 @@ from poise.errors import Timeout, Unavailable
 from poise.wire import _channel
 from poise.wire.address import LOST_AFTER
 from poise.wire.codec import Unreadable, WireError
-from poise.wire.connections.blocks import BLOCKS, DATA, THRESHOLD, Block, lender
+from poise.wire.connections.blocks import BLOCKS, THRESHOLD, Block, lender
 from poise.wire.connections.fork import keep_private
 from poise.wire.frame import LARGEST, Frame, Pieces
 
@@ -198,7 +198,9 @@ class Connection:
                 self._take_back(placed)
             else:
                 self._known[placed.block.number] = placed.block
-        return self._on_new_block(*got) if isinstance(got, tuple) else got
+        if isinstance(got, tuple):
+            return self._on_new_block(*got, deadline)
+        return got
 
     def receive(self, deadline: float = math.inf) -> Frame:
         """Return the next frame.
@@ -213,7 +215,9 @@ class Connection:
             It is not a frame; after `Unreadable`, the connection must be closed.
         """
         got = self._channel.receive(deadline, LARGEST, self._lenders)
-        return self._on_new_block(*got) if isinstance(got, tuple) else got
+        if isinstance(got, tuple):
+            return self._on_new_block(*got, deadline)
+        return got
 
     def _follow(self, handle: Callable[[Frame], bool]) -> None:
         try:
@@ -242,7 +246,7 @@ class Connection:
             size = len(pieces[_INLINE + 1])
             pieces = pieces[:_INLINE]
         elif block := BLOCKS.take(size, slot):
-            target = block.memory[DATA:]
+            target = block.memory
         else:
             return None
         number, file = slot << _SLOT_AT | block.number, -1
@@ -255,7 +259,9 @@ class Connection:
         if self._slot is not None:
             placed.block.take_back(self._slot)
 
-    def _on_new_block(self, block: int, used: int, data: bytes) -> Frame:
+    def _on_new_block(
+        self, block: int, used: int, data: bytes, deadline: float
+    ) -> Frame:
         """Return the frame in `data`, the first one with a block that is new here."""
         number, slot = block & _NUMBER, block >> _SLOT_AT & _SLOT
         if not self.is_local:
@@ -271,4 +277,5 @@ class Connection:
             raise Unreadable(f"a shared block cannot be mapped: {error}") from error
         finally:
             os.close(file)
-        return _channel.parse(data, self._lenders[number].lend(used))
+        arrays = self._channel.lend(self._lenders[number], used, deadline)
+        return _channel.parse(data, arrays)

@@ -102,6 +102,11 @@ bool Channel::is_lost() const {
          found.tcpi_last_ack_recv > 1e3 * lost_after_;
 }
 
+bool Channel::is_gone() const {
+  pollfd looking{file_, POLLRDHUP, 0};
+  return poll(&looking, 1, 0) > 0;
+}
+
 int Channel::take_file() {
   if (files_.empty()) return no_file;
   const int file = files_.front();

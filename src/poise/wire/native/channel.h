@@ -62,6 +62,9 @@ class Channel {
   // process that takes nothing does no harm: its computer says so.
   bool is_lost() const;
 
+  // Whether the other end has closed the socket, or its process ended.
+  bool is_gone() const;
+
   // The first file that came and was not taken; `no_file` when there is none.
   int take_file();
 

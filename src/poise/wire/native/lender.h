@@ -16,6 +16,7 @@ class Lender {
 
   char* data() const { return data_.begin(); }
   std::size_t size() const { return data_.size(); }
+  const char* slot() const { return flags_.begin() + slot_; }
   void give_back();
 
  private:

@@ -8,6 +8,7 @@
 #include <ctime>
 
 #include "channel.h"
+#include "filling.h"
 #include "lender.h"
 #include "memory.h"
 
@@ -60,6 +61,11 @@ void refuse_too_large(std::size_t size, std::size_t largest, const char* error =
           nb::str("a frame of {} B; {} B is the largest").format(size, largest));
 }
 
+// `block` in a head: the number of a block, its slot, and whether it is new here.
+constexpr std::uint32_t number_of(std::uint32_t block) { return block & 0xff; }
+constexpr std::size_t slot_of(std::uint32_t block) { return block >> 8 & 0xffff; }
+constexpr bool is_new(std::uint32_t block) { return block >> 31; }
+
 // The pieces of a frame; with a block, its arrays are copied there or are there already.
 class Pieces {
  public:
@@ -71,32 +77,32 @@ class Pieces {
     held_.reserve(nb::len(pieces) + 1);
     vectors_.reserve(nb::len(pieces) + 1);
     vectors_.push_back({&head_, block ? Head::with_block : Head::plain});
+    std::vector<iovec> arrays;
     std::size_t length = 0;
     for (nb::handle piece : pieces) {
       const bool is_inline = held_.size() < num_inline;
       const Memory& memory = held_.emplace_back(piece, PyBUF_SIMPLE);
       if (!memory.size() || held_.size() == padding + 1) continue;
-      (is_inline ? vectors_ : arrays_).push_back({memory.begin(), memory.size()});
+      (is_inline ? vectors_ : arrays).push_back({memory.begin(), memory.size()});
       (is_inline ? length : head_.used) += memory.size();
     }
     refuse_too_large(length, largest);
     head_.length = static_cast<std::uint32_t>(length);
     if (target.is_none()) return;
     const Memory& room = held_.emplace_back(target, PyBUF_WRITABLE);
-    if (head_.used > room.size()) throw nb::value_error("the arrays are larger than the block");
-    target_ = room.begin();
+    if (poise::data_offset() + head_.used > room.size())
+      throw nb::value_error("the arrays are larger than the block");
+    filling_ = poise::Filling(room.begin(), slot_of(block), std::move(arrays));
   }
   Pieces(const Pieces&) = delete;
   Pieces& operator=(const Pieces&) = delete;
 
   // Copy the arrays to the block, and send the head and the body.
   Outcome send(Channel& channel, double deadline) {
-    for (const iovec& array : arrays_) {
-      std::memcpy(target_, array.iov_base, array.iov_len);
-      target_ += array.iov_len;
-    }
-    arrays_.clear();  // a step that was interrupted is taken again
-    return channel.send(vectors_, deadline, file_);
+    filling_.begin();
+    const Outcome outcome = channel.send(vectors_, deadline, file_);
+    if (outcome == Outcome::done) filling_.finish();
+    return outcome;
   }
 
  private:
@@ -105,8 +111,8 @@ class Pieces {
 
   Head head_;
   std::vector<Memory> held_;
-  std::vector<iovec> vectors_, arrays_;
-  char* target_ = nullptr;
+  std::vector<iovec> vectors_;
+  poise::Filling filling_;
   int file_;
 };
 
@@ -258,15 +264,14 @@ nb::bytes take(Channel& channel, std::size_t size, double deadline) {
   return data;
 }
 
-// `block` in a head: the number of a block, and whether it is new here.
-constexpr std::uint32_t number_of(std::uint32_t block) { return block & 0xff; }
-constexpr bool is_new(std::uint32_t block) { return block >> 31; }
-
-nb::object lend(nb::object object, std::uint64_t used) {
-  const std::size_t size = nb::cast<const Lender&>(object).size();
-  if (used > size)
-    raise_wire_error(nb::str("{} B announced in a block of {} B").format(used, size));
-  return poise::lend(std::move(object), used);
+// The arrays on a block, once the other end of the channel has filled it.
+nb::object lend(Channel& channel, nb::object lender, std::uint64_t used, double deadline) {
+  const Lender& from = nb::cast<const Lender&>(lender);
+  if (used > from.size())
+    raise_wire_error(nb::str("{} B announced in a block of {} B").format(used, from.size()));
+  if (poise::is_filling(from.slot()))
+    run([&] { return poise::wait_until_filled(from.slot(), channel, deadline); }, not_come);
+  return poise::lend(std::move(lender), used);
 }
 
 // The frame behind a head, or what Python is to look at: it has a block that is new here.
@@ -278,7 +283,9 @@ nb::object rest_of(Channel& channel, const Head& head, double deadline, std::siz
     const nb::object number = nb::cast(number_of(head.block));
     if (is_new(head.block) || !lenders.contains(number))
       return nb::make_tuple(head.block, head.used, data);
-    return parse(data, lend(lenders[number], head.used));
+    const nb::object lender = lenders[number];
+    const nb::object arrays = lend(channel, lender, head.used, deadline);
+    return parse(data, arrays);
   }
   if (head.length <= std::min(small, channel.num_ahead())) {
     const char* data = channel.skip(head.length);
@@ -328,7 +335,7 @@ nb::object ask(Channel& channel, nb::list list, double deadline, std::size_t lar
 NB_MODULE(_channel, module) {
   nb::set_leak_warnings(false);  // containers end without finalising the interpreter
 
-  nb::class_<Channel>(module, "Channel")
+  nb::class_<Channel>(module, "Channel", "Frames over a connected stream socket (channel.h).")
       .def(nb::init<int, double, bool>(), nb::arg("file"), nb::arg("lost_after"),
            nb::arg("reads_ahead") = true)
       .def("is_lost", &Channel::is_lost)
@@ -345,14 +352,15 @@ NB_MODULE(_channel, module) {
            nb::arg("target") = nb::none(), nb::arg("file") = poise::no_file,
            nb::sig("def ask(self, pieces: " PIECES ", deadline: float, largest: int, "
                    "lenders: dict[int, Lender], " BLOCK ") -> " FRAME " | None"))
-      .def("take_file", &Channel::take_file);
-  nb::class_<Lender>(module, "Lender")
+      .def("take_file", &Channel::take_file)
+      .def("lend", &lend, nb::arg("lender"), nb::arg("used"), nb::arg("deadline"),
+           nb::sig("def lend(self, lender: Lender, used: int, deadline: float) -> memoryview"));
+  nb::class_<Lender>(module, "Lender", "The receiver's side of a block (lender.h).")
       .def(nb::init<nb::handle, nb::handle, std::size_t>(), nb::arg("data"), nb::arg("flags"),
            nb::arg("slot"),
-           nb::sig("def __init__(self, data: mmap.mmap, flags: mmap.mmap, slot: int) -> None"))
-      .def("lend", [](nb::handle self, std::uint64_t used) { return lend(nb::borrow(self), used); },
-           nb::arg("used"), nb::sig("def lend(self, used: int) -> memoryview"));
-  nb::class_<Lent>(module, "Lent", nb::type_slots(Lent::slots));
+           nb::sig("def __init__(self, data: mmap.mmap, flags: mmap.mmap, slot: int) -> None"));
+  nb::class_<Lent>(module, "Lent", nb::type_slots(Lent::slots),
+                   "What was sent on a block, until nobody looks at it.");
   module.def("parse", &parse, nb::arg("data"), nb::arg("buffers") = nb::none(),
              nb::sig("def parse(data: " BYTES ", buffers: memoryview | None = None)"
                      " -> poise.wire.frame.Frame"));
