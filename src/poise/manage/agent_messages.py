@@ -7,7 +7,7 @@ import os
 import socket
 import time
 import uuid
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from queue import SimpleQueue
 from typing import TypeVar
 
@@ -18,8 +18,8 @@ from poise.wire.records.deployment import Accepted, Answer, ManagerId, Refused
 from poise.wire.records.migration import StepsDone, StepsFailed
 
 S = TypeVar("S")
-Replies = SimpleQueue[tuple[int, zenoh.Reply | None]]
-"""The number of an order, and a reply to it, or None at the end of its replies."""
+K = TypeVar("K")
+AgentAnswer = Accepted | Refused | StepsDone | StepsFailed
 
 
 def manager_id() -> ManagerId:
@@ -54,24 +54,23 @@ def reading(
     return hear
 
 
-def note(replies: Replies, number: int, reply: zenoh.Reply | None = None) -> None:
-    """Store a reply, or the end of replies; for zenoh's threads."""
-    replies.put((number, reply))
+def note(
+    replies: SimpleQueue[tuple[K, zenoh.Reply | None]],
+    key: K,
+    reply: zenoh.Reply | None = None,
+) -> None:
+    """Store a reply, or None at the end of replies; for zenoh's threads."""
+    replies.put((key, reply))
 
 
-def _decoded(sample: zenoh.Sample) -> Accepted | Refused | StepsDone | StepsFailed:
-    """Return an agent's answer; `Refused` when it is none."""
+def answer_of(reply: zenoh.Reply | None) -> AgentAnswer | None:
+    """Return an agent's answer: None when it gave none, `Refused` when it is none."""
+    if reply is None or reply.ok is None:
+        return None
     try:
-        answer: Accepted | Refused | StepsDone | StepsFailed = msgspec.msgpack.decode(
-            sample.payload.to_bytes(), type=Answer
+        answer: AgentAnswer = msgspec.msgpack.decode(
+            reply.ok.payload.to_bytes(), type=Answer
         )
     except msgspec.DecodeError as error:
         return Refused(f"not an answer: {error}")
     return answer
-
-
-def answer_of(
-    replies: Iterable[zenoh.Reply],
-) -> Accepted | Refused | StepsDone | StepsFailed | None:
-    """Return the first answer of an agent; `None` when it gave none."""
-    return next((_decoded(reply.ok) for reply in replies if reply.ok is not None), None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import partial
 from queue import Empty, SimpleQueue
-from typing import Self
+from typing import Self, TypeVar
 
 import msgspec
 import zenoh
@@ -13,7 +13,13 @@ from zenoh.handlers import Callback
 
 from poise.clock import Clock
 from poise.errors import RunError
-from poise.manage.agent_messages import Replies, answer_of, manager_id, note, reading
+from poise.manage.agent_messages import (
+    AgentAnswer,
+    answer_of,
+    manager_id,
+    note,
+    reading,
+)
 from poise.manage.agent_reports import AgentReports
 from poise.priority import ahead
 from poise.wire.control_session import (
@@ -37,6 +43,8 @@ from poise.wire.records.migration import (
     StepsOutcome,
 )
 from poise.wire.records.samples import AgentSample
+
+K = TypeVar("K")
 
 MARGIN = 0.1
 """An agent's answer to migration steps may come this much after their limit [s]."""
@@ -179,10 +187,9 @@ class Agents(AgentReports):
         for computer in sorted(computers):
             token = self._statuses[computer].token + 1
             self._tokens[computer] = token
-            claim = Claim(self.manager)
-            refusal = self._refusal(computer, claim, self._ask(computer, claim))
-            if refusal:
-                raise RunError(f"the agent of '{computer}' {refusal}")
+            refusals = self._refusals({computer: Claim(self.manager)})
+            if refusals:
+                raise RunError(refusals[computer])
             self.wait_news(
                 lambda c=computer: self.obey(c),  # type: ignore[misc]
                 ANSWER_LIMIT,
@@ -196,19 +203,7 @@ class Agents(AgentReports):
         Computer -> why its agent did not accept it within `ANSWER_LIMIT`; empty when
         all did.
         """
-        replies = {
-            computer: self._ask(computer, deployment)
-            for computer, deployment in deployments.items()
-        }
-        refusals = {
-            computer: self._refusal(computer, deployment, replies[computer])
-            for computer, deployment in deployments.items()
-        }
-        return {
-            computer: f"the agent of '{computer}' {refusal}"
-            for computer, refusal in refusals.items()
-            if refusal
-        }
+        return self._refusals(deployments)
 
     def take_steps(
         self,
@@ -225,91 +220,94 @@ class Agents(AgentReports):
         check
             Called now and then; may raise to end the waiting.
         """
-        replies: Replies = SimpleQueue()
         began = self._clock.now()
-        pending = {steps.number: (computer, steps) for computer, steps in batches}
-        for number, (computer, steps) in pending.items():
-            take = partial(note, replies, number)
+        asked = {
+            steps.number: (computer, steps, steps.limit + MARGIN)
+            for computer, steps in batches
+        }
+        for number, answer in self._answers(asked, check):
+            computer, steps, limit = asked[number]
+            if isinstance(answer, StepsDone | StepsFailed):
+                yield answer
+                continue
+            why = f"answered {answer}"
+            if answer is None:
+                # a component may be paused: the agent has had time enough
+                left = max(0.0, began + limit - self._clock.now())
+                why = self._why_silent(computer, limit, min(_LOSS_DELAY, left))
+            yield StepsFailed(steps.number, f"the agent of '{computer}' {why}")
+
+    def _refusals(self, requests: Mapping[str, Request]) -> dict[str, str]:
+        """Send agents requests until they answer; return why they did not accept them.
+
+        An agent that is cut off for a moment gets its request again.
+        """
+        refusals = {}
+        pending = dict(requests)
+        deadline = self._clock.now() + SEND_LIMIT
+        while pending:
+            asked = {c: (c, request, ANSWER_LIMIT) for c, request in pending.items()}
+            for computer, answer in self._answers(asked):
+                if answer is None:
+                    continue
+                del pending[computer]
+                if not isinstance(answer, Accepted):
+                    why = answer.reason if isinstance(answer, Refused) else str(answer)
+                    refusals[computer] = f"the agent of '{computer}' refused: {why}"
+            if pending:
+                self._clock.sleep(_LOOK_EVERY)  # a loss may not be known yet
+            for computer in list(pending):
+                left = max(0.0, deadline - self._clock.now())
+                is_reached = partial(self._is_reached, computer)
+                if not left or not self.wait_news(is_reached, left):
+                    del pending[computer]
+                    why = self._why_silent(computer, SEND_LIMIT, _LOSS_DELAY)
+                    refusals[computer] = f"the agent of '{computer}' {why}"
+        return refusals
+
+    def _answers(
+        self,
+        asked: Mapping[K, tuple[str, Request, float]],
+        check: Callable[[], object] = _nothing,
+    ) -> Iterator[tuple[K, AgentAnswer | None]]:
+        """Ask agents, all at once; yield each answer as it comes.
+
+        None: the agent gave none.
+
+        Parameters
+        ----------
+        asked
+            By any key: the computer, what its agent is asked, and the limit [s].
+        """
+        replies: SimpleQueue[tuple[K, zenoh.Reply | None]] = SimpleQueue()
+        pending, deadline = set(asked), self._clock.now() + _LAST_REPLY
+        deadline += max((limit for _, _, limit in asked.values()), default=0.0)
+        for key, (computer, request, limit) in asked.items():
+            take = partial(note, replies, key)
+            token = self._tokens.get(computer, 0)
             self._session.get(
                 f"{self._prefix}/agent/{computer}",
                 Callback(take, take),
-                payload=self._encoded(computer, steps),
-                timeout=steps.limit + MARGIN,
+                payload=msgspec.msgpack.encode(
+                    ManagerRequest(token=token, request=request)
+                ),
+                timeout=limit,
             )
-        return self._outcomes(pending, replies, began, check)
-
-    def _outcomes(
-        self,
-        pending: dict[int, tuple[str, MigrationSteps]],
-        replies: Replies,
-        began: float,
-        check: Callable[[], object],
-    ) -> Iterator[StepsOutcome]:
-        limit = max((steps.limit for _, steps in pending.values()), default=0.0)
         while pending:
             try:
-                number, reply = replies.get(timeout=_LOOK_EVERY)
+                key, reply = replies.get(timeout=_LOOK_EVERY)
             except Empty:
                 check()
-                if self._clock.now() < began + limit + _LAST_REPLY:
+                if self._clock.now() < deadline:
                     continue
                 # zenoh did not even report that the time is over
-                number, reply = next(iter(pending)), None
-            if number in pending:
-                computer, steps = pending.pop(number)
-                yield self._outcome(computer, steps, reply, began)
-
-    def _ask(self, computer: str, request: Request) -> Iterable[zenoh.Reply]:
-        return self._session.get(
-            f"{self._prefix}/agent/{computer}",
-            payload=self._encoded(computer, request),
-            timeout=ANSWER_LIMIT,
-        )
-
-    def _encoded(self, computer: str, request: Request) -> bytes:
-        token = self._tokens.get(computer, 0)
-        return msgspec.msgpack.encode(ManagerRequest(token=token, request=request))
-
-    def _refusal(
-        self, computer: str, request: Request, replies: Iterable[zenoh.Reply]
-    ) -> str:
-        """Return why an agent did not accept a request; empty when it did."""
-        deadline = self._clock.now() + SEND_LIMIT
-        while (answer := answer_of(replies)) is None:
-            self._clock.sleep(
-                _LOOK_EVERY
-            )  # its connection may not be known as lost yet
-            left = max(0.0, deadline - self._clock.now())
-            if not left or not self.wait_news(lambda: self._is_reached(computer), left):
-                return self._why_silent(computer, SEND_LIMIT, _LOSS_DELAY)
-            replies = self._ask(computer, request)
-        if isinstance(answer, Accepted):
-            return ""
-        why = answer.reason if isinstance(answer, Refused) else str(answer)
-        return f"refused: {why}"
+                key, reply = next(iter(pending)), None
+            if key in pending:
+                pending.discard(key)
+                yield key, answer_of(reply)
 
     def _is_reached(self, computer: str) -> bool:
         return computer in self.reached()
-
-    def _outcome(
-        self,
-        computer: str,
-        steps: MigrationSteps,
-        reply: zenoh.Reply | None,
-        began: float,
-    ) -> StepsOutcome:
-        """Return the outcome of steps that were sent at `began` [s]."""
-        answer = answer_of(() if reply is None else (reply,))
-        if isinstance(answer, StepsDone | StepsFailed):
-            return answer
-        if answer is None:
-            limit = steps.limit + MARGIN
-            # a component may be paused: the agent has had time enough
-            left = max(0.0, began + limit - self._clock.now())
-            why = self._why_silent(computer, limit, min(_LOSS_DELAY, left))
-        else:
-            why = f"answered {answer}"
-        return StepsFailed(steps.number, f"the agent of '{computer}' {why}")
 
     def _why_silent(self, computer: str, limit: float, patience: float) -> str:
         """Return what is known of an agent that gave no answer within `limit` [s].

@@ -27,7 +27,7 @@ from poise.runtime.container.descendants import reap_adopted
 from poise.runtime.container.preparation import prepare
 from poise.runtime.hosting.computer_clock import ComputerClock
 from poise.runtime.hosting.runner import Runner
-from poise.runtime.hosting.stats_page import Incarnation, StatsPage
+from poise.runtime.hosting.stats_page import ComponentKey, StatsPage
 from poise.runtime.hosting.wiring import Place, Transports, Wiring
 from poise.runtime.migration.executor import MigrationExecutor
 from poise.runtime.waker import Waker, is_writable, wait_readable
@@ -86,10 +86,10 @@ class Container:
         self._transports = Transports(place)
         self._wiring = Wiring(self._transports, self._clock.ahead)
         self._wanted: ContainerSpec | None = None
-        self._preparing: dict[Incarnation, Future[Runner]] = {}
-        self._runners: dict[Incarnation, Runner] = {}
-        self._ending: dict[Incarnation, tuple[Runner, float]] = {}
-        self._broken: dict[Incarnation, ComponentStatus] = {}
+        self._preparing: dict[ComponentKey, Future[Runner]] = {}
+        self._runners: dict[ComponentKey, Runner] = {}
+        self._ending: dict[ComponentKey, tuple[Runner, float]] = {}
+        self._broken: dict[ComponentKey, ComponentStatus] = {}
         self._steps = MigrationExecutor(self._runners, self._wiring, self._transports)
         # steps wait for components and for other computers; the control thread must not
         self._step_threads = ThreadPoolExecutor(_STEP_THREADS, "step", go_first)
@@ -212,7 +212,7 @@ class Container:
                 del gone[key]
         self._stats_page.show(self._runners, self._wiring.endpoints())
 
-    def _add(self, key: Incarnation, component: ComponentSpec, folder: str) -> None:
+    def _add(self, key: ComponentKey, component: ComponentSpec, folder: str) -> None:
         # While others work here they would wait for the interpreter, which a thread
         # that hardly gets a CPU may hold.
         is_idle = all(
@@ -248,18 +248,18 @@ class Container:
                 self._runners[key].start()
         return bool(done)
 
-    def _break(self, key: Incarnation, what: str, why: str) -> None:
+    def _break(self, key: ComponentKey, what: str, why: str) -> None:
         log.error("component '%s' cannot %s: %s", key[0], what, why)
         self._broken[key] = ComponentStatus(
             name=key[0], epoch=key[1], state="failed", error=why, errors=1
         )
 
-    def _connect(self, spec: ContainerSpec, staying: list[Incarnation]) -> None:
+    def _connect(self, spec: ContainerSpec, staying: list[ComponentKey]) -> None:
         runners = {key: self._runners[key] for key in staying}
         for key, text in self._wiring.apply(spec.connectors, runners).items():
             self._break(key, "be joined", text)
 
-    def _remove(self, key: Incarnation) -> None:
+    def _remove(self, key: ComponentKey) -> None:
         runner = self._runners.pop(key)
         runner.aim("finalized")
         self._ending[key] = runner, self._clock.now() + _STOP_LIMIT

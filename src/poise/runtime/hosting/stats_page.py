@@ -23,7 +23,8 @@ log = logging.getLogger(__name__)
 MOST = 8192
 """Components, timers and ends of connectors that fit; unused records take no memory."""
 
-Incarnation = tuple[str, int]
+ComponentKey = tuple[str, int]
+"""Name and epoch of a component."""
 
 
 def new_memory() -> int:
@@ -55,7 +56,7 @@ class StatsPage:
 
     def show(
         self,
-        running: Mapping[Incarnation, Runner],
+        running: Mapping[ComponentKey, Runner],
         ends: Iterable[OpenEndpoints],
     ) -> None:
         """Let the agent see the counters of these, and of no others."""
@@ -79,7 +80,7 @@ class StatsPage:
                 components.get((spec.target, spec.target_epoch)),
             )
 
-    def cpu(self) -> dict[Incarnation, float]:
+    def cpu(self) -> dict[ComponentKey, float]:
         """Return the CPU time of each component so far [s]."""
         found = self._sampler.read()
         return {} if found is None else {(c[0], c[1]): c[2] for c in found[2]}

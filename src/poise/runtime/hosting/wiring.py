@@ -146,7 +146,7 @@ class Wiring:
 
         Returns
         -------
-        Incarnation -> why a connector at one of its ports cannot be opened.
+        Component and epoch -> why a connector at one of its ports cannot be opened.
         """
         wanted = {spec.key: spec for spec in specs}
         self._close_readdressed(wanted)
