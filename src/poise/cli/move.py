@@ -12,7 +12,6 @@ from poise.manage.control_socket.client import send_command
 from poise.manage.control_socket.records import (
     MoveCommand,
     Moved,
-    ReplaceArchitectureCommand,
     ReplaceCommand,
     Replaced,
 )
@@ -70,11 +69,7 @@ def replace_command(
 
     Example: poise replace localiser trot.navigator.scan_matcher:ScanMatcher
     """
-    if ":" in by:
-        command: ReplaceCommand | ReplaceArchitectureCommand
-        command = ReplaceCommand(what, by, adapt, fresh)
-    else:
-        command = ReplaceArchitectureCommand(what, by, adapt, fresh)
+    command = ReplaceCommand(what, by, adapt, fresh)
     show_move(send_command(robot, command), as_json=as_json)
 
 

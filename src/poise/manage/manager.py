@@ -26,7 +26,6 @@ from poise.manage.control_socket.records import (
     RebalanceCommand,
     Rebalanced,
     Refusal,
-    ReplaceArchitectureCommand,
     ReplaceCommand,
     Replaced,
     Result,
@@ -191,12 +190,10 @@ class Manager:
                     )
                     check_move(robot, run.placement(), component, computer)
                 return Moved(move(run, component, computer))
-            case ReplaceCommand(component, by, adapt, fresh):
+            case ReplaceCommand(component, by, adapt, fresh) if ":" in by:
                 return Moved(replace(run, component, by, adapt, fresh=fresh))
-            case ReplaceArchitectureCommand(architecture, by, adapt, fresh):
-                return Replaced(
-                    replace_architecture(run, architecture, by, adapt, fresh=fresh)
-                )
+            case ReplaceCommand(what, by, adapt, fresh):
+                return Replaced(replace_architecture(run, what, by, adapt, fresh=fresh))
             case RebalanceCommand(cost, dry):
                 return self._rebalance(cost, dry=dry)
         raise AssertionError(command)

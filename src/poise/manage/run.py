@@ -138,19 +138,14 @@ class Run:
             returned = away & self.computers()
             self._reclaim(returned)
             self.end_all(returned)
-        remaining = self.remaining()
-        if remaining:
-            text = "; ".join(remaining)
-            self.journal.note("failed", f"stopped, but: {text}")
-            raise RunError(f"stopped, but: {text}")
-        self.journal.note("done", "everything stopped")
-
-    def remaining(self) -> tuple[str, ...]:
-        """Return what runs on computers that are out of reach, a sentence for each."""
-        return tuple(
+        text = "; ".join(
             f"{sentence}; `poise stop --file FILE` ends it once '{name}' is reached"
             for name, sentence in self.unreached().items()
         )
+        if text:
+            self.journal.note("failed", f"stopped, but: {text}")
+            raise RunError(f"stopped, but: {text}")
+        self.journal.note("done", "everything stopped")
 
     def unreached(self) -> dict[str, str]:
         """Return what is known of each computer that is out of reach, in words."""

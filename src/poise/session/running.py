@@ -15,7 +15,6 @@ from poise.manage.control_socket.records import (
     Moved,
     RebalanceCommand,
     Rebalanced,
-    ReplaceArchitectureCommand,
     ReplaceCommand,
     Replaced,
     Result,
@@ -99,13 +98,12 @@ class Running:
         RunError
             It failed; all goes on as before.
         """
+        command = ReplaceCommand(what, by, adapt, fresh)
         report: MoveReport | ReplaceReport
         if ":" in by:
-            command = ReplaceCommand(what, by, adapt, fresh)
             report = self._send(command, Moved).report
         else:
-            architecture = ReplaceArchitectureCommand(what, by, adapt, fresh)
-            report = self._send(architecture, Replaced).report
+            report = self._send(command, Replaced).report
         if not report.committed:
             raise RunError(f"{what} is not replaced: {report.reason}")
         return report

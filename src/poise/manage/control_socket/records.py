@@ -34,24 +34,13 @@ class MoveCommand(Struct, frozen=True, tag=True):
 
 
 class ReplaceCommand(Struct, frozen=True, tag=True):
-    """Swap a component's implementation.
+    """Swap a component's implementation, or put an architecture in another's place.
 
-    `adapt` maps its state; `fresh`: it begins without state.
+    `by` is ``package.module:Class``, or the other architecture; `adapt` maps states;
+    `fresh`: what comes begins without state.
     """
 
-    component: str
-    implementation: str
-    adapt: str = ""
-    fresh: bool = False
-
-
-class ReplaceArchitectureCommand(Struct, frozen=True, tag=True):
-    """Put the architecture `by` in the place of another.
-
-    `adapt` maps the states; `fresh`: all components begin without state.
-    """
-
-    architecture: str
+    what: str
     by: str
     adapt: str = ""
     fresh: bool = False
@@ -67,14 +56,7 @@ class RebalanceCommand(Struct, frozen=True, tag=True):
     dry: bool = False
 
 
-Command = (
-    StatusCommand
-    | StopCommand
-    | MoveCommand
-    | ReplaceCommand
-    | ReplaceArchitectureCommand
-    | RebalanceCommand
-)
+Command = StatusCommand | StopCommand | MoveCommand | ReplaceCommand | RebalanceCommand
 
 
 class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):

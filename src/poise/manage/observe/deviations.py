@@ -8,6 +8,7 @@ from collections.abc import Set as AbstractSet
 from msgspec import Struct
 
 from poise.manage.deployment import DeploymentPlan, Incarnation, name_of
+from poise.manage.statuses import components_of, connectors_of
 from poise.wire.records.deployment import (
     AgentStatus,
     ComponentStatus,
@@ -73,18 +74,12 @@ def find_deviations(
     """
     for computer, status in sorted(statuses.items()):
         here = [each for each in settled if each.computer == computer]
+        yield from _of_components(here, layout, status, now)
         names = {
             layout.container_of(e.component) for e in wanted if e.computer == computer
         }
-        for found in _of_computer(computer, status, here, names, layout):
-            component, container, what = found
-            yield Deviation(
-                what=what,
-                computer=computer,
-                component=component,
-                container=container,
-                since=now,
-            )
+        for what in _of_containers(names, status):
+            yield Deviation(what=what, computer=computer, since=now)
 
 
 def find_unjoined(
@@ -105,9 +100,7 @@ def find_unjoined(
     computers = {each.component: each.computer for each in settled}
     unready = {
         connector.name
-        for status in statuses.values()
-        for container in status.containers
-        for connector in container.connectors
+        for connector in connectors_of(statuses)
         if connector.end == "source" and not connector.ready
     }
     for connector in layout.connectors(computers):
@@ -117,43 +110,41 @@ def find_unjoined(
             yield Deviation(what=what, computer=source, since=now)
 
 
-def _of_computer(
-    computer: str,
-    status: AgentStatus,
+def _of_components(
     settled: Collection[Incarnation],
-    containers: AbstractSet[str],
     layout: DeploymentPlan,
-) -> Iterator[tuple[str, str, str]]:
-    """Yield a component and the container whose fault is the cause, or "", and what."""
-    there = {
-        (component.name, component.epoch): component
-        for container in status.containers
-        for component in container.components
-    }
+    status: AgentStatus,
+    now: float,
+) -> Iterator[Deviation]:
+    there = {(c.name, c.epoch): c for c in components_of({status.computer: status})}
     health = {each.name: each for each in status.health}
     for each in settled:
         found = there.get((each.component, each.epoch))
         if found is None or found.state != each.goal:
             container = health.get(layout.container_of(each.component))
-            cause = _cause(found, container)
-            yield each.component, cause, explain(each, found, container)
+            has_failed = found is not None and found.state == "failed"
+            is_fault = container and container.last_fault and not has_failed
+            yield Deviation(
+                what=explain(each, found, container),
+                computer=status.computer,
+                component=each.component,
+                container=container.name if container and is_fault else "",
+                since=now,
+            )
+
+
+def _of_containers(wanted: AbstractSet[str], status: AgentStatus) -> Iterator[str]:
+    """Yield which containers run unwanted, and which crash again and again."""
     for running in status.containers:
-        if running.name not in containers:
-            what = f"container '{running.name}' runs on '{computer}', unwanted"
-            yield "", "", what
-    for name in sorted(containers & health.keys()):
-        if health[name].restarts_lately >= _CRASH_LOOP:
-            where = f"container '{name}' on '{computer}' is in a crash loop"
-            what = f"{where}: restarted at least {_CRASH_LOOP} times within a minute"
-            yield "", "", what
-
-
-def _cause(found: ComponentStatus | None, container: ContainerHealth | None) -> str:
-    """Return the container whose fault explains a component's state, or nothing."""
-    has_failed = found is not None and found.state == "failed"
-    if has_failed or container is None or container.last_fault is None:
-        return ""
-    return container.name
+        if running.name not in wanted:
+            yield f"container '{running.name}' runs on '{status.computer}', unwanted"
+    for each in status.health:
+        if each.name in wanted and each.restarts_lately >= _CRASH_LOOP:
+            where = f"container '{each.name}' on '{status.computer}'"
+            yield (
+                f"{where} is in a crash loop: restarted at least {_CRASH_LOOP} times "
+                "within a minute"
+            )
 
 
 def explain(

@@ -1,9 +1,8 @@
-"""The running estimates of a whole robot, and how they stand against its profile."""
+"""The running estimates of a whole robot, against its profile."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
 
 from msgspec import Struct
 
@@ -35,12 +34,13 @@ class DemandEstimate(Struct, frozen=True, kw_only=True):
     estimate: Estimate
 
 
-class Traffic(Struct, frozen=True, kw_only=True):
-    """What goes over one connector now, against what its profile says."""
+class _Followed(Struct):
+    """A component's running estimate, and its incarnation."""
 
-    connector: str
-    expected: ConnectorProfile | None
-    now: ConnectorProfile
+    running: RunningEstimate
+    expected: float | None
+    epoch: int
+    computer: str
 
 
 class Estimates:
@@ -69,9 +69,7 @@ class Estimates:
         self._profile = profile
         self.loads = Loads(robot, emulated=emulated)
         self._lock = threading.Lock()
-        self._running: dict[str, RunningEstimate] = {}
-        self._where: dict[str, str] = {}
-        self._epochs: dict[str, int] = {}
+        self._followed: dict[str, _Followed] = {}
         self._ends: dict[tuple[str, str], tuple[float, ConnectorSample]] = {}
         self._traffic: dict[str, tuple[str, ConnectorProfile]] = {}
 
@@ -79,14 +77,12 @@ class Estimates:
         """Take a sample; return the components whose demand has shifted by it."""
         self.loads.take(sample)
         drifts = []
-        speed = self._speeds.get(sample.computer, 1.0)
         with self._lock:
             for container in sample.containers:
                 for component in container.components:
-                    drift = self._update(component, container.at, speed)
+                    drift = self._update(component, container.at, sample.computer)
                     if drift is not None:
                         drifts.append((component.name, drift))
-                    self._where[component.name] = sample.computer
                 key = f"{sample.computer}/{container.name}"
                 for connector in container.connectors:
                     self._count(key, container.at, connector)
@@ -95,32 +91,39 @@ class Estimates:
     def demand_estimates(self) -> list[DemandEstimate]:
         """Return how every component stands, by name."""
         with self._lock:
-            return list(self._demand_estimates())
-
-    def traffic(self) -> list[Traffic]:
-        """Return what goes over every connector, by name."""
-        known = self._profile.connectors if self._profile else {}
-        with self._lock:
-            return [
-                Traffic(connector=name, expected=known.get(name), now=now)
-                for name, (_, now) in sorted(self._traffic.items())
+            found = [
+                (name, known, known.running.estimate())
+                for name, known in sorted(self._followed.items())
             ]
+        return [
+            DemandEstimate(
+                component=name,
+                computer=known.computer,
+                expected=known.expected,
+                estimate=estimate,
+            )
+            for name, known, estimate in found
+            if estimate is not None
+        ]
+
+    def traffic(self) -> dict[str, ConnectorProfile]:
+        """Return connector -> what goes over it now, by name."""
+        with self._lock:
+            return {name: now for name, (_, now) in sorted(self._traffic.items())}
 
     def _update(
-        self, component: ComponentSample, at: float, speed: float
+        self, component: ComponentSample, at: float, computer: str
     ) -> Drift | None:
-        name = component.name
-        if component.epoch < self._epochs.get(name, 0):
+        known = self._followed.get(component.name)
+        if known is None:
+            known = self._followed[component.name] = self._follow(component, computer)
+        if component.epoch < known.epoch:
             return None  # the incarnation that a move leaves behind
-        running = self._running.get(name)
-        if running is None:
-            running = self._running[name] = RunningEstimate(
-                self._expected(name), self._repeat(name)
-            )
-        elif component.epoch != self._epochs[name]:
-            running.skip_to_next()  # the counters are another incarnation's
-        self._epochs[name] = component.epoch
-        return running.update(
+        if component.epoch != known.epoch:
+            known.running.skip_to_next()  # the counters are another incarnation's
+        known.epoch, known.computer = component.epoch, computer
+        speed = self._speeds.get(computer, 1.0)
+        return known.running.update(
             Reading(
                 at,
                 component.cpu * speed,
@@ -130,24 +133,11 @@ class Estimates:
             )
         )
 
-    def _expected(self, name: str) -> float | None:
-        known = self._profile.components.get(name) if self._profile else None
-        return known.cpu.mean if known else None
-
-    def _repeat(self, name: str) -> float:
-        known = self._profile.components.get(name) if self._profile else None
-        return known.repeat if known else 0.0
-
-    def _demand_estimates(self) -> Iterator[DemandEstimate]:
-        for name, running in sorted(self._running.items()):
-            estimate = running.estimate()
-            if estimate is not None:
-                yield DemandEstimate(
-                    component=name,
-                    computer=self._where[name],
-                    expected=self._expected(name),
-                    estimate=estimate,
-                )
+    def _follow(self, component: ComponentSample, computer: str) -> _Followed:
+        known = self._profile and self._profile.components.get(component.name)
+        expected = known.cpu.mean if known else None
+        running = RunningEstimate(expected, known.repeat if known else 0.0)
+        return _Followed(running, expected, component.epoch, computer)
 
     def _count(self, key: str, at: float, now: ConnectorSample) -> None:
         """Estimate a connector's rates over the last seconds.

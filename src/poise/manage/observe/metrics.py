@@ -61,8 +61,8 @@ def samples(estimates: Estimates, statuses: Statuses) -> Iterator[Sample]:
         yield "poise_component_starved_share", labels, now.starved
         if each.expected is not None:
             yield "poise_component_cpu_expected_cores", labels, each.expected
-    for traffic in estimates.traffic():
-        labels, flow = {"connector": traffic.connector}, traffic.now
+    for name, flow in estimates.traffic().items():
+        labels = {"connector": name}
         yield "poise_connector_calls_per_second", labels, flow.calls
         yield "poise_connector_messages_per_second", labels, flow.messages
         yield "poise_connector_bytes_per_second", labels, flow.traffic
