@@ -12,6 +12,9 @@ from poise.wire.records.deployment import (
     ConnectorStatus,
 )
 
+Statuses = Mapping[str, AgentStatus]
+"""Computer -> what its agent reported last."""
+
 _WORKING = {
     "unconfigured": " (do its import and `configure` end?)",
     "inactive": " (does its `activate` end?)",
@@ -19,24 +22,24 @@ _WORKING = {
 """What may keep a component in a state."""
 
 
-def components_of(statuses: Mapping[str, AgentStatus]) -> Iterator[ComponentStatus]:
+def components_of(statuses: Statuses) -> Iterator[ComponentStatus]:
     """Yield the components in all statuses."""
     for status in statuses.values():
         for container in status.containers:
             yield from container.components
 
 
-def calling_ports(statuses: Mapping[str, AgentStatus]) -> set[tuple[str, str]]:
+def calling_ports(statuses: Statuses) -> set[tuple[str, str]]:
     """Return the ends over which components call: component and port."""
     return {(c.name, port) for c in components_of(statuses) for port in c.requires}
 
 
-def gateways(statuses: Mapping[str, AgentStatus]) -> dict[str, str]:
+def gateways(statuses: Statuses) -> dict[str, str]:
     """Return where other computers reach each computer's containers."""
     return {name: status.gateway for name, status in statuses.items()}
 
 
-def connectors_of(statuses: Mapping[str, AgentStatus]) -> Iterator[ConnectorStatus]:
+def connectors_of(statuses: Statuses) -> Iterator[ConnectorStatus]:
     """Yield the connector ends in all statuses."""
     for status in statuses.values():
         for container in status.containers:
@@ -45,7 +48,7 @@ def connectors_of(statuses: Mapping[str, AgentStatus]) -> Iterator[ConnectorStat
 
 def missing(
     wanted: Iterable[Incarnation],
-    statuses: Mapping[str, AgentStatus],
+    statuses: Statuses,
     silent: Iterable[str],
     unreached: Collection[str],
 ) -> list[str]:
@@ -74,9 +77,7 @@ def missing(
     return found
 
 
-def containers_left(
-    statuses: Mapping[str, AgentStatus], computers: Iterable[str]
-) -> list[str]:
+def containers_left(statuses: Statuses, computers: Iterable[str]) -> list[str]:
     """Return the containers that may still run on computers, in words."""
     left = sorted(computers)
     return [f"everything on '{each}'" for each in left if each not in statuses] + [

@@ -8,11 +8,9 @@ from collections.abc import Mapping
 from msgspec import Struct
 
 from poise.manage.deployment import name_of
-from poise.manage.statuses import components_of, connectors_of
+from poise.manage.statuses import Statuses, components_of, connectors_of
 from poise.model.robot import Connector, Robot
-from poise.wire.records.deployment import AgentStatus, ErrorCount
-
-Statuses = Mapping[str, AgentStatus]
+from poise.wire.records.deployment import ErrorCount
 
 
 class ComponentError(ErrorCount, frozen=True, kw_only=True):

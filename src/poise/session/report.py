@@ -12,6 +12,7 @@ from rich.console import RenderableType
 from poise.errors import RunError
 from poise.manage.drain import unprocessed
 from poise.manage.observe.faults import faults_after
+from poise.manage.statuses import Statuses
 from poise.model.robot import Robot
 from poise.session.failures import (
     ComponentError,
@@ -39,7 +40,6 @@ from poise.wire.records.deployment import (
 if TYPE_CHECKING:
     import pandas as pd
 
-Statuses = Mapping[str, AgentStatus]
 Table = Literal["components", "timers", "connectors"]
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from collections.abc import Set as AbstractSet
 
 from msgspec import Struct
 
 from poise.manage.deployment import DeploymentPlan, Incarnation, name_of
-from poise.manage.statuses import components_of, connectors_of
+from poise.manage.statuses import Statuses, components_of, connectors_of
 from poise.wire.records.deployment import (
     AgentStatus,
     ComponentStatus,
@@ -56,7 +56,7 @@ def find_deviations(
     settled: Collection[Incarnation],
     wanted: Collection[Incarnation],
     layout: DeploymentPlan,
-    statuses: Mapping[str, AgentStatus],
+    statuses: Statuses,
     now: float,
 ) -> Iterator[Deviation]:
     """Yield what differs between the placement and what the agents reported.
@@ -85,7 +85,7 @@ def find_deviations(
 def find_unjoined(
     settled: Collection[Incarnation],
     layout: DeploymentPlan,
-    statuses: Mapping[str, AgentStatus],
+    statuses: Statuses,
     now: float,
 ) -> Iterator[Deviation]:
     """Yield the connectors whose source does not reach its target.

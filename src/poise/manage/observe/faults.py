@@ -12,9 +12,9 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from msgspec import Struct
 
-from poise.wire.records.deployment import AgentStatus, Fault
+from poise.manage.statuses import Statuses
+from poise.wire.records.deployment import Fault
 
-Statuses = Mapping[str, AgentStatus]
 Numbers = Mapping[str, int]
 """Computer -> the number of its agent's last fault."""
 _FIRST = 5

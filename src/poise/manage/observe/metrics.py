@@ -6,10 +6,9 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 from poise.manage.observe.estimates import Estimates
-from poise.wire.records.deployment import AgentStatus, ConnectorStatus, Summary
+from poise.manage.statuses import Statuses
+from poise.wire.records.deployment import ConnectorStatus, Summary
 
-Statuses = Mapping[str, AgentStatus]
-"""Computer -> what its agent said last."""
 Sample = tuple[str, Mapping[str, str], float]
 """A metric's name, its labels and its value."""
 

@@ -12,7 +12,8 @@ from opentelemetry.sdk.metrics.export import PeriodicExportingMetricReader
 from opentelemetry.sdk.resources import Resource
 
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.metrics import METRICS, Statuses, kind_of, samples
+from poise.manage.observe.metrics import METRICS, kind_of, samples
+from poise.manage.statuses import Statuses
 
 EVERY = 5.0
 """Metrics go out so often [s]."""

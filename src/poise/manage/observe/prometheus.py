@@ -8,7 +8,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 from poise.errors import RunError
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.metrics import METRICS, Statuses, kind_of, samples
+from poise.manage.observe.metrics import METRICS, kind_of, samples
+from poise.manage.statuses import Statuses
 
 _ESCAPED = str.maketrans({"\\": r"\\", '"': r"\"", "\n": r"\n"})
 

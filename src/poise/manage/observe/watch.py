@@ -16,7 +16,7 @@ from poise.manage.observe.deviations import (
 )
 from poise.manage.observe.faults import FaultFilter
 from poise.manage.run import Run
-from poise.wire.records.deployment import AgentStatus
+from poise.manage.statuses import Statuses
 
 _JOIN_WITHIN = 2.0
 """A connector that is not joined for so long is a deviation [s]."""
@@ -62,7 +62,7 @@ class Watch:
         self._note_recoveries(statuses)
 
     def _found(
-        self, statuses: Mapping[str, AgentStatus], before: Mapping[str, Deviation]
+        self, statuses: Statuses, before: Mapping[str, Deviation]
     ) -> dict[str, Deviation]:
         """Return what deviates now, by key; of what is being moved, what did before."""
         run, now, wanted = self._run, time.time(), set(self._run.wanted)
@@ -93,7 +93,7 @@ class Watch:
             kind: Kind = "right" if new.fault.is_over else "wrong"
             run.journal.note(kind, new.sentence, fault=new.fault)
 
-    def _note_recoveries(self, statuses: Mapping[str, AgentStatus]) -> None:
+    def _note_recoveries(self, statuses: Statuses) -> None:
         """Journal which containers run as they should again after a fault."""
         run = self._run
         deviating = {

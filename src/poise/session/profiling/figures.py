@@ -14,10 +14,10 @@ from poise.estimate.profile import (
 )
 from poise.estimate.profile.spread import Spread
 from poise.manage.deployment import name_of
-from poise.manage.statuses import components_of, connectors_of
+from poise.manage.statuses import Statuses, components_of, connectors_of
 from poise.model.robot import Connector, Robot
 from poise.session.profiling.usage import Measured
-from poise.wire.records.deployment import AgentStatus, ComponentStatus, Summary
+from poise.wire.records.deployment import ComponentStatus, Summary
 
 AGREE_SHARE = 0.05
 AGREE_CORES = 0.01
@@ -39,8 +39,8 @@ class Observed(Struct, frozen=True, kw_only=True):
     """
 
     measured: Measured
-    statuses: Mapping[str, AgentStatus]
-    working: Mapping[str, AgentStatus] = {}
+    statuses: Statuses
+    working: Statuses = {}
     invalid: str = ""
 
 
@@ -258,7 +258,7 @@ def _key(subject: Subject, connector: Connector) -> str:
     return played.replace(" -> ", "-") if played else name_of(connector)
 
 
-def _sizes(statuses: Mapping[str, AgentStatus]) -> dict[str, Summary]:
+def _sizes(statuses: Statuses) -> dict[str, Summary]:
     """Return the sizes of connectors' traffic, from the end that counted the most."""
     found: dict[str, Summary] = {}
     for end in connectors_of(statuses):
