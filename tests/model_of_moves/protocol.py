@@ -128,7 +128,7 @@ class Protocol:
         yield from self._deployments(s)
         yield from self._faults.successors(s)
 
-    # poise.manage.migration.coordinator.migrate
+    # poise.manage.migration.coordinator.Migration
 
     def _manager(self, s: State) -> Iterator[tuple[str, State]]:
         if s.round in {"remove", "end"}:
@@ -303,7 +303,7 @@ class Protocol:
                     done = s.with_one(side, which, after)
                     yield f"{side} {which} works", done.flowing(side, which + 1, item)
 
-    # `Container._apply` of what `coordinator.migrate` deploys
+    # `Container._apply` of what `coordinator.Migration` deploys
 
     def _deployments(self, s: State) -> Iterator[tuple[str, State]]:
         if s.spec == "both":

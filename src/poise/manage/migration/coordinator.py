@@ -85,23 +85,14 @@ class MigrationReport(Struct, frozen=True, kw_only=True):
         return f"downtime {self.downtime * 1e3:.1f} ms ({phases} ms)"
 
 
-def migrate(
-    run: Run, what: str, sources: Sequence[Incarnation], targets: Sequence[Incarnation]
-) -> MigrationReport:
-    """Let targets take the place of sources, or roll back.
-
-    Never raises for what goes wrong on the way.
+class Migration:
+    """Targets take the place of sources, or do not. Use it once.
 
     Parameters
     ----------
     what
         For people: ``component 'localiser'``.
     """
-    return _Migration(run, what, sources, targets).run()
-
-
-class _Migration:
-    """One migration."""
 
     def __init__(
         self,
@@ -130,6 +121,7 @@ class _Migration:
         self._taken: list[StepTaken] = []
 
     def run(self) -> MigrationReport:
+        """Migrate, or roll back; never raises for what goes wrong on the way."""
         downtime, reason = 0.0, ""
         self._phases.enter("prepare")
         try:

@@ -13,7 +13,7 @@ from msgspec import structs
 from poise.errors import RunError, UsageError
 from poise.manage.deployment import Incarnation
 from poise.manage.journal import Kind
-from poise.manage.migration.coordinator import MigrationReport, migrate
+from poise.manage.migration.coordinator import Migration, MigrationReport
 from poise.manage.run import ACTIVE_LIMIT, READY_LIMIT, Run
 from poise.model.check.hosts import allowed_hosts
 from poise.model.robot import Component
@@ -107,7 +107,8 @@ def _migrate(run: Run, old: Incarnation, new: Incarnation) -> MoveReport:
     if is_command:
         done = _move_cold(run, old, new)
     else:
-        done = migrate(run, f"component '{old.component}'", (old,), (new,))
+        what = f"component '{old.component}'"
+        done = Migration(run, what, (old,), (new,)).run()
     report = MoveReport(
         component=old.component,
         source=old.computer,

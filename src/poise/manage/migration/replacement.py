@@ -11,7 +11,7 @@ from poise import plan
 from poise.errors import UsageError
 from poise.manage.deployment import Incarnation, Placement
 from poise.manage.journal import Kind
-from poise.manage.migration.coordinator import MigrationReport, migrate
+from poise.manage.migration.coordinator import Migration, MigrationReport
 from poise.manage.run import Run
 from poise.manage.statuses import calling_ports, components_of
 from poise.model.robot import Architecture, Robot
@@ -71,7 +71,8 @@ def replace_architecture(
         )
         for component in new.components
     ]
-    done = migrate(run, f"architecture '{architecture}'", sources, targets)
+    what = f"architecture '{architecture}'"
+    done = Migration(run, what, sources, targets).run()
     report = ReplaceReport(
         architecture=architecture,
         by=by,

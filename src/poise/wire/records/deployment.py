@@ -17,7 +17,7 @@ from msgspec import Struct
 from poise.wire.records.clocks import Clocks, ClockStatus
 from poise.wire.records.migration import MigrationSteps, StepsDone, StepsFailed
 
-PROTOCOL = 4
+PROTOCOL = 5
 """Manager, agents and containers of different protocol versions refuse each other."""
 
 Goal = Literal["inactive", "active", "stay"]
