@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from poise.estimate.change_point import LEARN, OUTLIER, ChangePointDetector
+from poise.estimate._change_point import LEARN, OUTLIER, ChangePointDetector
 from tests.estimate import reference
 
 STEP = 0.2

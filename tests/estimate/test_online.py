@@ -3,7 +3,7 @@ import random
 import pytest
 
 from poise.estimate.online import SPAN, Drift, RunningEstimate
-from poise.estimate.window import Reading
+from poise.estimate.windows import Reading
 
 STEP = 0.2
 

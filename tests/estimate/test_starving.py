@@ -7,7 +7,7 @@ import random
 import pytest
 
 from poise.estimate.online import Estimate, RunningEstimate
-from poise.estimate.window import Reading
+from poise.estimate.windows import Reading
 
 STEP = 0.2
 TICK = 0.001

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from poise.clock import Stamp, SystemClock
+from poise.estimate.demands import with_profile
 from poise.estimate.profile import file as profile_file
-from poise.estimate.rule import with_profile
 from poise.model import load
 from poise.model import robot as model
 from poise.runtime.component.component import Component

@@ -1,14 +1,14 @@
-"""Detects changes of a rate; its header in ``native`` explains it."""
+"""Detects changes of a rate; native/change_point.h explains the method."""
 
 from typing import Literal
 
-LEARN: int
-"""Windows to learn the noise from, and the reference if none is given."""
-OUTLIER: int
-"""Deviations of up to this many windows are outliers, whatever their size."""
+LEARN: int = 25
+
+OUTLIER: int = 5
 
 class ChangePointDetector:
-    """Watches ``value / exposure``, such as CPU time per second or per job.
+    """
+    Watches ``value / exposure``, such as CPU time per second or per job.
 
     Parameters
     ----------
@@ -18,8 +18,15 @@ class ChangePointDetector:
     """
 
     def __init__(self, reference: float | None = None) -> None: ...
+    def update(self, value: float, exposure: float) -> Literal[-1, 0, 1]:
+        """
+        Add a window; return 1 or -1 when the rate has risen or fallen, else 0.
+        """
+
     @property
-    def reference(self) -> float | None: ...
+    def reference(self) -> float | None:
+        """The expected rate; None until it is learned."""
+
     @property
-    def since(self) -> int: ...
-    def update(self, value: float, exposure: float) -> Literal[-1, 0, 1]: ...
+    def since(self) -> int:
+        """How many windows ago the last change began."""

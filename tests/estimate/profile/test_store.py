@@ -3,32 +3,19 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from poise.estimate.profile import Profile
-from poise.estimate.profile.store import Store, version_of_all
+from poise.estimate.profile.store import Store
 
 
 def test_gives_back_the_newest(tmp_path: Path, profile: Profile) -> None:
     newer = replace(profile, at="2026-02-01T00:00:00+00:00")
-    other = replace(profile, computer="b")
     path = tmp_path / "deep" / "profiles.sqlite"
     with Store(path) as store:
-        for each in (profile, newer, other):
+        for each in (profile, newer):
             store.add(each)
     with Store(path) as store:
-        assert store.latest("r") == other
-        assert store.latest("r", "a") == newer
-        assert store.all("r") == [other, newer, profile]
+        assert store.latest("r") == newer
+        assert store.all("r") == [newer, profile]
         assert store.latest("another") is None
-
-
-def test_a_version_is_of_all_components(profile: Profile) -> None:
-    changed = {
-        name: replace(each, version=each.version + "x")
-        for name, each in profile.components.items()
-    }
-    assert version_of_all(profile) != version_of_all(
-        replace(profile, components=changed)
-    )
-    assert version_of_all(profile) == version_of_all(replace(profile, at="later"))
 
 
 def test_keeps_what_connectors_cost(tmp_path: Path, profile: Profile) -> None:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import sqlite3
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Self
 
@@ -14,26 +13,17 @@ from poise.errors import UsageError
 from poise.estimate.profile import KindCosts, Profile
 
 _SCHEMA = """
-CREATE TABLE IF NOT EXISTS profiles (
+CREATE TABLE IF NOT EXISTS measurements (
     id INTEGER PRIMARY KEY,
     robot TEXT NOT NULL,
-    computer TEXT NOT NULL,
-    poise TEXT NOT NULL,
-    version TEXT NOT NULL,  -- of all implementations together
-    at TEXT NOT NULL,
-    profile TEXT NOT NULL   -- JSON
-);
-CREATE TABLE IF NOT EXISTS calibrations (
-    id INTEGER PRIMARY KEY,
-    robot TEXT NOT NULL,
-    at TEXT NOT NULL,
-    costs TEXT NOT NULL     -- JSON: kind of connector -> KindCosts
+    kind TEXT NOT NULL,  -- profile, or costs of connectors
+    json TEXT NOT NULL
 )
 """
 
 
 class Store:
-    """Profiles by robot, computer, version of Poise and of the code; and calibrations.
+    """Profiles and calibrations by robot; all remain.
 
     Parameters
     ----------
@@ -61,52 +51,37 @@ class Store:
         self._database.close()
 
     def add(self, profile: Profile) -> None:
-        """Add a profile; older ones remain."""
-        self._database.execute(
-            "INSERT INTO profiles (robot, computer, poise, version, at, profile)"
-            " VALUES (?, ?, ?, ?, ?, ?)",
-            (
-                profile.robot,
-                profile.computer,
-                profile.poise,
-                version_of_all(profile),
-                profile.at,
-                msgspec.json.encode(profile).decode(),
-            ),
-        )
+        """Add a profile."""
+        self._add(profile.robot, "profile", profile)
 
     def all(self, robot: str) -> list[Profile]:
         """Return every profile of a robot, newest first."""
-        rows = self._database.execute(
-            "SELECT profile FROM profiles WHERE robot = ? ORDER BY id DESC", (robot,)
-        )
-        return [msgspec.json.decode(text, type=Profile) for (text,) in rows]
+        profiles = self._newest_first(robot, "profile")
+        return [msgspec.json.decode(text, type=Profile) for text in profiles]
 
-    def latest(self, robot: str, computer: str | None = None) -> Profile | None:
-        """Return the newest profile of a robot (on `computer`, if given)."""
-        for profile in self.all(robot):
-            if computer in (None, profile.computer):
-                return profile
-        return None
+    def latest(self, robot: str) -> Profile | None:
+        """Return the newest profile of a robot."""
+        return next(iter(self.all(robot)), None)
 
     def add_costs(self, robot: str, costs: Mapping[str, KindCosts]) -> None:
-        """Add the costs of connectors on a robot's computers; older ones remain."""
-        self._database.execute(
-            "INSERT INTO calibrations (robot, at, costs)"
-            " VALUES (?, datetime('now'), ?)",
-            (robot, msgspec.json.encode(costs).decode()),
-        )
+        """Add the costs of connectors on a robot's computers."""
+        self._add(robot, "costs", costs)
 
     def latest_costs(self, robot: str) -> dict[str, KindCosts]:
         """Return the costs of connectors by the last calibration; empty without one."""
-        row = self._database.execute(
-            "SELECT costs FROM calibrations WHERE robot = ? ORDER BY id DESC LIMIT 1",
-            (robot,),
-        ).fetchone()
-        return msgspec.json.decode(row[0], type=dict[str, KindCosts]) if row else {}
+        text = next(self._newest_first(robot, "costs"), "{}")
+        return msgspec.json.decode(text, type=dict[str, KindCosts])
 
+    def _add(self, robot: str, kind: str, measured: object) -> None:
+        self._database.execute(
+            "INSERT INTO measurements (robot, kind, json) VALUES (?, ?, ?)",
+            (robot, kind, msgspec.json.encode(measured).decode()),
+        )
 
-def version_of_all(profile: Profile) -> str:
-    """Return one fingerprint of all measured implementations."""
-    versions = sorted((n, c.version) for n, c in profile.components.items())
-    return hashlib.sha256(msgspec.json.encode(versions)).hexdigest()[:16]
+    def _newest_first(self, robot: str, kind: str) -> Iterator[str]:
+        rows = self._database.execute(
+            "SELECT json FROM measurements WHERE robot = ? AND kind = ?"
+            " ORDER BY id DESC",
+            (robot, kind),
+        )
+        return (text for (text,) in rows)

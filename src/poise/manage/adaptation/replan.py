@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import RobotError
-from poise.estimate.rule import shifted_cpu_demand
+from poise.estimate.demands import shifted_cpu_demand
 from poise.manage.migration.transition import Placement, Step, plan_transition
 from poise.manage.observe.estimates import DemandEstimate
 from poise.model.robot import Component, Computer, Robot

@@ -10,7 +10,7 @@ from msgspec import Struct, structs
 
 from poise.estimate.profile import ConnectorProfile
 from poise.estimate.profile.spread import Spread, spread_of
-from poise.estimate.window import Reading, window_between
+from poise.estimate.windows import Reading, window_between
 from poise.manage.observe.estimates import traffic_between
 from poise.wire.records.samples import AgentSample, ContainerSample
 

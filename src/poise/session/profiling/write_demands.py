@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from poise.estimate.demands import cpu_demand, memory_demand
 from poise.estimate.profile import ComponentProfile, Profile
-from poise.estimate.rule import cpu_demand, memory_demand
 from poise.model.load import load_source
 from poise.model.yaml.edit import with_values
 

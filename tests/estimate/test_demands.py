@@ -1,8 +1,8 @@
 import pytest
 from msgspec.structs import replace
 
+from poise.estimate.demands import missing, with_profile
 from poise.estimate.profile import Profile
-from poise.estimate.rule import missing, with_profile
 from poise.model.robot import Component, Robot
 
 
