@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import socket
 import subprocess
 import sys
@@ -117,10 +118,16 @@ def test_link_carries_what_the_robot_file_says(
         client = legs.popen([sys.executable, "-c", SEND, brain.address, port])
         assert client.wait(timeout=LIMIT) == 0
         rate = float(server.stdout.readline())
+        argv = ["ip", "-json", "-statistics", "link", "show", "eth0"]
+        output, _ = brain.popen(argv, stdout=subprocess.PIPE).communicate(timeout=LIMIT)
+        (link,) = json.loads(output)
         server.stdout.close()
     # 100 Mbit/s is 12.5 MB/s; unshaped, it would be some 1000 MB/s. A busy machine may
     # send less.
     assert 0.2 * 12.5e6 < rate < 1.1 * 12.5e6
+    # Packets are of the size that a real link carries, not joined to 64 KB.
+    received = link["stats64"]["rx"]
+    assert received["bytes"] / received["packets"] < 1600
 
 
 @pytest.mark.slow
