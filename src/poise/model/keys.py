@@ -78,10 +78,8 @@ Resource = Annotated[
     ),
 ]
 PortName = Annotated[str, note(pattern=r"^\w{1,63}$")]
-Reference = Annotated[
-    str,
-    _text(r"\w+(\.\w+)*:\w+(\.\w+)*", *2 * ("package.module:Class",)),
-]
+_CLASS = "package.module:Class"
+Reference = Annotated[str, _text(r"\w+(\.\w+)*:\w+(\.\w+)*", _CLASS, _CLASS)]
 EndText = Annotated[
     str,
     _text(
