@@ -32,7 +32,7 @@ import msgspec
 
 from benchmarks.synthetic import robots
 from benchmarks.synthetic.workers import RATE
-from poise.estimate.overhead import apart, kinds_together
+from poise.estimate.overhead import kinds_together, overhead_of
 from poise.estimate.profile import Profile
 from poise.manage.journal import Journal
 from poise.manage.observe.estimates import Estimates
@@ -245,10 +245,16 @@ def predicted_cpu(
     for connector in robot.all_connectors():
         source, target = (placement.get(end.component) for end in connector.between)
         traffic = profile.connectors.get(str(connector))
-        if traffic and source and target and source != target:
-            more = apart(traffic, kinds[str(connector)], profile.costs)
-            used[source] += more.source
-            used[target] += more.target
+        calibrated = "remote" in profile.costs
+        if calibrated and traffic and source and target and source != target:
+            # Only the sum of both ends of a direct connector can be measured: it is
+            # divided in the ratio of a remote connector's ends.
+            more = overhead_of(traffic, kinds[str(connector)], profile.costs) / 100
+            remote = profile.costs["remote"]
+            load = remote.load(traffic)
+            at_source = more * remote.source.load(traffic) / load if load else 0.0
+            used[source] += at_source
+            used[target] += more - at_source
     return used
 
 

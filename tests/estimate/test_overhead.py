@@ -2,7 +2,6 @@ import pytest
 from msgspec.structs import replace
 
 from poise.estimate.overhead import (
-    apart,
     kinds_together,
     overhead_of,
     overheads,
@@ -39,7 +38,6 @@ def test_is_the_traffic_where_nobody_calibrated() -> None:
 def test_is_never_below_zero() -> None:
     odd = {"direct": KindCosts(source=Costs(call=1.0)), "remote": KindCosts()}
     assert overhead_of(CALLS, "direct", odd) == 0
-    assert apart(CALLS, "direct", odd).source == 0
 
 
 def test_components_of_one_architecture_share_a_container(robot: Robot) -> None:

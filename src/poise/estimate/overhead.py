@@ -17,20 +17,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from msgspec import Struct
-
 from poise.estimate.profile import ConnectorProfile, KindCosts, Profile
 from poise.model.robot import Component, Connector, Robot
 
 _HUNDREDTHS = 100
 _MEGABYTE = 1e6
-
-
-class EndLoads(Struct, frozen=True):
-    """Additional CPU of source and target when they are apart [cores]."""
-
-    source: float
-    target: float
 
 
 def overhead_of(
@@ -47,8 +38,8 @@ def overhead_of(
     """
     if "remote" not in costs:
         return connector.traffic / _MEGABYTE
-    ends = apart(connector, together, costs)
-    return _HUNDREDTHS * (ends.source + ends.target)
+    less = costs.get(together, KindCosts()).load(connector)
+    return _HUNDREDTHS * max(0.0, costs["remote"].load(connector) - less)
 
 
 def overheads(robot: Robot, profile: Profile) -> dict[str, float]:
@@ -59,21 +50,6 @@ def overheads(robot: Robot, profile: Profile) -> dict[str, float]:
         for name, each in profile.connectors.items()
         if name in kinds
     }
-
-
-def apart(
-    connector: ConnectorProfile, together: str, costs: Mapping[str, KindCosts]
-) -> EndLoads:
-    """Return the additional CPU of each end when they are apart.
-
-    Only the sum of both ends of a direct connector can be measured, so the difference
-    is divided in the ratio of a remote connector's ends.
-    """
-    remote = costs.get("remote", KindCosts())
-    used = remote.load(connector)
-    surplus = max(0.0, used - costs.get(together, KindCosts()).load(connector))
-    share = remote.source.load(connector) / used if used else 0.0
-    return EndLoads(surplus * share, surplus * (1 - share))
 
 
 def kinds_together(robot: Robot) -> dict[str, str]:
