@@ -13,7 +13,7 @@ from collections import deque
 
 from msgspec import Struct
 
-from poise.estimate._change_point import OUTLIER, ChangePointDetector
+from poise.estimate import _change_point
 from poise.estimate.profile.spread import error_of_mean, quantile
 from poise.estimate.windows import Reading, Sums, Window, demand_in, window_between
 
@@ -79,9 +79,9 @@ class RunningEstimate:
         self._sums = Sums()
         self._has_jobs = False
         self._drift: Drift | None = None
-        self._load = ChangePointDetector(expected)
-        self._cost = ChangePointDetector()
-        self._asked = ChangePointDetector()
+        self._load = _change_point.ChangePointDetector(expected)
+        self._cost = _change_point.ChangePointDetector()
+        self._asked = _change_point.ChangePointDetector()
 
     def skip_to_next(self) -> None:
         """Ignore the time until the next reading; keep the estimate."""
@@ -102,7 +102,10 @@ class RunningEstimate:
             self._start_again(drift, since)
             return drift
         # jobs are costlier or more frequent, but the demand is as expected
-        self._cost, self._asked = ChangePointDetector(), ChangePointDetector()
+        self._cost, self._asked = (
+            _change_point.ChangePointDetector(),
+            _change_point.ChangePointDetector(),
+        )
         return None
 
     def estimate(self) -> Estimate | None:
@@ -172,8 +175,8 @@ class RunningEstimate:
             before = demand_in(windows[: max(1, len(windows) - since)]).cores
         least = max(LEAST_SHARE * before, LEAST_CORES, self._repeat)
         parts = (
-            recent[:first] + recent[first + OUTLIER :]
-            for first in range(max(1, len(recent) - OUTLIER + 1))
+            recent[:first] + recent[first + _change_point.OUTLIER :]
+            for first in range(max(1, len(recent) - _change_point.OUTLIER + 1))
         )
         if any(abs(demand_in(part).cores - before) <= least for part in parts if part):
             return None
@@ -187,7 +190,7 @@ class RunningEstimate:
             self._keep(each)
         self._drift = drift
         self._load, self._cost, self._asked = (
-            ChangePointDetector(),
-            ChangePointDetector(),
-            ChangePointDetector(),
+            _change_point.ChangePointDetector(),
+            _change_point.ChangePointDetector(),
+            _change_point.ChangePointDetector(),
         )
