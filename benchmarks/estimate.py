@@ -39,6 +39,7 @@ from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.recording import Recording
 from poise.model.robot import Robot
 from poise.runtime._calls import ComponentCounters
+from poise.session.launch.start import Sampling, started
 from poise.session.placement import place
 from poise.session.profiles import read_profile
 from poise.session.profiling.figures import Subject, figures
@@ -46,7 +47,6 @@ from poise.session.profiling.measurement import measure_alone
 from poise.session.profiling.rig import EMPTY, rig_of
 from poise.session.profiling.usage import measure
 from poise.session.robot_file import load
-from poise.session.start import Sampling, started
 from poise.wire.records.deployment import AgentStatus
 from poise.wire.records.samples import SAMPLE_EVERY, AgentSample
 

@@ -26,7 +26,7 @@ from poise.manage.journal import Journal
 from poise.manage.run import Run
 from poise.model.robot import Robot
 from poise.runtime.agent.sampler import proportional_memory
-from poise.session.computers import computers_of
+from poise.session.launch.computers import computers_of
 from poise.wire.records.deployment import AgentStatus
 
 CONTAINERS = 4

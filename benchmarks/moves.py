@@ -29,7 +29,7 @@ from poise.manage.migration.move import MoveReport, move
 from poise.manage.run import Run
 from poise.manage.statuses import components_of
 from poise.model import load
-from poise.session.computers import computers_of
+from poise.session.launch.computers import computers_of
 
 ROBOTS = Path(__file__).parent / "robots"
 COMPONENTS = ("producer", "relay", "consumer")

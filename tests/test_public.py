@@ -33,6 +33,7 @@ PUBLIC = {
         "Required",
         "Robot",
         "RobotError",
+        "RolledBack",
         "RunError",
         "RunReport",
         "Running",

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from poise.session.robot_file import check as check
     from poise.session.robot_file import load as load
     from poise.session.run import run as run
+    from poise.session.running import RolledBack as RolledBack
     from poise.session.running import Running as Running
     from poise.session.running import connect as connect
     from poise.session.stop import stop_without_manager as stop_without_manager
@@ -62,6 +63,7 @@ else:
         "Required": "runtime.component.ports",
         "Robot": "model.robot",
         "RobotError": "errors",
+        "RolledBack": "session.running",
         "RunError": "errors",
         "RunReport": "session.report",
         "Running": "session.running",

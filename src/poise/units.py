@@ -131,6 +131,11 @@ def quoted(value: object) -> str:
     return f"'{''.join(c if c.isprintable() else repr(c)[1:-1] for c in text)}'"
 
 
+def counted(count: int, noun: str) -> str:
+    """Return a number of things for people: "1 message", "2 messages"."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
 def format_cores(cores: float) -> str:
     """Return cores for people, as in ``1.5 cores``."""
     return f"{_number(cores)} {'core' if cores == 1 else 'cores'}"

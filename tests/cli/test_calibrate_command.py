@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from poise.cli.commands import build
+from poise.cli.command_table import build
 from poise.errors import RunError
 from poise.estimate.profile import Costs, KindCosts
 from poise.estimate.profile.store import Store

@@ -9,15 +9,16 @@ import sys
 import pytest
 from msgspec.structs import replace
 
-from poise.cli import demo as demo_command
-from poise.wire.records.deployment import Summary
+from poise.cli.command import demo as demo_command
+from poise.session.report import ComponentReport, RunReport
+from poise.wire.records.deployment import Summary, TimerStatus
 from tests.waiting import LONG
 
 SHORT = """
-from poise.cli import demo, demo_scene
+from poise.cli.command import demo
 from poise.cli.main import main
 
-demo_scene._DRIVE, demo_scene._MOVE_AT, demo._CALLS = 3.0, 1.0, 1.0
+demo._DRIVE, demo._MOVE_AT, demo._CALLS = 3.0, 1.0, 1.0
 main()
 """
 
@@ -42,30 +43,55 @@ def test_drives_moves_and_calls() -> None:
     static, auto = report["runs"]
     assert set(static["placement"].values()) < set(auto["placement"].values())
     for drive in report["runs"]:
-        assert not drive["goal_reached"]
+        assert not drive["simulation"]["goal_reached"]
         assert drive["cpu_share"].keys() == {"main", "vision"}
-        assert drive["pose_age"]["count"] > 0
+        (navigator,) = (
+            each for each in drive["components"] if each["name"] == "motion_controller"
+        )
+        assert navigator["measures"]["pose_age"]["count"] > 0
     assert report["scene"]["move"]["component"] == "localiser"
     assert {"direct", "message"} == report["calls"].keys()
     assert all(call["count"] > 0 for call in report["calls"].values())
 
 
+def drive(method: str, *, missed: int, is_at_goal: bool) -> RunReport:
+    cycle = TimerStatus(
+        name="steer",
+        period=0.2,
+        deadline=0.2,
+        releases=100,
+        missed=missed,
+        lateness=Summary(),
+        duration=Summary(),
+    )
+    navigator = ComponentReport(
+        name="motion_controller",
+        computer="main",
+        cpu=0.1,
+        errors=0,
+        timers=(cycle,),
+        measures={},
+    )
+    return RunReport(
+        robot="t-rot",
+        task="serve",
+        method=method,
+        placement={},
+        decision_seconds=0.0,
+        seconds=1.0,
+        cpu_share={},
+        components=(navigator,),
+        connectors=(),
+        simulation={"goal_reached": is_at_goal},
+    )
+
+
 def test_a_drive_without_a_result_is_trouble() -> None:
     """The static drive should fail; one that says nothing has not."""
-    good = demo_command.Drive(
-        method="auto",
-        deadline_miss_share=0.0,
-        pose_age=Summary(),
-        map_age=Summary(),
-        goal_reached=True,
-        decision_seconds=0.0,
-        cpu_share={},
-        seconds=1.0,
-        placement={},
-        invalid="",
-    )
+    auto = drive("auto", missed=0, is_at_goal=True)
+    static = drive("static", missed=100, is_at_goal=False)
     missing = "the simulator ended without a result"
-    static = replace(good, method="static", goal_reached=False, deadline_miss_share=1.0)
-    silent = replace(static, invalid=missing)
-    assert demo_command.find_trouble((static, good)) == ""
-    assert missing in demo_command.find_trouble((silent, good))
+    silent = replace(static, simulation={}, invalid=missing)
+    assert demo_command.find_trouble((static, auto)) == ""
+    assert missing in demo_command.find_trouble((silent, auto))
+    assert "did not fail" in demo_command.find_trouble((auto, auto))

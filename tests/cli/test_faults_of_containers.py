@@ -125,3 +125,17 @@ def test_an_end_for_lack_of_memory_is_named(up: Path) -> None:
     assert health.last_fault.message.startswith(ran_out)
     shown = " ".join(run_poise("status", "--robot", NAME).stdout.split())
     assert ran_out in shown
+
+
+@pytest.mark.usefixtures("up")
+def test_a_stopped_container_is_shown_with_the_command_that_continues_it() -> None:
+    stopped = pid()
+    os.kill(stopped, signal.SIGSTOP)
+    try:
+        wait_long(lambda: status().deviations)
+        done = run_poise("status", "--robot", NAME)
+    finally:
+        os.kill(stopped, signal.SIGCONT)
+    assert done.returncode == 1
+    assert f"`kill -CONT {stopped}` lets it go on (noticed " in done.stdout
+    wait_long(lambda: not status().deviations)

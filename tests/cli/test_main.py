@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import signal
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from poise.runtime.waker import wait_readable
 from tests.runtime.conftest import free_port
 from tests.waiting import LONG
 
@@ -53,3 +55,82 @@ def test_ctrl_c_ends_a_measurement(command: str, tmp_path: Path) -> None:
         rest = process.communicate(timeout=LONG)[0]
     assert process.returncode == 128 + signal.SIGINT
     assert "Traceback" not in rest
+
+
+HANGING = "import os, time\nprint('child', os.getpid(), flush=True)\ntime.sleep(600)\n"
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("command", ["check", "run", "profile"])
+def test_a_signal_ends_a_check_of_hanging_code(
+    command: str, sent: signal.Signals, tmp_path: Path
+) -> None:
+    shutil.copy(HELLO / "robot.yaml", tmp_path)
+    (tmp_path / "hello.py").write_text(HANGING)
+    with subprocess.Popen(
+        [sys.executable, "-m", "poise", command, "robot.yaml"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        child = next(line for line in process.stdout if line.startswith("child"))
+        pidfd = os.pidfd_open(int(child.split()[1]))
+        process.send_signal(sent)
+        rest = process.communicate(timeout=LONG)[0]
+    assert (process.returncode, rest) == (128 + sent, "")
+    assert wait_readable([pidfd], LONG)
+    os.close(pidfd)
+
+
+AT_ONCE = """
+import os, signal
+from poise.cli.interrupts import end_at_once
+end_at_once()
+try:
+    os.kill(os.getpid(), signal.SIGTERM)
+    print("went on")
+except BaseException as error:
+    print("raised", error)
+"""
+NOTED = """
+import os, signal
+from poise.cli.interrupts import Interrupts
+with Interrupts() as interrupts:
+    for number in signal.SIGTERM, signal.SIGINT:
+        try:
+            os.kill(os.getpid(), number)
+            print("went on")
+        except BaseException as error:
+            print("raised", error)
+    print("cleaned up")
+"""
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [(AT_ONCE, ""), (NOTED, "went on\nwent on\ncleaned up\n")],
+)
+def test_no_handler_raises(code: str, said: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=LONG,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (128 + 15, said, "")
+
+
+def test_nohup_lets_a_command_go_on() -> None:
+    code = (
+        "import os, signal\n"
+        "from poise.cli.interrupts import Interrupts, end_at_once\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+        "end_at_once()\n"
+        "os.kill(os.getpid(), signal.SIGHUP)\n"
+        "with Interrupts() as interrupts:\n"
+        "    os.kill(os.getpid(), signal.SIGHUP)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], timeout=LONG, check=True)

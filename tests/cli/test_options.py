@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from poise.cli.commands import build
+from poise.cli.command_table import build
 from poise.errors import UsageError
 from poise.session.writable import to_write
 

@@ -7,7 +7,7 @@ import pytest
 import typer
 from typer.testing import CliRunner, Result
 
-from poise.cli.plan import plan_command
+from poise.cli.command.plan import plan_command
 from poise.errors import UsageError
 
 ROBOT = Path(__file__).parents[2] / "examples" / "paper" / "robot.yaml"
@@ -131,6 +131,14 @@ def test_asks_what_if(problem_file: Path) -> None:
 def test_refuses_what_it_cannot_do(problem_file: Path, wrong: tuple[str, str]) -> None:
     result = call(problem_file, *wrong)
     assert isinstance(result.exception, UsageError)
+
+
+@pytest.mark.parametrize("option", ["--method", "--compare"])
+def test_an_unknown_method_is_answered_with_all(
+    problem_file: Path, option: str
+) -> None:
+    error = call(problem_file, option, "fast").exception
+    assert "auto, greedy, exact, search, cpsat, static" in str(error)
 
 
 @pytest.mark.parametrize("other", [("--explain", "a"), ("--smallest",)])

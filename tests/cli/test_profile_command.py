@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from poise.cli.commands import build
+from poise.cli.command_table import build
 from poise.errors import UsageError
 from poise.estimate.profile import file as profile_file
 from poise.model import load

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from poise.cli.commands import build
-from poise.cli.run import run_command
+from poise.cli.command.run import run_command
+from poise.cli.command_table import build
 from poise.emulate import sweep
 from poise.errors import PoiseError
 from poise.runtime.waker import wait_readable
@@ -147,7 +147,7 @@ def test_a_run_ends_with_a_report_and_prints_nothing_else(tmp_path: Path) -> Non
 def test_a_component_that_raises_on_start_ends_the_run(robot: Write) -> None:
     code, said = run(robot(implementation("Angry")), "--task", "work")
     assert code == 1
-    assert "component 'worker' failed:" in said
+    assert "component 'worker' on " in said
     assert "LookupError: no map here" in said
 
 

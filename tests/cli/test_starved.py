@@ -13,7 +13,7 @@ from poise.estimate.online import Drift, Estimate
 from poise.manage.journal import Journal
 from poise.manage.observe.estimates import Estimates
 from poise.model.robot import Architecture, Component, Computer, Robot
-from poise.session.start import Sampling, started
+from poise.session.launch.start import Sampling, started
 from poise.wire.records.samples import AgentSample
 
 QUOTA = 0.3

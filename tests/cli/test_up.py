@@ -24,7 +24,7 @@ from poise.manage.journal import Journal
 from poise.manage.migration.transition import plan_transition
 from poise.manage.migration.transition_run import transit
 from poise.model import load
-from poise.session.start import started
+from poise.session.launch.start import started
 from tests.command import robot_up, run_poise
 from tests.runtime.conftest import free_port
 from tests.waiting import wait_long, wait_until

@@ -12,7 +12,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from poise.cli.commands import COMMANDS, build
+from poise.cli.command_table import COMMANDS, build
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [

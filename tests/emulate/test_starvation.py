@@ -31,11 +31,9 @@ class Half:
         """Return what was set."""
         return Usage(used=self.used, starved=self.starved)
 
-    def was_starved(
-        self, before: Usage, after: Usage, *, strictly: bool = False
-    ) -> bool:
+    def was_starved(self, before: Usage, after: Usage) -> bool:
         """Return the real judgement."""
-        return is_starved(before, after, 1.0 if strictly else 0.5)
+        return is_starved(before, after, 0.5)
 
 
 def test_short_starvation_is_not_lost_in_a_long_run() -> None:
@@ -71,14 +69,3 @@ def test_last_window_counts_though_it_is_short() -> None:
     computer.starved += 0.25
     assert watch.end() == {"only": 0.25}
     assert watch.end() == {"only": 0.25}
-
-
-def test_strictly_a_computer_may_not_wait_although_it_is_fast_enough() -> None:
-    """It ran for 0.4 s and waited for 0.3 s: more than half a core's speed."""
-    clock, computer = Time(), Half()
-    lenient = StarvationWatch({"only": computer}, clock)
-    strict = StarvationWatch({"only": computer}, clock, strictly=True)
-    clock.sleep(1.0)
-    computer.used, computer.starved = 0.4, 0.3
-    assert lenient.end() == {}
-    assert strict.end() == {"only": 1.0}

@@ -54,6 +54,16 @@ def test_estimates_mean_and_error_of_a_steady_load() -> None:
     assert (estimate.starved, estimate.drift) == (0.0, None)
 
 
+def test_needs_no_less_than_nothing() -> None:
+    """A call that is ended by its callee takes its CPU time away from the caller."""
+    running = RunningEstimate()
+    for at, cpu in ((0.0, 5.0), (1.0, 4.99)):
+        running.update(Reading(at, cpu))
+    found = running.estimate()
+    assert found is not None
+    assert found.mean == 0.0
+
+
 def test_looks_back_no_further_than_its_span() -> None:
     """A slow change is followed: after the span, what was before does not count."""
     running = RunningEstimate()

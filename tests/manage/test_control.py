@@ -80,6 +80,25 @@ def test_returns_the_managers_result(server: ControlServer) -> None:
     assert command == StopCommand()
 
 
+def test_a_status_says_that_the_robot_starts(server: ControlServer) -> None:
+    with pytest.raises(RunError, match=r"'first' has been starting since \d\d:"):
+        send_command("first", StatusCommand())
+    with ThreadPoolExecutor() as threads:
+        waiting = threads.submit(send_command, "first", StopCommand())
+        server.start(answering(StopReport()))
+        assert waiting.result(LIMIT) == StopReport()
+
+
+def test_who_waits_for_the_start_is_told_when_it_fails(folder: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as client:
+        with ControlServer("first") as server:
+            client.connect(str(folder / "first.sock"))
+            record_channel.send(client, ControlRequest(StopCommand()))
+            wait_until(lambda: bool(server._threads), LIMIT)
+        answer = record_channel.receive(client, ControlResponse).result
+    assert answer == Refusal("robot 'first' did not start", "RunError")
+
+
 def test_a_status_overtakes_a_move(server: ControlServer) -> None:
     manager = Manager()
     server.start(manager.submit)

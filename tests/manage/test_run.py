@@ -67,9 +67,11 @@ def test_a_component_that_fails_ends_the_start_with_its_traceback(
         name="grabber", state="failed", error="Traceback: no camera"
     )
     run, journal = run_of(robot, agents)
-    with pytest.raises(RunError, match="component 'grabber' failed:\nTraceback: no"):
+    with pytest.raises(
+        RunError, match="component 'grabber' on 'left' failed:\nTraceback: no"
+    ):
         run.start()
-    assert journal.entries()[-1].what == "component 'grabber' failed"
+    assert journal.entries()[-1].what == "component 'grabber' on 'left' failed"
 
 
 def test_what_is_not_there_in_time_is_named(robot: Robot, agents: FakeAgents) -> None:

@@ -4,7 +4,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise import plan
-from poise.errors import RobotError
+from poise.errors import RobotError, UsageError
 from poise.model.robot import (
     Action,
     Architecture,
@@ -136,7 +136,7 @@ def test_says_which_pins_contradict(robot: Robot) -> None:
 
 
 def test_says_which_task_or_function_is_unknown(robot: Robot) -> None:
-    with pytest.raises(RobotError, match=r"no task 'dance' \(its tasks: fetch\)"):
+    with pytest.raises(UsageError, match=r"no task 'dance' \(its tasks: fetch\)"):
         plan.problem_of(robot, "dance")
     with pytest.raises(RobotError, match="'dance'"):
         plan.problem_of(robot, functions=("dance",))

@@ -19,7 +19,7 @@ from poise.runtime.agent.container_processes import ContainerProcess
 from poise.runtime.agent.watchdog import Silence
 from poise.runtime.hosting.computer_clock import ComputerClock
 from poise.runtime.waker import wait_readable
-from poise.session.start import Sampling, started
+from poise.session.launch.start import Sampling, started
 from poise.wire import record_channel
 from poise.wire.control_session import open_session
 from poise.wire.records.clocks import Clocks, ClockStatus

@@ -94,3 +94,32 @@ def test_processes_that_the_code_starts_end_with_the_check(
         f"open({str(started)!r}, 'w').write(str(pid))\n"
     )
     assert has_ended(int(started.read_text()))
+
+
+def test_an_import_that_fails_is_one_problem_for_all_who_need_it(check: Check) -> None:
+    one, *others = check("import no_such_module\n", "a", "b", "c")
+    assert "no_such_module" in one
+    assert one.endswith("(component 'a', and for the same reason 'b', 'c')")
+    assert len(others) == 1  # `good:Absent`
+
+
+def test_modules_that_share_a_broken_one_have_one_problem(tmp_path: Path) -> None:
+    (tmp_path / "shared.py").write_text("1 / 0\n")
+    (tmp_path / "other.py").write_text("import shared\n")
+    robot = Robot(
+        name="r",
+        folder=str(tmp_path),
+        architectures=(
+            Architecture(
+                name="x",
+                function="f",
+                components=tuple(
+                    Component(name=n, implementation=f"{n}:Any")
+                    for n in ("shared", "other")
+                ),
+            ),
+        ),
+    )
+    (finding,) = check_code_isolated(robot, LIMIT)
+    assert "ZeroDivisionError" in finding.message
+    assert "and for the same reason 'other'" in finding.message

@@ -111,3 +111,8 @@ def test_a_port_that_got_nothing_says_why() -> None:
 def test_a_port_that_got_a_message_is_not_silent() -> None:
     ends = (source(TOPIC, 4), target(TOPIC, 1))
     assert silent_ports(robot(IMAGES), statuses(BRAIN, EYE, connectors=ends)) == ()
+
+
+def test_a_provided_port_without_calls_is_silent_where_that_is_asked() -> None:
+    silent = silent_ports(robot(IMAGES), statuses(EYE), ["brain.advise"])
+    assert [each.port for each in silent] == ["brain.advise"]

@@ -90,6 +90,13 @@ def test_a_placement_shows_where_components_are() -> None:
         assert "left" in text
 
 
+def test_a_wrong_name_is_a_wrong_argument() -> None:
+    with pytest.raises(poise.UsageError, match="'hello' has no task 'dance'"):
+        poise.place(hello(), "dance")
+    with pytest.raises(poise.UsageError, match=r"no method 'fast' .*, static\)"):
+        poise.place(hello(), method="fast")
+
+
 def test_what_fits_nowhere_says_why_and_does_not_run() -> None:
     robot = hello()
     small = Computer(name="left", capacity={"cpu": 0.1, "memory": 1.0})

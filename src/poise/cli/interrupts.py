@@ -1,7 +1,8 @@
-"""What Ctrl-C, SIGTERM and SIGHUP do to a command."""
+"""What Ctrl-C, SIGTERM and SIGHUP do to a command. No handler raises anything."""
 
 from __future__ import annotations
 
+import os
 import signal
 from types import FrameType, TracebackType
 from typing import Self
@@ -9,30 +10,44 @@ from typing import Self
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-class Interrupts:
-    """Ends a command on a signal: at once, or where nothing can be left half done.
+def end_at_once() -> None:
+    """Let each signal end this process with its exit code: nothing has begun.
 
-    Inside its ``with`` block a signal is only noted: `check` raises it where the
-    command waits; at the end of the block the command ends with its exit code. The
-    second signal is ignored, as it must not cut clean-up short.
+    SIGHUP stays ignored where it is, as under `nohup`.
+    """
+    for number in _ENDING:
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, _end)
+
+
+def _end(number: int, _frame: FrameType | None) -> None:
+    os._exit(128 + number)
+
+
+class Interrupts:
+    """Notes signals inside its ``with`` block, at whose end the command ends.
+
+    `check` raises KeyboardInterrupt where the command waits. A second signal does
+    nothing, as it must not cut clean-up short.
     """
 
     def __init__(self) -> None:
         self.number = 0
-        self._is_noted_only = False
-
-    def install(self) -> None:
-        """Handle the signals from now on."""
-        for number in _ENDING:
-            signal.signal(number, self._on_signal)
 
     def check(self) -> None:
         """Raise KeyboardInterrupt if a signal came."""
         if self.number:
             raise KeyboardInterrupt
 
+    def has_come(self) -> bool:
+        """Return whether a signal came."""
+        return self.number != 0
+
     def __enter__(self) -> Self:
-        self._is_noted_only = True
+        self._before = {number: signal.getsignal(number) for number in _ENDING}
+        for number, handler in self._before.items():
+            if handler != signal.SIG_IGN:
+                signal.signal(number, self._note)
         return self
 
     def __exit__(
@@ -41,17 +56,10 @@ class Interrupts:
         error: BaseException | None,
         _traceback: TracebackType | None,
     ) -> None:
-        self._is_noted_only = False
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
         if self.number:
             raise SystemExit(128 + self.number) from error
 
-    def _on_signal(self, number: int, _frame: FrameType | None) -> None:
-        if self.number:
-            return
-        self.number = number
-        if not self._is_noted_only:  # nothing has begun
-            raise SystemExit(128 + number)
-
-
-interrupts = Interrupts()
-"""Those of this process."""
+    def _note(self, number: int, _frame: FrameType | None) -> None:
+        self.number = self.number or number

@@ -1,13 +1,68 @@
-"""The entry of `poise`: installs signal handlers first, then imports the rest."""
+"""The entry of `poise`: runs a command, and turns what it raises into an exit code."""
 
 from __future__ import annotations
 
-from poise.cli.interrupts import interrupts
+import errno
+import os
+import sys
+from typing import TYPE_CHECKING, NoReturn, cast
+
+from poise.cli.interrupts import end_at_once
+
+if TYPE_CHECKING:
+    from poise.errors import PoiseError
 
 
 def main() -> None:
     """Run the command line; docs/command-line.md says the exit codes."""
-    interrupts.install()
-    from poise.cli.commands import run
+    end_at_once()  # before anything is imported that takes long
+    import typer
 
-    run()
+    from poise.cli.command_table import build
+    from poise.errors import PoiseError, RunError, UsageError
+
+    words = sys.argv[1:]
+    completed = os.environ.get("_TYPER_COMPLETE_ARGS", "").split()[1:]
+    # all that typer raises for arguments that it refuses has this base
+    misuse = cast(tuple[type[typer.BadParameter], ...], typer.BadParameter.__bases__)
+    try:
+        app = build(completed or words)
+        sys.exit(app(prog_name="poise", standalone_mode="--json" not in words))
+    except misuse as error:
+        _fail(UsageError(error.format_message()), 2)
+    except UsageError as error:
+        _fail(error, 2)
+    except PoiseError as error:
+        _fail(error, 1)
+    except BrokenPipeError:
+        # The reader, such as `head`, has seen enough.
+        sys.stderr.close()
+        sys.exit(1)
+    except OSError as error:
+        is_disk_full = error.errno in {errno.ENOSPC, errno.EDQUOT}
+        if error.filename is None and not is_disk_full:
+            raise
+        _fail(RunError(f"{error.filename or 'a result'}: {error.strerror}"), 1)
+
+
+def _fail(error: PoiseError, code: int) -> NoReturn:
+    sys.stderr.write(f"{error}\n")
+    if "--json" in sys.argv:
+        _print_error(error)
+    sys.exit(code)
+
+
+def _print_error(error: PoiseError) -> None:
+    import json
+
+    import msgspec
+
+    from poise.errors import RobotError
+
+    problems = error.problems if isinstance(error, RobotError) else ()
+    answer = {
+        "error": str(error),
+        "kind": type(error).__name__,
+        "problems": msgspec.to_builtins(problems),
+    }
+    sys.stdout.write(json.dumps(answer, indent=2) + "\n")

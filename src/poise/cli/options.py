@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
+import msgspec
 import typer
 
 from poise.errors import UsageError
@@ -20,6 +22,12 @@ Method = Annotated[
     Literal["auto", "static"],
     typer.Option("--placement", help="auto: Poise decides; static: home computers."),
 ]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")]
+
+
+def print_json(outcome: object) -> None:
+    """Print one JSON object."""
+    sys.stdout.write(msgspec.json.encode(outcome).decode() + "\n")
 
 
 def parse_option(option: str, text: str, dimension: Dimension) -> float:

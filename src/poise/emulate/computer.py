@@ -121,18 +121,9 @@ class EmulatedComputer:
         stolen = stolen_time(self.limits.cpus) - self._stolen
         return msgspec.structs.replace(usage, starved=usage.starved + stolen)
 
-    def was_starved(
-        self, before: Usage, after: Usage, *, strictly: bool = False
-    ) -> bool:
-        """Return whether the host starved it (`is_starved`).
-
-        Parameters
-        ----------
-        strictly
-            Promise it the full speed of its CPUs while it is not throttled.
-        """
-        cpus = len(self.limits.cpus)
-        return is_starved(before, after, cpus if strictly else self.limits.quota, cpus)
+    def was_starved(self, before: Usage, after: Usage) -> bool:
+        """Return whether the host starved it (`is_starved`)."""
+        return is_starved(before, after, self.limits.quota, len(self.limits.cpus))
 
     def _environment(self) -> dict[str, str]:
         return {

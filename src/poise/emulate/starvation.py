@@ -19,7 +19,7 @@ class Watched(Protocol):
         """Return what it has used since it was made."""
         ...
 
-    def was_starved(self, before: Usage, after: Usage, *, strictly: bool) -> bool:
+    def was_starved(self, before: Usage, after: Usage) -> bool:
         """Return whether the host made it slower than promised between the two."""
         ...
 
@@ -31,15 +31,9 @@ class StarvationWatch:
     ----------
     computers
         By name; the first window begins at once.
-    strictly
-        Whether a computer is starved whenever it waits for others, not only when that
-        makes it slower than the robot file says.
     """
 
-    def __init__(
-        self, computers: Mapping[str, Watched], clock: Clock, *, strictly: bool = False
-    ) -> None:
-        self._strictly = strictly
+    def __init__(self, computers: Mapping[str, Watched], clock: Clock) -> None:
         self._computers = computers
         self._clock = clock
         self._starved: dict[str, float] = {}
@@ -63,7 +57,7 @@ class StarvationWatch:
         now, after = self._clock.now(), self._usages()
         for name, computer in self._computers.items():
             before = self._before[name]
-            if computer.was_starved(before, after[name], strictly=self._strictly):
+            if computer.was_starved(before, after[name]):
                 lasted = now - self._since
                 self._starved[name] = self._starved.get(name, 0.0) + lasted
         self._since, self._before = now, after

@@ -121,7 +121,7 @@ class RunningEstimate:
             error = None if demand.error is None else error + demand.error
         cut = sum(w.is_cut for w in self._windows) / len(self._windows)
         return Estimate(
-            mean=demand.cores,
+            mean=max(0.0, demand.cores),  # `Window` says why it may be below
             p95=quantile(loads, 0.95),
             error=error,
             starved=self._sums.undone or cut,

@@ -101,7 +101,10 @@ def unprocessed(run: Run, targets: Collection[str]) -> dict[str, int]:
 
 
 def _left(ends: Iterable[ConnectorStatus]) -> int:
-    """Return how many messages a connector's target has not processed."""
+    """Return how many messages a connector's target has neither processed nor refused.
+
+    Errors of a target that waits for messages are refusals.
+    """
     sent = max((e.messages - e.drops for e in ends if e.end != "target"), default=0)
-    taken = sum(e.wait.count + e.drops for e in ends if e.end != "source")
+    taken = sum(e.wait.count + e.drops + e.errors for e in ends if e.end != "source")
     return sent - taken

@@ -365,12 +365,12 @@ class Run:
 
     def _raise_on_trouble(self) -> bool:
         self.look()
-        for component in components_of(self.agents.statuses()):
-            if component.state == "failed":
-                self.journal.note("failed", f"component '{component.name}' failed")
-                raise RunError(
-                    f"component '{component.name}' failed:\n{component.error}"
-                )
+        for computer, status in self.agents.statuses().items():
+            for component in components_of({computer: status}):
+                if component.state == "failed":
+                    what = f"component '{component.name}' on '{computer}' failed"
+                    self.journal.note("failed", what)
+                    raise RunError(f"{what}:\n{component.error}")
         return False
 
     def raise_on_unreached(self, incarnations: Iterable[Incarnation]) -> None:

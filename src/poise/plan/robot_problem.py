@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 
-from poise.errors import RobotError
+from poise.errors import RobotError, UsageError
 from poise.model import robot as model
 from poise.plan.problem import Bundle, Edge, Item, LinkCapacity, Problem
 from poise.plan.solvers.alternatives import needs, part
@@ -37,8 +37,10 @@ def problem_of(
     Raises
     ------
     RobotError
-        When the task or a function is not there, or a component can run nowhere;
-        the message lists all.
+        When a function is not there, or a component can run nowhere; the message lists
+        all.
+    UsageError
+        When there is no such task.
     """
     chosen = _architectures(robot, task, functions)
     faults: list[str] = []
@@ -103,7 +105,7 @@ def _architectures(
         known = [t.name for t in robot.tasks]
         if task not in known:
             choices = ", ".join(known) or "none"
-            raise RobotError(
+            raise UsageError(
                 f"robot {robot.name!r} has no task {task!r} (its tasks: {choices})"
             )
         functions = robot.task(task).functions

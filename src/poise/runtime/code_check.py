@@ -5,7 +5,8 @@ The code is imported, so this is a second step after `poise.model.load`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import traceback
+from collections.abc import Callable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from typing import Any
 
@@ -19,7 +20,7 @@ from poise.model.check.workload import check_generated
 from poise.model.robot import Component, PortKind, Robot
 from poise.model.yaml.positions import Finding, Path
 from poise.runtime.component.fingerprint import fingerprint
-from poise.runtime.component.implementation import find, find_type
+from poise.runtime.component.implementation import find, find_type, load_module
 from poise.runtime.component.ports import (
     Port,
     is_oneway,
@@ -32,6 +33,8 @@ from poise.runtime.migration.state_check import check_state
 from poise.wire.codec import codec
 
 _Known = dict[str, dict[str, KnownPort]]
+_BrokenImport = tuple[Path, str, RobotError]
+"""The component in the robot file, its name, and why its module is not imported."""
 
 
 def check_code(
@@ -55,10 +58,18 @@ def check_code(
     findings: list[Finding] = []
     known: _Known = {}
     reentrant: set[str] = set()
+    broken: dict[object, list[_BrokenImport]] = {}
     for path, _, component in components(robot):
         if component.name in skipped:
             continue
         begin(component.name)
+        module = component.implementation.partition(":")[0]
+        try:
+            if module:
+                load_module(module, robot.folder)
+        except RobotError as error:
+            broken.setdefault(_origin(error), []).append((path, component.name, error))
+            continue
         try:
             ports = dict(_ports(path, component, robot.folder))
         except _WrongCode as error:
@@ -70,11 +81,29 @@ def check_code(
                 code = find(component.implementation, robot.folder)
                 reentrant |= {component.name} if code.reentrant else set()
     begin("")
+    findings += map(_import_finding, broken.values())
     findings += check_ports(robot, known)
     findings += check_required(robot, known)
     findings += check_cycles(robot, known, reentrant)
     findings += check_generated(robot, known)
     return findings
+
+
+def _origin(error: RobotError) -> object:
+    """Return the line that made an import fail: the same for all who import it."""
+    cause = error.__cause__
+    if cause is None:
+        return str(error)
+    (*_, (frame, line)) = traceback.walk_tb(cause.__traceback__)
+    return type(cause), str(cause), frame.f_code.co_filename, line
+
+
+def _import_finding(same: Sequence[_BrokenImport]) -> Finding:
+    """Return one finding for all components whose imports fail at one line."""
+    path, name, error = same[0]
+    others = ", ".join(f"'{other}'" for _, other, _ in same[1:])
+    of = f" (component '{name}', and for the same reason {others})" if others else ""
+    return Finding((*path, "implementation"), f"{error}{of}")
 
 
 class _WrongCode(Exception):

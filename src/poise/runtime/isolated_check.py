@@ -22,6 +22,7 @@ from poise.errors import RunError
 from poise.model.check.paths import components
 from poise.model.robot import Robot
 from poise.model.yaml.positions import Finding
+from poise.runtime.hosting.command_line import die_with_parent
 
 IMPORT_LIMIT = 60.0
 """How long the code of one component may take to be imported [s]."""
@@ -99,6 +100,8 @@ def _check(
             stdout=_STDERR,
             pass_fds=(writer,),
             start_new_session=True,
+            # safe beside other threads: it takes no lock that one of them may hold
+            preexec_fn=die_with_parent,  # noqa: PLW1509
         )
         inherited.close()
         try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from msgspec import Struct
 
@@ -82,7 +82,7 @@ def refused_messages(statuses: Statuses) -> dict[str, int]:
 
 
 class SilentPort(Struct, frozen=True, kw_only=True):
-    """A subscribed port that got no message.
+    """A port that got no message, or no call.
 
     Parameters
     ----------
@@ -100,25 +100,33 @@ class SilentPort(Struct, frozen=True, kw_only=True):
         return f"port {self.port} got no message: {self.reason}"
 
 
-def silent_ports(robot: Robot, statuses: Statuses) -> tuple[SilentPort, ...]:
-    """Return the subscribed ports to which no message came since the start."""
+def silent_ports(
+    robot: Robot, statuses: Statuses, also: Iterable[str] = ()
+) -> tuple[SilentPort, ...]:
+    """Return the subscribed ports to which no message came since the start.
+
+    Parameters
+    ----------
+    also
+        Provided ports, as component.port, to which no call may have come.
+    """
     running = {component.name for component in components_of(statuses)}
     came: dict[str, int] = {}
     sent: dict[str, int] = {}
     for end in connectors_of(statuses):
+        count = end.messages + end.calls
         if end.end != "source":
-            came[end.name] = came.get(end.name, 0) + end.messages
+            came[end.name] = came.get(end.name, 0) + count
         if end.end != "target":
-            sent[end.name] = max(sent.get(end.name, 0), end.messages)
+            sent[end.name] = max(sent.get(end.name, 0), count)
+    topics = [f"{c.name}.{p}" for c in components_of(statuses) for p in c.subscribes]
     found = []
-    for component in components_of(statuses):
-        for port in component.subscribes:
-            name = f"{component.name}.{port}"
-            leads = [c for c in robot.all_connectors() if str(c.between[1]) == name]
-            if not any(came.get(name_of(connector)) for connector in leads):
-                reasons = [_reason(connector, running, sent) for connector in leads]
-                reason = "; ".join(reasons) or "no connector leads to it"
-                found.append(SilentPort(port=name, reason=reason))
+    for name in dict.fromkeys([*topics, *also]):
+        leads = [c for c in robot.all_connectors() if str(c.between[1]) == name]
+        if not any(came.get(name_of(connector)) for connector in leads):
+            reasons = [_reason(connector, running, sent) for connector in leads]
+            reason = "; ".join(reasons) or "no connector leads to it"
+            found.append(SilentPort(port=name, reason=reason))
     return tuple(found)
 
 

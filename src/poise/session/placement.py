@@ -8,10 +8,14 @@ from msgspec import Struct
 from rich.console import RenderableType
 
 from poise import plan
-from poise.errors import RobotError
+from poise.errors import RobotError, UsageError
 from poise.model.robot import Robot
+from poise.plan.solvers.portfolio import METHODS as SOLVERS
 from poise.session.render.plan import plan_parts
 from poise.session.render.shown import Shown
+
+METHODS = (*SOLVERS, "static")
+"""What may decide; ``static`` is the robot file."""
 
 
 class Placement(Shown, Struct, frozen=True, kw_only=True):
@@ -99,9 +103,12 @@ def place(
 
     Raises
     ------
+    UsageError
+        There is no such task or method.
     RobotError
-        There is no such task, or an architecture has no home.
+        A component can run nowhere, or an architecture has no home.
     """
+    check_method(method)
     problem = plan.problem_of(robot, task)
     if method == "static":
         static = plan.static(robot, problem)
@@ -109,6 +116,12 @@ def place(
     else:
         result = plan.solve(problem, budget, method, seed, fewer=fewer)
     return Placement(task=task, method=method, problem=problem, result=result)
+
+
+def check_method(method: str) -> None:
+    """Raise UsageError when there is no such method to decide."""
+    if method not in METHODS:
+        raise UsageError(f"no method '{method}' (there are: {', '.join(METHODS)})")
 
 
 def runnable(robot: Robot, task: str, placement: Placement | None) -> Placement:

@@ -23,10 +23,10 @@ from poise.session.failures import (
     refused_messages,
     silent_ports,
 )
+from poise.session.launch.start import Started
 from poise.session.placement import Placement
 from poise.session.render.report import report_parts
 from poise.session.render.shown import Shown
-from poise.session.start import Started
 from poise.wire.records.clocks import ClockStatus
 from poise.wire.records.deployment import (
     AgentStatus,
@@ -270,7 +270,7 @@ def _component(
     return ComponentReport(
         name=component.name,
         computer=computer,
-        cpu=(component.cpu - before) / seconds if seconds > 0 else 0.0,
+        cpu=max(0.0, component.cpu - before) / seconds if seconds > 0 else 0.0,
         errors=component.errors,
         timers=component.timers,
         measures=component.measures,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from os import PathLike
 from pathlib import Path
 
-from poise import model
 from poise.errors import Problem, RobotError
 from poise.model.load import load_source
 from poise.model.robot import Robot
@@ -27,11 +26,10 @@ def check(file: str | PathLike[str]) -> tuple[Problem, ...]:
     Problems, each with file, line, column and what is wrong there.
     """
     try:
-        source = load_source(Path(file))
+        load_bare(file)
     except RobotError as error:
         return error.problems
-    findings = check_code_isolated(source.robot)
-    return tuple(sorted(source.positions.problem(f) for f in findings))
+    return ()
 
 
 def load(file: str | PathLike[str], *, say: Say = log.info) -> Robot:
@@ -63,9 +61,10 @@ def load_bare(file: str | PathLike[str]) -> Robot:
     RobotError
         The file or its code is wrong; `problems` has all that was found.
     """
-    if problems := check(file):
-        raise RobotError(problems=problems)
-    return model.load(Path(file))
+    source = load_source(Path(file))
+    if findings := check_code_isolated(source.robot):
+        raise RobotError(problems=sorted(map(source.positions.problem, findings)))
+    return source.robot
 
 
 def task_of(robot: Robot, task: str | None) -> str:

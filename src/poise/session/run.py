@@ -11,14 +11,12 @@ from poise.manage.drain import drain
 from poise.manage.journal import Journal
 from poise.manage.run import Run
 from poise.model.robot import Robot
+from poise.session.launch.start import Sampling, Started, started
 from poise.session.placement import Placement, runnable
 from poise.session.recordings.record_run import keeping
 from poise.session.report import Measured, RunReport, reported
 from poise.session.robot_file import task_of
 from poise.session.say import Check, Say, log, nothing
-from poise.session.start import Sampling, Started, started
-
-_STEP = 0.2
 
 Meanwhile = Callable[[Run, float], object]
 """Called a few times a second with the run and its time so far [s]; may move
@@ -34,7 +32,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     journal: Path | None = None,
     record: Path | None = None,
     say: Say = log.info,
-    meanwhile: Meanwhile | None = None,
+    meanwhile: Meanwhile = lambda *_: None,
     check: Check = nothing,
 ) -> RunReport:
     """Run a task for some time, or until the simulated world ends, and report.
@@ -86,12 +84,12 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         return reported(up, placed, chosen, seen)
 
 
-def _measure(up: Started, seconds: float, meanwhile: Meanwhile | None) -> Measured:
+def _measure(up: Started, seconds: float, meanwhile: Meanwhile) -> Measured:
     up.computers.begin()
     begin, began = up.run.agents.statuses(), time.monotonic()
     interrupted = False
     try:
-        _watch(up, began, seconds, meanwhile)
+        up.watch(seconds, lambda _: meanwhile(up.run, time.monotonic() - began))
     except KeyboardInterrupt:
         interrupted = True
     return Measured(
@@ -101,15 +99,3 @@ def _measure(up: Started, seconds: float, meanwhile: Meanwhile | None) -> Measur
         invalid=up.computers.end(),
         interrupted=interrupted,
     )
-
-
-def _watch(
-    up: Started, began: float, seconds: float, meanwhile: Meanwhile | None
-) -> None:
-    while (left := began + seconds - time.monotonic()) > 0:
-        up.run.watch(min(left, _STEP))
-        up.computers.look()
-        if meanwhile is not None:
-            meanwhile(up.run, time.monotonic() - began)
-        if up.world is not None and up.world.has_ended():
-            return

@@ -25,10 +25,26 @@ from poise.manage.control_socket.records import (
 )
 from poise.manage.migration.move import MoveReport
 from poise.manage.migration.replacement import ReplaceReport
+from poise.session.render.moves import Outcome, outcome_sentence
 from poise.session.render.shown import Shown
 from poise.session.render.status import status_parts
 
 R = TypeVar("R", bound=Result)
+M = TypeVar("M", bound=MoveReport | ReplaceReport)
+
+
+class RolledBack(RunError):
+    """A move, a replacement or a new balance failed, and all goes on as before.
+
+    Parameters
+    ----------
+    outcome
+        How it went.
+    """
+
+    def __init__(self, message: str, outcome: Outcome) -> None:
+        super().__init__(message)
+        self.outcome = outcome
 
 
 class Status(Shown, RobotStatus, frozen=True, tag="RobotStatus", kw_only=True):
@@ -69,13 +85,11 @@ class Running:
 
         Raises
         ------
-        RunError
+        RolledBack
             It failed; the component goes on where it was.
         """
         report = self._send(MoveCommand(component, computer, force), Moved).report
-        if not report.committed:
-            raise RunError(f"{component} stays on {report.source}: {report.reason}")
-        return report
+        return _committed(report)
 
     def replace(
         self, what: str, by: str, *, adapt: str = "", fresh: bool = False
@@ -95,7 +109,7 @@ class Running:
 
         Raises
         ------
-        RunError
+        RolledBack
             It failed; all goes on as before.
         """
         command = ReplaceCommand(what, by, adapt, fresh)
@@ -104,9 +118,7 @@ class Running:
             report = self._send(command, Moved).report
         else:
             report = self._send(command, Replaced).report
-        if not report.committed:
-            raise RunError(f"{what} is not replaced: {report.reason}")
-        return report
+        return _committed(report)
 
     def balance(self, *, cost: float = 0.01, dry_run: bool = False) -> Rebalanced:
         """Place the robot again, from what its components need now.
@@ -120,12 +132,12 @@ class Running:
 
         Raises
         ------
-        RunError
+        RolledBack
             A move failed; everything is where it was.
         """
         answer = self._send(RebalanceCommand(cost, dry_run), Rebalanced)
         if answer.report is not None and not answer.report.committed:
-            raise RunError(f"the robot is as before: {answer.report.reason}")
+            raise RolledBack(f"rolled back: {answer.report.reason}", answer)
         return answer
 
     def stop(self) -> None:
@@ -145,6 +157,12 @@ class Running:
         if not isinstance(result, type_):
             raise RunError(f"the manager answered {result!r} to {command!r}")
         return result
+
+
+def _committed(report: M) -> M:
+    if not report.committed:
+        raise RolledBack(outcome_sentence(report), report)
+    return report
 
 
 def connect(name: str | None = None) -> Running:

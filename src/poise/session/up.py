@@ -20,13 +20,12 @@ from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.prometheus import MetricsServer
 from poise.manage.observe.recording import Recording, save
 from poise.model.robot import Robot
-from poise.session.computers import Computers
+from poise.session.launch.start import Sampling, Started, started
 from poise.session.placement import Placement, runnable
 from poise.session.profiles import read_profile
 from poise.session.robot_file import task_of
 from poise.session.running import Running
 from poise.session.say import Check, Say, log, nothing
-from poise.session.start import Sampling, Started, started
 from poise.wire.records.recorded import Recorded
 from poise.wire.records.samples import AgentSample
 
@@ -38,13 +37,63 @@ _END_LIMIT = 60.0
 """What the manager has begun, such as a move, ends within this time [s]."""
 
 
-class Up(Running):
-    """A robot that this process keeps up."""
+class Samples:
+    """Takes what agents say of what is used."""
 
-    def __init__(self, name: str, keeper: _Keeper, computers: Computers) -> None:
-        super().__init__(name)
-        self._keeper = keeper
-        self._computers = computers
+    def __init__(
+        self, estimates: Estimates, recording: Recording | None, say: Say
+    ) -> None:
+        self._estimates = estimates
+        self._recording = recording
+        self._say = say
+        self._has_ended = False
+
+    def end(self) -> None:
+        """Take no more: without a simulated world sensors are silent."""
+        if not self._has_ended:
+            self._has_ended = True
+            self._say("the simulated world has ended: estimates stay as they are")
+
+    def take(self, sample: AgentSample) -> None:
+        """Estimate, keep, and say when a demand has shifted."""
+        if self._has_ended:
+            return
+        if self._recording is not None:
+            self._recording.add(sample)
+        for name, drift in self._estimates.take(sample):
+            self._say(
+                f"'{name}' needs {drift.after:.1%} of a core now, "
+                f"{drift.before:.1%} before"
+            )
+
+
+class Up(Running):
+    """A robot that this process keeps up: its manager works on a thread of its own."""
+
+    def __init__(self, started: Started, manager: Manager, samples: Samples) -> None:
+        super().__init__(started.run.robot.name)
+        self._started = started
+        self._manager = manager
+        self._samples = samples
+        self._error: Exception | None = None
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._main, name="manager", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        _type: type[BaseException] | None,
+        error: BaseException | None,
+        _traceback: TracebackType | None,
+    ) -> None:
+        self._manager.submit(StopCommand())
+        if not self._ended.wait(_END_LIMIT):
+            raise RunError(f"the manager was still busy after {_END_LIMIT:g} s")
+        if error is None:
+            self.wait(0.0)
 
     @property
     def emulated(self) -> Mapping[str, EmulatedComputer]:
@@ -53,7 +102,7 @@ class Up(Running):
         ``running.emulated["left"].popen(["stress", "--cpu", "1"])`` starts a program
         that competes with the robot's components.
         """
-        return self._computers.emulated
+        return self._started.computers.emulated
 
     def wait(self, seconds: float | None = None) -> bool:
         """Wait up to `seconds` [s] until the robot is stopped; return whether it is.
@@ -63,7 +112,28 @@ class Up(Running):
         RunError
             Something still runs, because its computer is out of reach.
         """
-        return self._keeper.wait(seconds)
+        has_ended = self._ended.wait(seconds)
+        if self._error is not None:
+            raise self._error
+        return has_ended
+
+    def _main(self) -> None:
+        try:
+            self._keep_up()
+        except Exception as error:  # noqa: BLE001, `wait` raises it
+            self._error = error
+        finally:
+            self._ended.set()
+
+    def _keep_up(self) -> None:
+        world = self._started.world
+        try:
+            while not self._manager.is_stopping:
+                self._manager.work(_LOOK_EVERY)
+                if world is not None and world.has_ended():
+                    self._samples.end()
+        finally:
+            self._manager.stop()
 
 
 @contextlib.contextmanager
@@ -145,9 +215,9 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         manager = Manager(
             it.run, chosen, estimates, waiting, samples.take, adapts=adapt
         )
-        keeper = stack.enter_context(_Keeper(it, manager, samples))
+        running = stack.enter_context(Up(it, manager, samples))
         server.start(manager.submit)
-        yield Up(robot.name, keeper, it.computers)
+        yield running
 
 
 def _telemetry() -> type[Telemetry]:
@@ -159,86 +229,3 @@ def _telemetry() -> type[Telemetry]:
             f"--otel needs OpenTelemetry: pip install 'poise[otel]' ({error})"
         ) from error
     return Telemetry
-
-
-class Samples:
-    """Takes what agents say of what is used."""
-
-    def __init__(
-        self, estimates: Estimates, recording: Recording | None, say: Say
-    ) -> None:
-        self._estimates = estimates
-        self._recording = recording
-        self._say = say
-        self._has_ended = False
-
-    def end(self) -> None:
-        """Take no more: without a simulated world sensors are silent."""
-        if not self._has_ended:
-            self._has_ended = True
-            self._say("the simulated world has ended: estimates stay as they are")
-
-    def take(self, sample: AgentSample) -> None:
-        """Estimate, keep, and say when a demand has shifted."""
-        if self._has_ended:
-            return
-        if self._recording is not None:
-            self._recording.add(sample)
-        for name, drift in self._estimates.take(sample):
-            self._say(
-                f"'{name}' needs {drift.after:.1%} of a core now, "
-                f"{drift.before:.1%} before"
-            )
-
-
-class _Keeper:
-    """Lets the manager work on a thread of its own inside the ``with`` block."""
-
-    def __init__(self, started: Started, manager: Manager, samples: Samples) -> None:
-        self._started = started
-        self._manager = manager
-        self._samples = samples
-        self._error: Exception | None = None
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._main, name="manager", daemon=True)
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self,
-        _type: type[BaseException] | None,
-        error: BaseException | None,
-        _traceback: TracebackType | None,
-    ) -> None:
-        self._manager.submit(StopCommand())
-        if not self._ended.wait(_END_LIMIT):
-            raise RunError(f"the manager was still busy after {_END_LIMIT:g} s")
-        if error is None:
-            self.wait(0.0)
-
-    def wait(self, seconds: float | None) -> bool:
-        """Wait up to `seconds` [s] for the stop; raise what went wrong with it."""
-        has_ended = self._ended.wait(seconds)
-        if self._error is not None:
-            raise self._error
-        return has_ended
-
-    def _main(self) -> None:
-        try:
-            self._keep_up()
-        except Exception as error:  # noqa: BLE001, `wait` raises it
-            self._error = error
-        finally:
-            self._ended.set()
-
-    def _keep_up(self) -> None:
-        world = self._started.world
-        try:
-            while not self._manager.is_stopping:
-                self._manager.work(_LOOK_EVERY)
-                if world is not None and world.has_ended():
-                    self._samples.end()
-        finally:
-            self._manager.stop()

@@ -198,3 +198,8 @@ def test_a_move_is_no_drift(robot: Robot, steady: Sampler, cpu: float) -> None:
     ]
     assert drifts == []
     assert estimates.demand_estimates()[0].estimate.mean == pytest.approx(0.1)
+
+
+def test_a_recording_on_a_full_disk_is_an_error() -> None:
+    with pytest.raises(RunError, match="/dev/full cannot be written: No space left"):
+        save(Recorded(robot="any", samples=[]), Path("/dev/full"))

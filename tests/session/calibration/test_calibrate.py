@@ -1,16 +1,28 @@
-"""What is measured on a busy computer is not believed."""
+"""What was measured is believed when it agrees with itself, whatever else ran."""
 
-from poise.session.calibration.calibrate import _waiting
-from poise.wire.records.deployment import Summary
+import pytest
+
+from poise.session.calibration.calibrate import _doubt
 
 
-def test_a_real_computer_is_busy_when_a_component_waits() -> None:
-    assert _waiting("arm", {"waited": Summary(mean=0.05)}) == ""
-    assert _waiting("arm", {"waited": Summary(mean=0.4)}) == (
-        "computer 'arm' was too busy: a component that wanted to run waited for 40% of "
-        "the time"
-    )
+@pytest.mark.parametrize(
+    ("slowest", "doubt"),
+    [
+        (96.0, ""),
+        (
+            80.0,
+            (
+                "the speed of computer 'arm' was not steady: the quickest runs of 4 "
+                "series differ by 25%"
+            ),
+        ),
+    ],
+)
+def test_a_speed_is_believed_when_its_quickest_runs_agree(
+    slowest: float, doubt: str
+) -> None:
+    assert _doubt("arm", (100.0, slowest, 99.0, 98.0)) == doubt
 
 
 def test_a_computer_without_a_score_was_too_busy() -> None:
-    assert _waiting("arm", {}) == "computer 'arm' was too busy to be measured"
+    assert _doubt("arm", ()) == "computer 'arm' was too busy to be measured"

@@ -11,6 +11,7 @@ import contextlib
 import os
 import socket
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future, wait
 from pathlib import Path
@@ -24,6 +25,7 @@ from poise.manage.control_socket.records import (
     ControlResponse,
     Refusal,
     Result,
+    StatusCommand,
 )
 from poise.wire import record_channel
 from poise.wire.codec import WireError
@@ -55,6 +57,12 @@ class ControlServer:
         self._is_closed = threading.Event()
         self._free = threading.Semaphore(MOST_CLIENTS)
         self._threads: set[threading.Thread] = set()
+        self._acceptor = threading.Thread(
+            target=self._accept, name="control", daemon=True
+        )
+        self._since = time.time()
+        self._submit: Submit | None = None
+        self._is_up = threading.Event()
         try:
             self._make_folder()
             self._listener = _listening(self._path)
@@ -65,16 +73,16 @@ class ControlServer:
             ) from error
 
     def __enter__(self) -> Self:
+        self._acceptor.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
     def start(self, submit: Submit) -> None:
-        """Serve clients from now on; those that came before have waited."""
-        threading.Thread(
-            target=self._accept, args=(submit,), name="control", daemon=True
-        ).start()
+        """Carry out commands from now on; all but statuses have waited for that."""
+        self._submit = submit
+        self._is_up.set()
 
     def close(self) -> None:
         """Serve no more clients, and let those that have their result take it."""
@@ -82,6 +90,8 @@ class ControlServer:
         self._is_closed.set()
         with contextlib.suppress(OSError):
             self._listener.shutdown(socket.SHUT_RDWR)  # which wakes `accept`
+        if self._acceptor.is_alive():
+            self._acceptor.join(_CLOSE_LIMIT)
         for thread in list(self._threads):
             thread.join(_CLOSE_LIMIT)
         self._listener.close()
@@ -100,7 +110,7 @@ class ControlServer:
             if not is_alive(left):
                 left.unlink(missing_ok=True)
 
-    def _accept(self, submit: Submit) -> None:
+    def _accept(self) -> None:
         while not self._is_closed.is_set():
             self._free.acquire()
             try:
@@ -108,16 +118,16 @@ class ControlServer:
             except OSError:  # it was closed
                 return
             thread = threading.Thread(
-                target=self._serve, args=(connection, submit), daemon=True
+                target=self._serve, args=(connection,), daemon=True
             )
             self._threads.add(thread)
             thread.start()
 
-    def _serve(self, connection: socket.socket, submit: Submit) -> None:
+    def _serve(self, connection: socket.socket) -> None:
         try:
             with connection, contextlib.suppress(WireError, RunError):
                 request = record_channel.receive(connection, ControlRequest)
-                result = self._result(connection, submit(request.command))
+                result = self._result(connection, request.command)
                 if result is not None:
                     record_channel.send(connection, ControlResponse(result))
         finally:
@@ -125,9 +135,21 @@ class ControlServer:
             self._free.release()
 
     def _result(
-        self, connection: socket.socket, future: Future[Result | Refusal]
+        self, connection: socket.socket, command: Command
     ) -> Result | Refusal | None:
         """Return the result once it is there; None when the client has left."""
+        if self._submit is None and isinstance(command, StatusCommand):
+            since = time.strftime("%H:%M:%S", time.localtime(self._since))
+            text = f"robot '{self._robot}' has been starting since {since}"
+            return Refusal(text, "RunError")
+        while not self._is_up.wait(_LOOK_EVERY) and not _has_left(connection):
+            if self._is_closed.is_set():
+                return Refusal(f"robot '{self._robot}' did not start", "RunError")
+        return self._submit and self._answer(connection, self._submit(command))
+
+    def _answer(
+        self, connection: socket.socket, future: Future[Result | Refusal]
+    ) -> Result | Refusal | None:
         while not wait([future], _LOOK_EVERY).done:
             if _has_left(connection):
                 future.cancel()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import msgspec
 
-from poise.errors import UsageError
+from poise.errors import RunError, UsageError
 from poise.wire.records.recorded import Recorded
 from poise.wire.records.samples import AgentSample
 
@@ -36,8 +36,19 @@ class Recording:
 
 
 def save(recorded: Recorded, path: Path) -> None:
-    """Write a recording to a file that `load` reads."""
-    path.write_bytes(msgspec.msgpack.encode(recorded))
+    """Write a recording to a file that `load` reads.
+
+    Raises
+    ------
+    RunError
+        It cannot be written, for instance because the disk is full.
+    """
+    try:
+        path.write_bytes(msgspec.msgpack.encode(recorded))
+    except OSError as error:
+        raise RunError(
+            f"the recording {path} cannot be written: {error.strerror}"
+        ) from error
 
 
 def load(path: Path) -> Recorded:

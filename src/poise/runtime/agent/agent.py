@@ -148,8 +148,9 @@ class Agent:
         RunError
             It cannot listen at its address, or the zygote ended.
         """
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, self._on_signal)
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            if signal.getsignal(number) != signal.SIG_IGN:  # as under `nohup`
+                signal.signal(number, self._on_signal)
         try:
             with ahead():  # zenoh's threads inherit that
                 self._run_in(self._setup)

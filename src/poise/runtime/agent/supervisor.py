@@ -138,8 +138,9 @@ class Supervisor:
         process.silence = silence if silence.reason else None
         if silence.reason:
             lasted = f"has not responded for {silence.seconds:.1f} s"
-            said = f"{lasted}: {silence.reason}. {silence.remedy}"
-            self.health.enter(silence.container, "unresponsive", silence.reason)
+            why = f"{silence.reason}. {silence.remedy}"
+            said = f"{lasted}: {why}"
+            self.health.enter(silence.container, "unresponsive", why)
         else:
             said = f"responds again, after {silence.seconds:.1f} s"
             self.health.enter(silence.container, "running")

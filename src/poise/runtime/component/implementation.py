@@ -62,7 +62,7 @@ def find_function(reference: str, folder: str = "") -> Callable[[Any], Any]:
 
 def _find_any(reference: str, folder: str) -> Any:  # noqa: ANN401, whatever it names
     module_name, _, path = reference.partition(":")
-    found: Any = _module(module_name, folder)
+    found: Any = load_module(module_name, folder)
     for name in path.split("."):
         if not hasattr(found, name):
             raise RobotError(_no_attribute(reference, found, name))
@@ -70,7 +70,8 @@ def _find_any(reference: str, folder: str) -> Any:  # noqa: ANN401, whatever it 
     return found
 
 
-def _module(name: str, folder: str) -> ModuleType:
+def load_module(name: str, folder: str) -> ModuleType:
+    """Import a module; RobotError, caused by what it raised, when that fails."""
     if folder and folder not in sys.path:
         sys.path.insert(0, folder)
         importlib.invalidate_caches()

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -15,17 +14,17 @@ from poise.estimate.profile import file as profile_file
 from poise.manage.journal import Journal
 from poise.manage.observe.recording import Recording
 from poise.model.robot import Robot
+from poise.runtime.workload.calibration import SCORES
 from poise.session.calibration.costs import costs_of
 from poise.session.calibration.robots import pairs, yardsticks
+from poise.session.launch.start import Sampling, started
 from poise.session.profiles import check_keepable, read_profile, store_of
 from poise.session.say import Check, nothing
-from poise.session.start import Sampling, Started, started
-from poise.wire.records.deployment import AgentStatus, Summary
+from poise.wire.records.deployment import AgentStatus
 
 _WARM_UP = 1.0
-_STEP = 0.2
-_MOST_WAITING = 0.1
-"""A real computer is busy when a component waits for this share of its time."""
+_SPREAD = 0.05
+"""The quickest runs of repeated measurements differ by at most this share."""
 
 
 class ComputerSpeed(Struct, frozen=True):
@@ -34,7 +33,7 @@ class ComputerSpeed(Struct, frozen=True):
     Parameters
     ----------
     loops
-        Work done per second of CPU time [1/s].
+        Work done per second of CPU time, when nothing disturbs it [1/s].
     speed
         Relative to the reference computer; None: it is emulated on this machine.
     """
@@ -133,49 +132,44 @@ def _speeds(
     bare, placement = yardsticks(robot)
     journal = Journal(":memory:")
     with started(bare, placement, journal, _silent, check=check) as up:
-        _watch(up, _WARM_UP)
-        up.computers.begin(strictly=True)
-        _watch(up, seconds)
-        busy = [up.computers.end()]
+        up.watch(_WARM_UP)
+        up.watch(seconds)
         measured = _measures(up.run.agents.statuses().values())
     if reference not in measured:
         raise RunError(f"'{reference}' was too busy to be measured; try again")
-    unit = measured[reference]["score"].median / robot.computer(reference).speed
-    speeds = {}
+    unit = max(measured[reference]) / robot.computer(reference).speed
+    speeds, doubts = {}, []
     for computer in robot.computers:
-        found = measured.get(computer.name, {})
-        loops = found["score"].median if found else 0.0
+        scores = measured.get(computer.name, ())
+        loops = max(scores, default=0.0)
         speeds[computer.name] = ComputerSpeed(
             loops, loops / unit if computer.address else None
         )
-        if computer.address:
-            busy.append(_waiting(computer.name, found))
-    return speeds, busy
+        doubts.append(_doubt(computer.name, scores))
+    return speeds, doubts
 
 
-def _measures(
-    statuses: Iterable[AgentStatus],
-) -> dict[str, Mapping[str, Summary]]:
-    """Return computer -> the measures of its yardstick, if it has some."""
+def _measures(statuses: Iterable[AgentStatus]) -> dict[str, tuple[float, ...]]:
+    """Return computer -> the largest score of each series of its yardstick."""
     return {
-        status.computer: component.measures
+        status.computer: tuple(component.measures[each].maximum for each in SCORES)
         for status in statuses
         for container in status.containers
         for component in container.components
-        if "score" in component.measures
+        if component.measures.keys() >= set(SCORES)
     }
 
 
-def _waiting(computer: str, measures: Mapping[str, Summary]) -> str:
-    """Return why a real computer is too busy; empty: it is not."""
-    if not measures:
+def _doubt(computer: str, scores: Sequence[float]) -> str:
+    """Return why a computer's speed is not believed; empty: it is."""
+    if not scores:
         return f"computer '{computer}' was too busy to be measured"
-    waited = measures["waited"].mean
-    if waited <= _MOST_WAITING:
+    spread = max(scores) / min(scores) - 1
+    if spread <= _SPREAD:
         return ""
     return (
-        f"computer '{computer}' was too busy: a component that wanted to run waited "
-        f"for {waited:.0%} of the time"
+        f"the speed of computer '{computer}' was not steady: the quickest runs of "
+        f"{len(scores)} series differ by {spread:.0%}"
     )
 
 
@@ -188,23 +182,15 @@ def _costs(
     with started(
         bare, placement, Journal(":memory:"), _silent, Sampling(recording.add), check
     ) as up:
-        _watch(up, _WARM_UP)
-        # the ends of a connector wait for each other: only too slow a computer is busy
+        up.watch(_WARM_UP)
         up.computers.begin()
         recording.take()
-        _watch(up, seconds)
+        up.watch(seconds)
         samples = recording.take()
         busy = up.computers.end()
     # the CPU time of an emulated computer is this machine's
     speeds = {c.name: c.speed if c.address else 1.0 for c in robot.computers}
     return costs_of(samples, speeds), busy
-
-
-def _watch(up: Started, seconds: float) -> None:
-    end = time.monotonic() + seconds
-    while (left := end - time.monotonic()) > 0:
-        up.run.watch(min(left, _STEP))
-        up.computers.look()
 
 
 def _silent(_: str) -> None:

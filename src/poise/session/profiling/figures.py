@@ -121,24 +121,6 @@ def figures(subject: Subject, runs: Sequence[Observed], apart: Observed) -> Figu
     )
 
 
-def silent_inputs(subject: Subject, runs: Sequence[Observed]) -> dict[str, list[str]]:
-    """Return component -> its connected ports that got nothing in all runs."""
-    counts: dict[tuple[str, str], float] = {}
-    for connector in subject.robot.all_connectors():
-        target = connector.between[1]
-        if target.component in subject.names:
-            key = (target.component, target.port)
-            used = (
-                run.measured.connectors.get(_key(subject, connector)) for run in runs
-            )
-            counts[key] = counts.get(key, 0.0) + sum(u.rate for u in used if u)
-    silent: dict[str, list[str]] = {}
-    for (component, port), count in counts.items():
-        if not count:
-            silent.setdefault(component, []).append(port)
-    return silent
-
-
 def _is_stable(runs: Sequence[Observed], name: str) -> bool:
     means = _means(runs, name)
     if not means or any(run.measured.undone.get(name, 0) > _UNDONE for run in runs):

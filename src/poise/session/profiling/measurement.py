@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 from poise.errors import RunError
@@ -10,14 +9,13 @@ from poise.estimate.profile.spread import WINDOW
 from poise.manage.journal import Journal
 from poise.manage.observe.recording import Recording
 from poise.manage.run import ACTIVE_LIMIT
+from poise.session.launch.start import Sampling, Started, started
 from poise.session.profiling.figures import Observed
 from poise.session.profiling.rig import ProfilingRig
 from poise.session.profiling.usage import measure
 from poise.session.say import Check, Say, nothing
-from poise.session.start import Sampling, Started, started
 
 Tick = Callable[[float], None]
-_STEP = 0.2
 
 
 def measure_alone(
@@ -72,15 +70,8 @@ def measure_alone(
 
 
 def _watch(up: Started, seconds: float, tick: Tick) -> None:
-    last, end = time.monotonic(), time.monotonic() + seconds
-    while (left := end - last) > 0:
-        up.run.watch(min(left, _STEP))
-        up.computers.look()
-        if up.world is not None and up.world.has_ended():
-            raise RunError(
-                "the simulator ended during the measurement: name an endless one as "
-                "`workload` in the robot file, or measure for a shorter time"
-            )
-        now = time.monotonic()
-        tick(now - last)
-        last = now
+    if up.watch(seconds, tick):
+        raise RunError(
+            "the simulator ended during the measurement: name an endless one as "
+            "`workload` in the robot file, or measure for a shorter time"
+        )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime as dt
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from importlib.metadata import version
 from pathlib import Path
@@ -16,9 +16,9 @@ from poise.errors import UsageError
 from poise.estimate.profile import Profile
 from poise.estimate.profile import file as profile_file
 from poise.estimate.profile.version import version_of
+from poise.manage.statuses import components_of
 from poise.model.robot import Robot
-from poise.runtime.component.implementation import find
-from poise.runtime.component.ports import ports_of
+from poise.session.failures import silent_ports
 from poise.session.profiles import check_keepable, read_profile, store_of
 from poise.session.profiling.figures import (
     Figures,
@@ -26,7 +26,6 @@ from poise.session.profiling.figures import (
     Subject,
     disagreeing,
     figures,
-    silent_inputs,
 )
 from poise.session.profiling.measurement import Tick, measure_alone
 from poise.session.profiling.rig import EMPTY, ProfilingRig, rig_of
@@ -118,7 +117,7 @@ def profile(  # noqa: PLR0913 - each is a choice of the user
         with progress(name, total) as tick:
             found.append(measuring.measure(name, tick))
     silent = {n: p for each in found for n, p in each.silent.items()}
-    unrecorded = [n for n in silent if _is_unbelievable(robot, n, silent[n])]
+    unrecorded = [name for each in found for name in each.idle]
     new = measuring.profile([each.figures for each in found], unrecorded)
     kept = _kept(robot, new)
     return Profiling(
@@ -138,8 +137,11 @@ def _chosen(robot: Robot, names: Sequence[str]) -> list[str]:
 
 
 class _Found(Struct, frozen=True):
+    """Figures of an architecture, ports that got nothing, and who had no work so."""
+
     figures: Figures
     silent: Mapping[str, Sequence[str]]
+    idle: Sequence[str]
 
 
 class _Measuring(Struct, frozen=True):
@@ -175,9 +177,42 @@ class _Measuring(Struct, frozen=True):
             speed=self._speed(),
             played=rig.played,
         )
-        return _Found(
-            figures(subject, runs, sizes), silent_inputs(subject, [*runs, sizes])
-        )
+        silent = self._silent(rig, [*runs, sizes])
+        return _Found(figures(subject, runs, sizes), silent, self._idle(sizes, silent))
+
+    def _silent(
+        self, rig: ProfilingRig, runs: Sequence[Observed]
+    ) -> dict[str, list[str]]:
+        """Return component -> its connected ports to which nothing came in any run."""
+        ports = self._connected(rig.measured)
+        for run in runs:
+            silent = silent_ports(rig.robot, run.statuses, ports)
+            ports &= {each.port for each in silent}
+        return {
+            name: sorted(p.partition(".")[2] for p in ports if p.startswith(f"{name}."))
+            for name in rig.measured
+            if any(port.startswith(f"{name}.") for port in ports)
+        }
+
+    def _connected(self, names: Collection[str]) -> set[str]:
+        """Return the components' connected ports; a command has its own connections."""
+        coded = {c.name for c in self.robot.components() if c.implementation}
+        ends = (connector.between[1] for connector in self.robot.all_connectors())
+        return {str(end) for end in ends if end.component in coded.intersection(names)}
+
+    def _idle(self, run: Observed, silent: Mapping[str, Sequence[str]]) -> list[str]:
+        """Return the components that did not do their work because of silent ports.
+
+        They wait for messages of each subscribed port. Calls to provided ports may be
+        rare, unless there is no other input.
+        """
+        topics = {c.name: c.subscribes for c in components_of(run.statuses)}
+        return [
+            name
+            for name, ports in silent.items()
+            if len(ports) == len(self._connected({name}))
+            or not set(ports).isdisjoint(topics.get(name, ()))
+        ]
 
     def profile(self, found: Sequence[Figures], unrecorded: Iterable[str]) -> Profile:
         """Return the profile of the measured components without `unrecorded`."""
@@ -220,26 +255,6 @@ class _Measuring(Struct, frozen=True):
         if all(c.address is None for c in self.robot.computers):
             return 1.0
         return self.robot.computer(self.computer).speed
-
-
-def _is_unbelievable(robot: Robot, name: str, silent: Sequence[str]) -> bool:
-    """Return whether a component did not do its work because of silent ports.
-
-    It waits for messages of each subscribed port. Calls to its provided ports may be
-    rare, unless it has no other input.
-    """
-    component = next(c for c in robot.components() if c.name == name)
-    if not component.implementation:
-        return False  # a command has its own connections
-    ports = ports_of(find(component.implementation, robot.folder))
-    connected = {
-        c.between[1].port
-        for c in robot.all_connectors()
-        if c.between[1].component == name
-    }
-    return connected <= set(silent) or any(
-        ports[port].kind == "subscribes" for port in silent
-    )
 
 
 def _kept(robot: Robot, new: Profile) -> Profile:

@@ -15,7 +15,7 @@ from poise.manage.observe.faults import combined
 from poise.session.render.clocks import clock_table
 from poise.session.render.connectors import connector_tables
 from poise.session.render.tables import table
-from poise.units import format_seconds
+from poise.units import counted, format_seconds
 
 if TYPE_CHECKING:
     from poise.session.report import ComponentReport, RunReport
@@ -46,7 +46,7 @@ def report_parts(report: RunReport) -> Iterator[RenderableType]:
 def _failures(report: RunReport) -> Iterator[RenderableType]:
     """Yield what is not as it should be, the worst first."""
     for error in report.errors:
-        many = "1 error" if error.count == 1 else f"{error.count} errors"
+        many = counted(error.count, "error")
         since = time.strftime("%H:%M:%S", time.localtime(error.first))
         where = f"{error.component} on {error.computer}: {many} in '{error.where}'"
         yield f"[red]{where}, the first at {since}:[/]"
@@ -60,12 +60,14 @@ def _failures(report: RunReport) -> Iterator[RenderableType]:
     for sentence in combined(report.faults):
         yield f"[red]{escape(sentence)}[/]"
     for name, count in report.refused.items():
-        yield f"[red]{name}: {count} messages were refused: not of the port's type[/]"
+        refused = counted(count, "message")
+        yield f"[red]{name}: {refused} refused: not of the port's type[/]"
     for name, count in report.lost.items():
-        yield f"[red]{name}: {count} messages were sent and not processed[/]"
+        yield f"[red]{name}: {counted(count, 'message')} sent and not processed[/]"
     for connector in report.connectors:
         if connector.drops:
-            yield f"[yellow]{connector.name}: {connector.drops} messages dropped[/]"
+            dropped = counted(connector.drops, "message")
+            yield f"[yellow]{connector.name}: {dropped} dropped[/]"
     for port in report.silent:
         yield f"[yellow]{escape(str(port))}[/]"
     if report.interrupted:

@@ -16,7 +16,7 @@ from poise.manage.statuses import connectors_of
 from poise.session.render.clocks import clock_table
 from poise.session.render.connectors import connector_tables
 from poise.session.render.tables import table
-from poise.units import format_bytes
+from poise.units import counted, format_bytes
 from poise.wire.records.deployment import ComponentStatus
 
 
@@ -27,8 +27,8 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
     for each in status.deviations:
         yield Text(f"{each.what} (noticed {_clock(each.since)})", style="red")
     if not status.deviations:
-        count = f"{status.faults} fault" + ("s" if status.faults > 1 else "")
-        lately = f"; {count} since the start (below)" if status.faults else ""
+        faults = counted(status.faults, "fault")
+        lately = f"; {faults} since the start (below)" if status.faults else ""
         yield f"everything is as the robot file says{lately}"
     yield component_table(status)
     for remark in remarks(status):
@@ -73,9 +73,10 @@ def container_lines(answer: RobotStatus) -> Iterator[str]:
             fault = health.last_fault
             if fault is None:
                 continue
+            restarts = counted(health.restarts, "restart")
             yield (
                 f"container '{health.name}' on '{computer}': {health.state} since "
-                f"{_clock(health.since)}, {health.restarts} restarts; last fault at "
+                f"{_clock(health.since)}, {restarts}; last fault at "
                 f"{_clock(fault.at)}: {fault.message}"
             )
 
@@ -107,7 +108,9 @@ def _remarks(
 ) -> Iterator[str]:
     if component.errors:
         last = component.error.rstrip().rpartition("\n")[2]
-        yield f"{component.errors} errors" + (f" ({escape(last)})" if last else "")
+        yield counted(component.errors, "error") + (
+            f" ({escape(last)})" if last else ""
+        )
     if standing is not None and standing.estimate.starved:
         yield f"starved {standing.estimate.starved:.0%}"
     for timer in component.timers:

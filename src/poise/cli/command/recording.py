@@ -6,10 +6,10 @@ import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
-import msgspec
 import typer
 from rich.console import Console
 
+from poise.cli.options import AsJson, print_json
 from poise.errors import UsageError
 from poise.manage.observe.estimates import DemandEstimate
 from poise.session.recordings.recorded_run import RecordedRun
@@ -37,9 +37,7 @@ def recording_command(
         Path | None,
         typer.Option(envvar="POISE_ROBOT", help="For replay: the robot file."),
     ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="For replay: print JSON.")
-    ] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Turn a recording into a table, or estimate again from what it holds.
 
@@ -66,7 +64,7 @@ def recording_command(
         load_bare(robot), say=lambda sentence: console.print(f"[yellow]{sentence}[/]")
     )
     if as_json:
-        sys.stdout.write(msgspec.json.encode(demand_estimates).decode() + "\n")
+        print_json(demand_estimates)
     else:
         _show(demand_estimates, console)
 

@@ -7,6 +7,8 @@ and the manager's run.
 from __future__ import annotations
 
 import contextlib
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 
 from msgspec import Struct
@@ -17,12 +19,14 @@ from poise.manage.agents import Agents
 from poise.manage.journal import Journal
 from poise.manage.run import Run
 from poise.model.robot import Robot
-from poise.session.computers import Computers, computers_of
+from poise.session.launch.computers import Computers, computers_of
+from poise.session.launch.simulator import SimulatorProcess, world_of
+from poise.session.launch.temporary_folders import scratch_folder
 from poise.session.say import Check, Say, nothing
-from poise.session.simulator import SimulatorProcess, world_of
-from poise.session.temporary_folders import scratch_folder
+from poise.units import counted
 from poise.wire.records.samples import SAMPLE_EVERY, AgentSample
 
+_STEP = 0.2
 AGENT_LIMIT = 20.0
 """All agents are there within this time [s]."""
 
@@ -33,6 +37,32 @@ class Started(Struct, frozen=True):
     run: Run
     computers: Computers
     world: SimulatorProcess | None
+
+    def watch(
+        self, seconds: float, meanwhile: Callable[[float], object] = lambda _: None
+    ) -> bool:
+        """Let it run for `seconds` [s]; return whether the simulated world ended first.
+
+        Parameters
+        ----------
+        meanwhile
+            Called several times a second with the time since the last call [s].
+
+        Raises
+        ------
+        RunError
+            A component failed, or a computer was lost.
+        """
+        last, end = time.monotonic(), time.monotonic() + seconds
+        while (left := end - last) > 0:
+            self.run.watch(min(left, _STEP))
+            self.computers.look()
+            now = time.monotonic()
+            meanwhile(now - last)
+            last = now
+            if self.world is not None and self.world.has_ended():
+                return True
+        return False
 
 
 class Sampling(Struct, frozen=True):
@@ -75,7 +105,12 @@ def started(
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(scratch_folder("poise-run-"))
         look = sampling or Sampling()
-        gate = _Gate(look.take or _forget)
+        at_work = threading.Event()
+
+        def take(sample: AgentSample) -> None:
+            if look.take is not None and at_work.is_set():
+                look.take(sample)
+
         computers = stack.enter_context(
             computers_of(robot, folder / "computers", say, look.every)
         )
@@ -85,7 +120,7 @@ def started(
                 robot.name,
                 computers.endpoints,
                 SystemClock(),
-                gate.take if look.take else None,
+                take if look.take else None,
                 lease=computers.lease,
             )
         )
@@ -96,29 +131,11 @@ def started(
 
         agents.wait_alive(computers.endpoints, AGENT_LIMIT, look_around)
         run = Run(robot, placement, agents, journal, str(folder), weigh=look.weigh)
-        say(f"starting {len(placement)} components")
+        say(f"starting {counted(len(placement), 'component')}")
         stack.enter_context(_running(run, check))
-        stack.enter_context(gate)
+        stack.callback(at_work.clear)
+        at_work.set()
         yield Started(run, computers, world)
-
-
-class _Gate:
-    """Lets samples through while its `with` lasts."""
-
-    def __init__(self, take: Callable[[AgentSample], object]) -> None:
-        self._take = take
-        self._is_open = False
-
-    def __enter__(self) -> None:
-        self._is_open = True
-
-    def __exit__(self, *_: object) -> None:
-        self._is_open = False
-
-    def take(self, sample: AgentSample) -> None:
-        """Hand a sample on, or let it go."""
-        if self._is_open:
-            self._take(sample)
 
 
 def _check_runnable(robot: Robot, placed: Iterable[str]) -> None:
@@ -149,7 +166,3 @@ def _running(run: Run, check: Check) -> Iterator[None]:
             run.stop()
         raise
     run.stop()
-
-
-def _forget(_: AgentSample) -> None:
-    """Keep nothing."""

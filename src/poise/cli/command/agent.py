@@ -11,11 +11,12 @@ from typing import Annotated
 
 import typer
 
+from poise.cli.interrupts import Interrupts
 from poise.cli.options import parse_option
 from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import UsageError
 from poise.runtime.agent.agent import Agent, AgentSetup, ignore
-from poise.session.temporary_folders import scratch_folder
+from poise.session.launch.temporary_folders import scratch_folder
 from poise.units import SECONDS
 from poise.wire.control_session import locator
 
@@ -64,8 +65,8 @@ def agent_command(
     if lifeline is not None:  # its manager shows the faults already
         logging.getLogger("poise.runtime.agent.supervisor").setLevel("ERROR")
     own = contextlib.nullcontext(folder) if folder else scratch_folder("poise-agent-")
-    with own as place:
-        Agent(
+    with own as place, Interrupts() as interrupts:
+        agent = Agent(
             AgentSetup(
                 robot=robot,
                 computer=computer,
@@ -78,7 +79,9 @@ def agent_command(
                 sample_every=parse_option("--sample-every", sample_every, SECONDS),
             ),
             say=_say if lifeline is None else ignore,
-        ).run()
+        )
+        interrupts.check()
+        agent.run()  # with handlers of its own
 
 
 def _say(sentence: str) -> None:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Annotated
 
-import msgspec
 import typer
 from rich.table import Table
 
-from poise.cli.interrupts import interrupts
-from poise.cli.options import RobotFile, parse_option
+from poise.cli.interrupts import Interrupts
+from poise.cli.options import AsJson, RobotFile, parse_option, print_json
 from poise.errors import RunError
 from poise.model.robot import Robot
 from poise.session.calibration.calibrate import Calibration, calibrate
@@ -32,9 +30,7 @@ def calibrate_command(
     force: Annotated[
         bool, typer.Option("--force", help="Write the result of a busy machine, too.")
     ] = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the result as JSON.")
-    ] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Measure how fast the robot's computers are, and what its connectors cost.
 
@@ -49,7 +45,7 @@ def calibrate_command(
     robot = load_bare(file)
     seconds = parse_option("--for", for_, SECONDS)
     console.print(f"calibrating for {2 * seconds:g} s")
-    with interrupts:
+    with Interrupts() as interrupts:
         result = calibrate(
             robot,
             reference=reference,
@@ -58,7 +54,7 @@ def calibrate_command(
             check=interrupts.check,
         )
     if as_json:
-        sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
+        print_json(result)
     else:
         console.print(_speed_table(robot, result))
         console.print(_cost_table(result))

@@ -14,8 +14,9 @@ from poise.emulate import EmulatedComputer, Emulation, StarvationWatch
 from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import RunError
 from poise.model.robot import Robot
-from poise.session.printer import STDERR, Printer, relay
+from poise.session.launch.printer import STDERR, Printer, relay
 from poise.session.say import Say
+from poise.units import counted
 from poise.wire.control_session import LEASE, locator
 from poise.wire.records.samples import SAMPLE_EVERY
 
@@ -33,8 +34,7 @@ class Computers:
     without
         What the emulation does without.
     watch
-        Returns a watch (strict or not) for starvation by the host; None: the computers
-        are real.
+        Returns a watch for starvation by the host; None: the computers are real.
     agents
         Computer -> the process of its agent, where it was started here.
     faster
@@ -52,7 +52,7 @@ class Computers:
         self,
         endpoints: Mapping[str, str],
         without: tuple[str, ...] = (),
-        watch: Callable[[bool], StarvationWatch] | None = None,
+        watch: Callable[[], StarvationWatch] | None = None,
         agents: Mapping[str, subprocess.Popen[bytes]] | None = None,
         faster: Mapping[str, float] | None = None,
         emulated: Mapping[str, EmulatedComputer] | None = None,
@@ -75,16 +75,10 @@ class Computers:
             if (code := process.poll()) is not None:
                 raise RunError(f"the agent of '{name}' ended with exit code {code}")
 
-    def begin(self, *, strictly: bool = False) -> None:
-        """Judge from now on whether the host gives what the emulation promised.
-
-        Parameters
-        ----------
-        strictly
-            Whether computers may never wait for the CPU (`StarvationWatch`).
-        """
+    def begin(self) -> None:
+        """Judge from now on whether the host gives what the emulation promised."""
         self._began = self._clock.now()
-        self._watch = self._make_watch(strictly) if self._make_watch else None
+        self._watch = self._make_watch() if self._make_watch else None
 
     def look(self) -> None:
         """Judge the moment; call it a few times a second."""
@@ -136,7 +130,7 @@ def computers_of(
 def _emulated(
     robot: Robot, folder: Path, say: Say, sample_every: float
 ) -> Iterator[Computers]:
-    say(f"emulating {len(robot.computers)} computers on this one")
+    say(f"emulating {counted(len(robot.computers), 'computer')} on this one")
     # an agent ends at the end of its lifeline, so even a killed manager leaves none
     lifeline, held = os.pipe()
     try:
@@ -168,11 +162,7 @@ def _emulated(
             yield Computers(
                 {name: locator(agent) for name, agent in agents_at.items()},
                 emulation.without,
-                lambda strictly: StarvationWatch(
-                    computers,
-                    SystemClock(),
-                    strictly=strictly and _are_apart(computers),
-                ),
+                lambda: StarvationWatch(computers, SystemClock()),
                 agents,
                 {name: computer.slowdown for name, computer in computers.items()},
                 computers,
@@ -180,12 +170,6 @@ def _emulated(
     finally:
         os.close(lifeline)
         os.close(held)
-
-
-def _are_apart(computers: Mapping[str, EmulatedComputer]) -> bool:
-    """Return whether each computer has host CPUs of its own."""
-    cpus = [cpu for each in computers.values() for cpu in each.limits.cpus]
-    return len(cpus) == len(set(cpus))
 
 
 def _agent(

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import signal
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from math import isfinite
 from pathlib import Path
-from threading import Event
-from types import FrameType
 from typing import Annotated, Any
 
-import msgspec
 import typer
 from rich.console import Console
 
-from poise import plan
-from poise.cli.plan_questions import changed
+from poise import plan, units
+from poise.cli.interrupts import Interrupts
+from poise.cli.options import AsJson, print_json
 from poise.errors import UsageError
 from poise.model import load
-from poise.model.robot import Robot
+from poise.model.robot import Computer, Robot
+from poise.session.placement import check_method
 from poise.session.profiles import profiled
 from poise.session.render.plan import (
     show,
@@ -68,7 +65,7 @@ def plan_command(
     smallest: Annotated[
         bool, typer.Option("--smallest", help="The cheapest computers that do.")
     ] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    json: AsJson = False,
 ) -> None:
     """Decide where each component runs, say why, and ask what if.
 
@@ -90,9 +87,10 @@ def plan_command(
         )
     notes = Console(stderr=True, highlight=False)
     robot, problem = read(file, task, notes.print)
-    problem = changed(problem, without or [], add or [], scale or [])
+    problem = _changed(problem, without or [], add or [], scale or [])
 
     def solved(name: str) -> plan.Result:
+        check_method(name)
         if name == "static":
             return plan.evaluate(problem, _static(robot, problem), "static")
         return solve(problem, name, why=True)
@@ -107,13 +105,15 @@ def plan_command(
             seed,
             steps=steps,
             fewer=fewer,
-            stop=asked.is_set,
+            stop=interrupts.has_come,
             why=why,
         )
 
-    with _until_ctrl_c() as asked:
+    with Interrupts() as interrupts:
         if compare is not None:
             names = [name.strip() for name in compare.split(",")]
+            for name in names:
+                check_method(name)
             results = {name: solved(name) for name in names}
             _answer_comparison(problem, results, json=json)
             feasible = any(result.feasible for result in results.values())
@@ -122,27 +122,8 @@ def plan_command(
             result = few.result if few else solved(method)
             _answer(_on_computers(problem, few), result, few, explain, json=json)
             feasible = result.feasible
-    if asked.is_set():
-        raise typer.Exit(128 + signal.SIGINT)
     if not feasible:
         raise typer.Exit(1)
-
-
-@contextmanager
-def _until_ctrl_c() -> Iterator[Event]:
-    """Let the first Ctrl-C set an event, and only the second end the command."""
-    asked = Event()
-    before = signal.getsignal(signal.SIGINT)
-
-    def ask(_number: int, _frame: FrameType | None) -> None:
-        asked.set()
-        signal.signal(signal.SIGINT, before)
-
-    signal.signal(signal.SIGINT, ask)
-    try:
-        yield asked
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def read(
@@ -194,7 +175,7 @@ def _answer(
         explanation = plan.explain(problem, result.placement, explain)
         extra["explanation"] = explanation
     if json:
-        _print_json({**result.to_dict(), **extra})
+        print_json({**result.to_dict(), **extra})
         return
     console = Console()
     if few:
@@ -211,10 +192,58 @@ def _answer_comparison(
     problem: plan.Problem, results: dict[str, plan.Result], *, json: bool
 ) -> None:
     if json:
-        _print_json({"results": {name: r.to_dict() for name, r in results.items()}})
+        print_json({"results": {name: r.to_dict() for name, r in results.items()}})
     else:
         show_comparison(problem, results, Console())
 
 
-def _print_json(value: object) -> None:
-    sys.stdout.write(msgspec.json.encode(value).decode() + "\n")
+def _changed(
+    problem: plan.Problem, without: list[str], add: list[str], scale: list[str]
+) -> plan.Problem:
+    """Return the problem without computers, with others, and with other capacities."""
+    if without:
+        problem = plan.without(problem, without)
+    for text in add:
+        problem = plan.add(problem, _computer(text))
+    if scale:
+        problem = plan.scale(problem, dict(_factor(text) for text in scale))
+    return problem
+
+
+def _computer(text: str) -> Computer:
+    """Return the computer that ``NAME:cpu=2,memory=4GiB`` describes."""
+    name, colon, rest = text.partition(":")
+    if not name or not colon:
+        raise UsageError(f"--add {text!r}: write NAME:cpu=2,memory=4GiB")
+    pairs = [_pair(f"--add {text!r}", part) for part in rest.split(",") if part]
+    return Computer(
+        name=name,
+        capacity={key: _amount(f"--add {text!r}", key, value) for key, value in pairs},
+    )
+
+
+def _factor(text: str) -> tuple[str, float]:
+    """Return the name and the factor of ``NAME=0.5``."""
+    name, value = _pair(f"--scale {text!r}", text)
+    try:
+        number = float(value)
+    except ValueError:
+        number = -1.0
+    if not (isfinite(number) and number >= 0):
+        raise UsageError(f"--scale {text!r}: {value!r} is not a number >= 0")
+    return name, number
+
+
+def _pair(option: str, text: str) -> tuple[str, str]:
+    key, equals, value = text.partition("=")
+    if not key or not equals:
+        raise UsageError(f"{option}: {text!r} is not NAME=VALUE")
+    return key.strip(), value.strip()
+
+
+def _amount(option: str, resource: str, value: str) -> float:
+    known = {"cpu": units.CORES, "memory": units.BYTES}
+    try:
+        return units.parse(value, known.get(resource, units.NUMBER))
+    except ValueError as error:
+        raise UsageError(f"{option}: {error}") from None

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from poise.cli.interrupts import interrupts
-from poise.cli.options import RobotFile, parse_option
-from poise.cli.render.profile import history_table, show_profile
+from poise.cli.interrupts import Interrupts
+from poise.cli.options import AsJson, RobotFile, parse_option, print_json
 from poise.errors import RobotError
 from poise.estimate.overhead import overheads
 from poise.estimate.profile import Profile
@@ -24,6 +21,7 @@ from poise.session.profiles import read_profile, stale, store_of
 from poise.session.profiling.measurement import Tick
 from poise.session.profiling.profile import Profiling, profile
 from poise.session.profiling.write_demands import write_demands
+from poise.session.render.profile import history_table, show_profile
 from poise.session.render.shown import console_to
 from poise.session.robot_file import load_bare
 from poise.session.writable import to_write
@@ -32,7 +30,6 @@ from poise.units import SECONDS
 Write = Annotated[
     bool, typer.Option("--write", help="Also write the demands into the robot file.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print the profile as JSON.")]
 
 
 def profile_command(
@@ -51,7 +48,7 @@ def profile_command(
         int, typer.Option(min=1, help="How often to measure each architecture.")
     ] = 2,
     write: Write = False,
-    as_json: Json = False,
+    as_json: AsJson = False,
 ) -> None:
     """Measure what each component needs, every architecture alone on one computer.
 
@@ -64,7 +61,7 @@ def profile_command(
     """
     console = console_to(stderr=as_json)
     robot = load_bare(file)
-    with interrupts:
+    with Interrupts() as interrupts:
         measured = profile(
             robot,
             architectures=architecture or (),
@@ -101,7 +98,7 @@ def show_command(
     history: Annotated[
         bool, typer.Option("--history", help="Show it beside earlier profiles.")
     ] = False,
-    as_json: Json = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show the last profile, and measure nothing.
 
@@ -130,7 +127,7 @@ def show_command(
 
 def _print(robot: Robot, shown: Profile, console: Console, *, as_json: bool) -> None:
     if as_json:
-        sys.stdout.write(msgspec.json.encode(shown).decode() + "\n")
+        print_json(shown)
         return
     show_profile(robot, shown, console)
     old = stale(robot, shown)

@@ -4,19 +4,11 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import json
-import os
 import sys
 from collections.abc import Sequence
-from typing import Annotated, NoReturn, cast
+from typing import Annotated
 
-import msgspec
 import typer
-
-from poise.errors import PoiseError, RobotError, RunError, UsageError
-
-_MISUSE = cast(tuple[type[typer.BadParameter], ...], typer.BadParameter.__bases__)
-"""What typer raises for arguments that it refuses: all kinds have this base."""
 
 COMMANDS = {
     "check": ("check:check_command", "Check a robot file and the code that it names."),
@@ -28,11 +20,11 @@ COMMANDS = {
     "run": ("run:run_command", "Run a task for a while and report."),
     "demo": ("demo:demo_command", "Drive a robot, placed by hand and by Poise."),
     "up": ("up:up_command", "Start a robot and keep it running."),
-    "status": ("status:status_command", "Show how a running robot is."),
-    "move": ("move:move_command", "Move a component of a running robot."),
-    "replace": ("move:replace_command", "Swap a component's implementation."),
-    "balance": ("balance:balance_command", "Place a running robot anew."),
-    "stop": ("stop:stop_command", "Stop a running robot."),
+    "status": ("running:status_command", "Show how a running robot is."),
+    "move": ("running:move_command", "Move a component of a running robot."),
+    "replace": ("running:replace_command", "Swap a component's implementation."),
+    "balance": ("running:balance_command", "Place a running robot anew."),
+    "stop": ("running:stop_command", "Stop a running robot."),
     "agent": ("agent:agent_command", "Run what the manager wants on this computer."),
 }
 """Command -> where in this folder it is, and what it does. A second word makes a
@@ -54,7 +46,7 @@ def build(arguments: Sequence[str]) -> typer.Typer:
     for name, (where, help_) in COMMANDS.items():
         if name == asked:
             module, function = where.split(":")
-            loaded = importlib.import_module(f"poise.cli.{module}")
+            loaded = importlib.import_module(f"poise.cli.command.{module}")
             command = getattr(loaded, function)
             group, last = _group_of(app, name)
             group.command(last, help=_flowing(inspect.getdoc(command) or ""))(command)
@@ -71,30 +63,6 @@ def _group_of(app: typer.Typer, name: str) -> tuple[typer.Typer, str]:
     group = typer.Typer(callback=_not_loaded)  # or its one command would stand for it
     app.add_typer(group, name=first, help=COMMANDS[first][1])
     return group, second
-
-
-def run() -> None:
-    """Do what the command line asks for; docs/command-line.md says the exit codes."""
-    words = sys.argv[1:]
-    completed = os.environ.get("_TYPER_COMPLETE_ARGS", "").split()[1:]
-    is_json = "--json" in words
-    try:
-        app = build(completed or words)
-        sys.exit(app(prog_name="poise", standalone_mode=not is_json))
-    except _MISUSE as error:
-        _fail(UsageError(error.format_message()), 2)
-    except UsageError as error:
-        _fail(error, 2)
-    except PoiseError as error:
-        _fail(error, 1)
-    except BrokenPipeError:
-        # The reader, such as `head`, has seen enough.
-        sys.stderr.close()
-        sys.exit(1)
-    except OSError as error:
-        if error.filename is None:
-            raise
-        _fail(RunError(f"{error.filename}: {error.strerror}"), 1)
 
 
 def _flowing(text: str) -> str:
@@ -124,16 +92,3 @@ def _main_options(
     ] = False,
 ) -> None:
     """Take the options of `poise` itself."""
-
-
-def _fail(error: PoiseError, code: int) -> NoReturn:
-    sys.stderr.write(f"{error}\n")
-    if "--json" in sys.argv:
-        problems = error.problems if isinstance(error, RobotError) else ()
-        answer = {
-            "error": str(error),
-            "kind": type(error).__name__,
-            "problems": msgspec.to_builtins(problems),
-        }
-        sys.stdout.write(json.dumps(answer, indent=2) + "\n")
-    sys.exit(code)

@@ -2,7 +2,7 @@
 
 import os
 
-from poise.session.printer import MOST_LINES, Printer
+from poise.session.launch.printer import MOST_LINES, Printer
 
 NUMBER = MOST_LINES + 1000
 LINE = 100 * "x"

@@ -10,17 +10,17 @@ from typing import Annotated
 import msgspec
 import typer
 
+from poise.cli.options import AsJson
 from poise.errors import Problem, UsageError
 from poise.session.robot_file import check
+from poise.units import counted
 
 
 def check_command(
     file: Annotated[
         Path | None, typer.Argument(help="The robot file.", envvar="POISE_ROBOT")
     ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the problems as JSON.")
-    ] = False,
+    as_json: AsJson = False,
     schema: Annotated[
         bool, typer.Option("--schema", help="Print the JSON Schema of robot files.")
     ] = False,
@@ -60,5 +60,4 @@ def _print_text(path: Path, problems: tuple[Problem, ...]) -> None:
         return
     for problem in problems:
         sys.stderr.write(f"{problem}\n")
-    count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
-    sys.stderr.write(f"{path}: {count}\n")
+    sys.stderr.write(f"{path}: {counted(len(problems), 'problem')}\n")

@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from poise.cli.interrupts import interrupts
+from poise.cli.interrupts import Interrupts
 from poise.cli.options import Method, RobotFile, RobotTask
+from poise.session.launch.printer import Printer, log_printer
 from poise.session.placement import place
-from poise.session.printer import Printer, log_printer
 from poise.session.robot_file import load, task_of
 from poise.session.up import up
 from poise.session.writable import to_write
@@ -51,22 +51,26 @@ def up_command(
 
     Example: poise up robot.yaml --task fetch
     """
-    with Printer() as printer, log_printer(), interrupts:
+    with Printer() as printer, log_printer():
         say = printer.print
         robot = load(file, say=say)
         chosen = task_of(robot, task)
-        with up(
-            robot,
-            chosen,
-            placement=place(robot, chosen, method=placement),
-            journal=journal,
-            metrics=metrics,
-            otel=otel,
-            record=record,
-            adapt=adapt,
-            say=say,
-            check=interrupts.check,
-        ) as running:
+        placed = place(robot, chosen, method=placement)
+        with (
+            Interrupts() as interrupts,
+            up(
+                robot,
+                chosen,
+                placement=placed,
+                journal=journal,
+                metrics=metrics,
+                otel=otel,
+                record=record,
+                adapt=adapt,
+                say=say,
+                check=interrupts.check,
+            ) as running,
+        ):
             say(f"robot '{robot.name}' is up with task '{chosen}'; Ctrl-C ends it")
             while not running.wait(_LOOK_EVERY):
                 interrupts.check()

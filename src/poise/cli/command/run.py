@@ -10,11 +10,11 @@ import msgspec
 import typer
 from rich.markup import escape
 
-from poise.cli.interrupts import interrupts
-from poise.cli.options import Method, RobotFile, RobotTask, parse_option
-from poise.cli.render.progress import progress
+from poise.cli.interrupts import Interrupts
+from poise.cli.options import AsJson, Method, RobotFile, RobotTask, parse_option
 from poise.errors import UsageError
 from poise.session.placement import place
+from poise.session.render.progress import progress
 from poise.session.render.shown import console_to
 from poise.session.robot_file import load, task_of
 from poise.session.run import run
@@ -45,9 +45,7 @@ def run_command(
             "--allow-errors", help="Exit with 0 when components had errors, too."
         ),
     ] = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the report as JSON.")
-    ] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Run a task on the robot's computers; without addresses they are emulated.
 
@@ -70,7 +68,7 @@ def run_command(
     placed = place(robot, chosen, method=placement)
     if report is not None:
         _make_folder(report)
-    with interrupts:
+    with Interrupts() as interrupts:
         with progress(console, seconds) as show:
             result = run(
                 robot,

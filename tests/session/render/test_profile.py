@@ -8,12 +8,12 @@ import pytest
 from msgspec.structs import replace
 from rich.console import Console
 
-from poise.cli.render.profile import history_table
 from poise.estimate.profile import ComponentProfile, Profile
 from poise.estimate.profile import file as profile_file
 from poise.estimate.profile.spread import Spread
 from poise.estimate.profile.store import Store
 from poise.model import load
+from poise.session.render.profile import history_table
 from tests.command import Poise
 
 ROBOT = """\

@@ -1,0 +1,1 @@
+"""Starts a robot on its computers, and leaves nothing behind."""

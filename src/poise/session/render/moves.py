@@ -1,0 +1,65 @@
+"""The outcome of a move, a replacement or a new balance, for people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from rich.markup import escape
+
+from poise.manage.adaptation.replan import Proposal
+from poise.manage.control_socket.records import Rebalanced
+from poise.manage.migration.move import MoveReport
+from poise.manage.migration.replacement import ReplaceReport
+from poise.manage.migration.transition_run import TransitionReport
+from poise.units import format_seconds
+
+Outcome = MoveReport | ReplaceReport | Rebalanced
+
+
+def outcome_lines(outcome: Outcome) -> Iterator[str]:
+    """Yield what was done, or why it was not."""
+    if isinstance(outcome, Rebalanced):
+        yield from _proposal_lines(outcome.proposal)
+        if outcome.report is not None:
+            yield _transition_line(outcome.report)
+    else:
+        yield escape(outcome_sentence(outcome))
+
+
+def outcome_sentence(report: MoveReport | ReplaceReport) -> str:
+    """Return what was done, or why it was not, in a sentence."""
+    if isinstance(report, MoveReport):
+        stays = f"{report.component} stays on {report.source}"
+        runs = f"{report.component} runs on {report.target}"
+    else:
+        stays, runs = f"{report.architecture} goes on", f"{report.by} runs"
+    if not report.committed:
+        return f"{stays}: {report.reason}"
+    downtime = format_seconds(report.downtime)
+    if isinstance(report, MoveReport) and report.cold:
+        return f"{runs} now; it was stopped and started, downtime {downtime}"
+    prepared = format_seconds(report.prepared)
+    return f"{runs} now; prepared in {prepared}, downtime {downtime}"
+
+
+def _proposal_lines(proposal: Proposal) -> Iterator[str]:
+    for name, need in proposal.shifted.items():
+        yield f"{name} needs {need}"
+    if proposal.trouble:
+        yield f"[red]as it is: {escape(proposal.trouble)}[/]"
+    known = " (proven the best)" if proposal.proven else ""
+    if not proposal.steps:
+        yield f"best as it is{known}: F = {proposal.now.total:.4g}"
+        return
+    now, then = proposal.now.total, proposal.then.total
+    yield f"F = {now:.4g} becomes {then:.4g}{known}, by:"
+    for step in proposal.steps:
+        yield f"  {step}"
+
+
+def _transition_line(report: TransitionReport) -> str:
+    if not report.committed:
+        return f"[red]rolled back:[/] {escape(report.reason)}"
+    longest = max((move.downtime for move in report.moves), default=0.0)
+    downtime = f"; the longest downtime was {format_seconds(longest)}"
+    return f"done{downtime if report.moves else ''}"
