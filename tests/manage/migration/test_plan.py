@@ -62,11 +62,11 @@ def test_either_side_resumes(robot: Robot) -> None:
     rounds = rounds_of(robot, {"filter": "left"}, {"filter": "right"}, grabber="left")
     assert steps(rounds.resume()) == [
         ("filter", Step("resume", "filter", 1)),
+        ("filter", Step("redirect", "filter", 0)),
         (
             "grabber",
             Step("release to targets", connectors=("grabber.raw-filter.raw/0.1",)),
         ),
-        ("filter", Step("redirect", "filter", 0)),
     ]
     assert steps(rounds.roll_back()) == [
         ("filter", Step("roll back", "filter", 0)),

@@ -39,7 +39,7 @@ class FakeRoute:
     def __init__(self, *, ready: bool = True) -> None:
         self.ready = ready
         self.went: list[Any] = []
-        self.is_closed = False
+        self.is_closed = self.is_calling_now = False
         self.room = 1_000
         self.asked = threading.Event()
 
@@ -54,6 +54,9 @@ class FakeRoute:
             return (self, *args)
 
         return call
+
+    def is_calling(self) -> bool:
+        return self.is_calling_now
 
     def push(self, _method: Method | None, value: object) -> int:
         if not self.ready:
@@ -108,6 +111,17 @@ def new(sender: Sender, old: FakeRoute) -> FakeRoute:  # noqa: ARG001, the first
 def test_uses_the_first_path(sender: Sender, old: FakeRoute, new: FakeRoute) -> None:
     sender.send(1)
     assert (old.went, new.went) == ([1], [])
+
+
+def test_tells_while_a_call_waits_at_the_former_target(
+    sender: Sender, old: FakeRoute, new: FakeRoute
+) -> None:
+    old.is_calling_now = True
+    assert not sender.is_leaving()
+    sender.switch("new")
+    assert sender.is_leaving()
+    old.is_calling_now, new.is_calling_now = False, True
+    assert not sender.is_leaving()
 
 
 def test_a_marker_goes_behind_all_that_went(sender: Sender, old: FakeRoute) -> None:

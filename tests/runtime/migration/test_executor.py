@@ -17,6 +17,7 @@ from poise.wire.records.migration import (
     Step,
     StepsDone,
     StepsFailed,
+    StepsOutcome,
 )
 from tests.waiting import LIMIT
 
@@ -127,3 +128,24 @@ def test_the_answer_says_which_steps_were_taken(executor: MigrationExecutor) -> 
         ("one/0", "roll back", "roll back"),
     ]
     assert all(t.began <= t.ended for t in outcome.taken)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("left_after", "kind"), [(2, StepsDone), (1_000_000, StepsFailed)]
+)
+def test_a_release_waits_for_calls_at_the_former_target(
+    left_after: int, kind: type[StepsOutcome]
+) -> None:
+    """Over a link that was cut they come late: the source must not end before."""
+    looks = iter(range(1, left_after))
+    wiring = Mock()
+    wiring.sender.return_value.name = "calls"
+    wiring.sender.return_value.is_leaving = lambda: next(looks, 0) > 0
+    release = Step("release to targets", connectors=("key",))
+    steps = MigrationSteps(1, 1, "container", (release,), 0.05)
+    outcome = MigrationExecutor({}, wiring, Mock()).receive(steps)()
+    assert isinstance(outcome, kind)
+    if isinstance(outcome, StepsFailed):
+        assert "connector calls: a call has no answer yet" in outcome.reason
+    wiring.sender.return_value.switch.assert_called_once_with("key")

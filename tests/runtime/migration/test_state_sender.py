@@ -112,6 +112,9 @@ class DirectPipe(Channel):
     def is_ready(self) -> bool:
         return True
 
+    def is_calling(self) -> bool:
+        return False
+
     def request(self, pieces: Pieces, limit: float) -> Frame:  # noqa: ARG002, it is here
         return frame.parse(b"".join(self._serve(frame.parse(b"".join(pieces)))))
 

@@ -91,6 +91,22 @@ def test_a_call_may_come_back_while_it_waits(wire: Wire) -> None:
 
 
 @both
+def test_it_tells_that_a_call_waits_for_its_answer(wire: Wire) -> None:
+    channel = wire.channel()
+    found = []
+
+    def answer(received: Frame) -> Pieces | None:
+        found.append(channel.is_calling())
+        return frame.segments(TEXT, received.value(TEXT), Kind.RESULT)
+
+    wire.server().open("echo", answer)
+    assert not channel.is_calling()
+    channel.request(call("a"), LIMIT)
+    assert found == [True]
+    assert not channel.is_calling()
+
+
+@both
 def test_messages_keep_their_order(wire: Wire) -> None:
     receiver = Receiver()
     wire.server().open("echo", receiver)

@@ -23,11 +23,11 @@ from poise.manage.observe.deviations import explain
 from poise.manage.run import Run
 from poise.manage.statuses import calling_ports, components_of
 from poise.priority import first
+from poise.wire.address import LOST_AFTER
 from poise.wire.migration_phases import MigrationPhases
 from poise.wire.records.deployment import ComponentStatus
 from poise.wire.records.migration import (
     MigrationSteps,
-    Step,
     StepsDone,
     StepsOutcome,
     StepTaken,
@@ -43,6 +43,9 @@ two, and `MARGIN` for each answer that does not come."""
 LINGER = 0.1
 """The sources stay for this time after the targets resumed [s], and redirect callers
 that chose their route before."""
+LONGEST_LINGER = LOST_AFTER
+"""They stay this long [s] while a sender is cut off, or waits for an answer: after that
+its connection is lost."""
 REMOVE_LIMIT = 2.0
 """What is to be removed has ended after this time [s]; else the journal says so."""
 
@@ -119,6 +122,7 @@ class Migration:
         self._number = next(_numbers)
         self._phases = MigrationPhases("manager", f"migration of {what}")
         self._taken: list[StepTaken] = []
+        self._late: list[PlacedStep] = []
 
     def run(self) -> MigrationReport:
         """Migrate, or roll back; never raises for what goes wrong on the way."""
@@ -136,7 +140,7 @@ class Migration:
                 downtime = time.monotonic() - paused
         phases = self._phases.seconds()
         if not reason:
-            time.sleep(LINGER)
+            self._linger()
         self._remove(self._targets if reason else self._sources)
         return MigrationReport(
             committed=not reason,
@@ -177,6 +181,17 @@ class Migration:
         self._resume(self._plan.resume())
         return ""
 
+    def _linger(self) -> None:
+        """Let the sources redirect callers until all senders have left them."""
+        deadline = time.monotonic() + LONGEST_LINGER
+        time.sleep(LINGER)
+        late = self._late
+        while late and time.monotonic() < deadline:
+            late = self._tell_all(late)
+            time.sleep(LINGER)
+        if late:
+            self._note_failure(f"{_names(late)} may still call where it was")
+
     def _take(
         self,
         steps: Sequence[PlacedStep],
@@ -200,7 +215,7 @@ class Migration:
             One failed; others may still be under way.
         """
         quiesce = 0.0
-        for outcome in self._outcomes(steps, limit, check):
+        for _, outcome in self._outcomes(steps, limit, check):
             if not isinstance(outcome, StepsDone):
                 raise RunError(outcome.reason)
             quiescing = [t for t in outcome.taken if t.phase == "quiesce"]
@@ -213,30 +228,47 @@ class Migration:
         A container that is not reached follows the next deployment: it then has one
         route only, and sends there what it buffered.
         """
-        for outcome in self._outcomes(steps, RESUME_LIMIT, lambda: None):
+        failed = self._tell_all(steps, self._note_failure)
+        self._late = [each for each in failed if each[1].name == "release to targets"]
+
+    def _tell_all(
+        self,
+        steps: Sequence[PlacedStep],
+        on_failure: Callable[[str], object] = lambda _: None,
+    ) -> list[PlacedStep]:
+        """Let all containers take their steps; return those that may not be taken."""
+        failed: list[PlacedStep] = []
+        for batch, outcome in self._outcomes(steps, RESUME_LIMIT, lambda: None):
             if not isinstance(outcome, StepsDone):
-                self._note_failure(outcome.reason)
+                on_failure(outcome.reason)
+                failed += batch[len(outcome.taken) :]
+        return failed
 
     def _outcomes(
         self, steps: Sequence[PlacedStep], limit: float, check: Callable[[], object]
-    ) -> Iterator[StepsOutcome]:
-        """Send each container its steps; yield the outcomes as they are known."""
-        batches: dict[tuple[str, str], list[Step]] = {}
-        for incarnation, step in steps:
-            container = self._run.layout.container_of(incarnation.component)
-            batches.setdefault((incarnation.computer, container), []).append(step)
+    ) -> Iterator[tuple[list[PlacedStep], StepsOutcome]]:
+        """Send each container its steps; yield these and the outcome as it is known."""
+        batches: dict[tuple[str, str], list[PlacedStep]] = {}
+        for placed in steps:
+            container = self._run.layout.container_of(placed[0].component)
+            batches.setdefault((placed[0].computer, container), []).append(placed)
+        by_number = {next(_numbers): key for key in batches}
         told = [
             (
                 computer,
                 MigrationSteps(
-                    next(_numbers), self._number, container, tuple(batch), limit
+                    number,
+                    self._number,
+                    container,
+                    tuple(step for _, step in batches[computer, container]),
+                    limit,
                 ),
             )
-            for (computer, container), batch in batches.items()
+            for number, (computer, container) in by_number.items()
         ]
         for outcome in self._run.agents.take_steps(told, check):
             self._taken += outcome.taken
-            yield outcome
+            yield batches[by_number[outcome.number]], outcome
 
     def _remove(self, gone: Sequence[Incarnation]) -> None:
         """Let only what is placed run, and wait until `gone` have ended."""
@@ -278,6 +310,10 @@ class Migration:
         return (
             f"{explain(source, found, of_container)}: its state cannot be transferred"
         )
+
+
+def _names(steps: Sequence[PlacedStep]) -> str:
+    return ", ".join(sorted(f"'{sender.component}'" for sender, _ in steps))
 
 
 def _left(deadline: float) -> float:

@@ -105,8 +105,9 @@ class MigrationPlan:
         """Return the steps after which the targets work."""
         return [
             *(_step("resume", t) for t in self._targets.values()),
-            *self._release("release to targets", self._to, self._targets),
+            # a release waits for the calls that are redirected
             *(_step("redirect", s) for s in self._sources.values()),
+            *self._release("release to targets", self._to, self._targets),
         ]
 
     def roll_back(self) -> Round:

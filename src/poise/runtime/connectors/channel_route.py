@@ -66,6 +66,10 @@ class ChannelRoute:
         """Close the channel."""
         self._channel.close()
 
+    def is_calling(self) -> bool:
+        """Return whether a call waits for its answer."""
+        return self._channel.is_calling()
+
     def push(self, method: Method | None, value: object) -> int:
         """Send a message or one-way call."""
         if method is None:

@@ -25,6 +25,10 @@ class Route(Protocol):
         """
         ...
 
+    def is_calling(self) -> bool:
+        """Return at once whether a call waits for an answer from another container."""
+        ...
+
     def push(self, method: Method | None, value: object) -> int:
         """Send a message, or a one-way call of `method`; return its size [bytes].
 

@@ -12,8 +12,9 @@ import time
 from collections.abc import Callable
 from functools import partial
 
-from poise.errors import PoiseError, RunError
+from poise.errors import PoiseError, RunError, Timeout
 from poise.runtime.component.error_report import told_in_brief
+from poise.runtime.connectors.sender import Sender
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.wiring import Runners, Transports, Wiring
 from poise.runtime.migration.party import Party
@@ -30,6 +31,8 @@ from poise.wire.records.migration import (
 _SHARE = 0.75
 """Steps may take this share of their limit: the rest is for the answer, so that the
 manager learns which step was too slow, and of what component."""
+_POLL = 0.001
+"""Nobody tells when a call has its answer; look this often [s]."""
 
 
 class MigrationExecutor:
@@ -92,6 +95,8 @@ class MigrationExecutor:
             case "release to targets" | "release to sources":
                 for key in step.connectors:
                     self._wiring.sender(key).switch(key)
+                for key in step.connectors:
+                    _wait_left(self._wiring.sender(key), deadline)
             case "drain channels":
                 markers = dict.fromkeys(step.connectors, migration)
                 left = max(0.0, deadline - time.monotonic())
@@ -121,3 +126,12 @@ class MigrationExecutor:
                 f"{migration}, and {party.migration} has begun"
             )
         return party
+
+
+def _wait_left(sender: Sender, deadline: float) -> None:
+    """Wait until no call of a sender waits at its former target any more."""
+    while sender.is_leaving():
+        if time.monotonic() > deadline:
+            text = "a call has no answer yet from the computer that its target left"
+            raise Timeout(f"connector {sender.name}: {text}")
+        time.sleep(_POLL)

@@ -57,6 +57,10 @@ class _Connections:
             for connection in list(self._open)
         )
 
+    def is_in_use(self) -> bool:
+        """Return at once whether one is not idle."""
+        return not self._open <= {*self}
+
     def take(self) -> Connection | None:
         """Return the idle one that was used last."""
         try:
@@ -156,6 +160,10 @@ class Channel:
             any(connections.is_alive() for connections in self._connections)
             or self._is_reached()
         )
+
+    def is_calling(self) -> bool:
+        """Return at once whether a call waits for its answer."""
+        return self._calls.is_in_use()
 
     def request(self, pieces: Pieces, limit: float) -> Frame:
         """Send a call and return its answer.
