@@ -93,7 +93,10 @@ def test_a_placement_shows_where_components_are() -> None:
 def test_a_wrong_name_is_a_wrong_argument() -> None:
     with pytest.raises(poise.UsageError, match="'hello' has no task 'dance'"):
         poise.place(hello(), "dance")
-    with pytest.raises(poise.UsageError, match=r"no method 'fast' .*, static\)"):
+    with pytest.raises(
+        poise.UsageError,
+        match=r"no method 'fast' .*, static, round-robin, random:SEED, FILE\)",
+    ):
         poise.place(hello(), method="fast")
 
 

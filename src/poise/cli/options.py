@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import msgspec
 import typer
@@ -19,8 +19,12 @@ RobotTask = Annotated[
     str | None, typer.Option("--task", help="The task; else the file's first.")
 ]
 Method = Annotated[
-    Literal["auto", "static"],
-    typer.Option("--placement", help="auto: Poise decides; static: home computers."),
+    str,
+    typer.Option(
+        "--placement",
+        help="auto, greedy: Poise decides; static: home computers; round-robin; "
+        "random:SEED; or a file with `component: computer`.",
+    ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")]
 

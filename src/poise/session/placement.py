@@ -11,11 +11,12 @@ from poise import plan
 from poise.errors import RobotError, UsageError
 from poise.model.robot import Robot
 from poise.plan.solvers.portfolio import METHODS as SOLVERS
+from poise.session.placement_rules import RULES, by_rule, is_rule
 from poise.session.render.plan import plan_parts
 from poise.session.render.shown import Shown
 
-METHODS = (*SOLVERS, "static")
-"""What may decide; ``static`` is the robot file."""
+METHODS = (*SOLVERS, *RULES)
+"""What may decide: a solver, or a rule that knows no objective."""
 
 
 class Placement(Shown, Struct, frozen=True, kw_only=True):
@@ -88,8 +89,9 @@ def place(
     task
         Its name; None: all functions of the robot.
     method
-        ``auto``, ``greedy``, ``exact``, ``search``, ``cpsat``, or ``static``: every
-        architecture on its home.
+        ``auto``, ``greedy``, ``exact``, ``search`` or ``cpsat``; ``static``: every
+        architecture on its home; ``round-robin``; ``random:SEED``; or a file with
+        ``component: computer``.
     budget
         Time to decide [s].
     seed
@@ -108,20 +110,35 @@ def place(
     RobotError
         A component can run nowhere, or an architecture has no home.
     """
-    check_method(method)
     problem = plan.problem_of(robot, task)
-    if method == "static":
-        static = plan.static(robot, problem)
-        result = plan.evaluate(problem, static, "static")
-    else:
+    result = ruled(method, robot, problem)
+    if result is None:
         result = plan.solve(problem, budget, method, seed, fewer=fewer)
     return Placement(task=task, method=method, problem=problem, result=result)
 
 
-def check_method(method: str) -> None:
-    """Raise UsageError when there is no such method to decide."""
-    if method not in METHODS:
+def ruled(
+    method: str, robot: Robot | None, problem: plan.Problem
+) -> plan.Result | None:
+    """Return what a rule places; None: a solver is to decide.
+
+    Parameters
+    ----------
+    robot
+        Whose problem it is; None: nobody's.
+
+    Raises
+    ------
+    UsageError
+        There is no such method, or the rule needs a robot.
+    """
+    if method in SOLVERS:
+        return None
+    if not is_rule(method):
         raise UsageError(f"no method '{method}' (there are: {', '.join(METHODS)})")
+    if robot is None:
+        raise UsageError(f"'{method}' needs a robot file: a plain problem has no homes")
+    return plan.evaluate(problem, by_rule(method, robot, problem), method)
 
 
 def runnable(robot: Robot, task: str, placement: Placement | None) -> Placement:
@@ -133,6 +150,6 @@ def runnable(robot: Robot, task: str, placement: Placement | None) -> Placement:
         There is no placement; the message says why.
     """
     chosen = place(robot, task) if placement is None else placement
-    if not chosen.where or (not chosen.feasible and chosen.method != "static"):
+    if not chosen.where or (not chosen.feasible and chosen.method in SOLVERS):
         raise RobotError(f"task '{task}' has no placement: {chosen.reason}")
     return chosen

@@ -16,7 +16,7 @@ from poise.cli.options import AsJson, print_json
 from poise.errors import UsageError
 from poise.model import load
 from poise.model.robot import Computer, Robot
-from poise.session.placement import check_method
+from poise.session.placement import ruled
 from poise.session.profiles import profiled
 from poise.session.render.plan import (
     show,
@@ -34,7 +34,11 @@ def plan_command(
     ],
     task: Annotated[str | None, typer.Option(help="Task to place; else all.")] = None,
     method: Annotated[
-        str, typer.Option(help="auto, greedy, exact, search, cpsat or static.")
+        str,
+        typer.Option(
+            help="auto, greedy, exact, search, cpsat; static, round-robin, random:SEED "
+            "or a file with `component: computer`."
+        ),
     ] = "auto",
     budget: Annotated[float, typer.Option(help="Time to decide, in seconds.")] = 0.1,
     seed: Annotated[int, typer.Option(help="Seed of the search.")] = 0,
@@ -90,10 +94,7 @@ def plan_command(
     problem = _changed(problem, without or [], add or [], scale or [])
 
     def solved(name: str) -> plan.Result:
-        check_method(name)
-        if name == "static":
-            return plan.evaluate(problem, _static(robot, problem), "static")
-        return solve(problem, name, why=True)
+        return ruled(name, robot, problem) or solve(problem, name, why=True)
 
     def solve(
         problem: plan.Problem, name: str = method, *, why: bool = False
@@ -112,8 +113,6 @@ def plan_command(
     with Interrupts() as interrupts:
         if compare is not None:
             names = [name.strip() for name in compare.split(",")]
-            for name in names:
-                check_method(name)
             results = {name: solved(name) for name in names}
             _answer_comparison(problem, results, json=json)
             feasible = any(result.feasible for result in results.values())
@@ -144,12 +143,6 @@ def read(
     if task is not None:
         raise UsageError(f"--task {task}: {file} is a plain problem and has no tasks")
     return None, plan.load(file)
-
-
-def _static(robot: Robot | None, problem: plan.Problem) -> dict[str, str]:
-    if robot is None:
-        raise UsageError("'static' needs a robot file: a plain problem has no homes")
-    return plan.static(robot, problem)
 
 
 def _on_computers(problem: plan.Problem, few: plan.Smallest | None) -> plan.Problem:

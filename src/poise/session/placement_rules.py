@@ -1,0 +1,92 @@
+"""Placements by a rule or from a file, to compare Poise's with."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Mapping
+from itertools import cycle
+from pathlib import Path
+
+import yaml
+
+from poise import plan
+from poise.errors import UsageError
+from poise.model.robot import Robot
+
+RULES = ("static", "round-robin", "random:SEED", "FILE")
+"""What may place instead of a solver. `FILE` (.yaml or .json) has
+``component: computer``, or is what ``poise plan --json`` printed."""
+
+
+def is_rule(name: str) -> bool:
+    """Return whether a name is one of `RULES`."""
+    is_file = Path(name).suffix in {".yaml", ".yml", ".json"}
+    return name in RULES[:2] or name.startswith("random:") or is_file
+
+
+def by_rule(rule: str, robot: Robot, problem: plan.Problem) -> dict[str, str]:
+    """Return component -> computer as a rule has it.
+
+    It may break limits. ``round-robin`` deals the components to the computers in turn,
+    ``random:SEED`` at random; both put no component where it may not run.
+
+    Raises
+    ------
+    UsageError
+        The seed is no number, or the file names what is not there.
+    """
+    static = plan.static(robot, problem)
+    names = [computer.name for computer in problem.computers]
+    choices = {each.name: tuple(each.only or names) for each in problem.components}
+    if rule == "static":
+        return static
+    if rule == "round-robin":
+        turns = {each: cycle(each) for each in choices.values()}
+        return {name: next(turns[choices[name]]) for name in static}
+    if rule.startswith("random:"):
+        chance = random.Random(_seed(rule))  # noqa: S311 - nothing secret
+        return {name: chance.choice(choices[name]) for name in static}
+    return _checked(rule, _read(Path(rule)), choices, static)
+
+
+def _seed(rule: str) -> int:
+    try:
+        return int(rule.removeprefix("random:"))
+    except ValueError:
+        raise UsageError(
+            f"placement '{rule}': the seed is a whole number, as in random:7"
+        ) from None
+
+
+def _read(path: Path) -> Mapping[object, object]:
+    try:
+        found = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise UsageError(f"placement {path} cannot be read: {error}") from error
+    if isinstance(found, dict) and isinstance(found.get("placement"), dict):
+        found = found["placement"]
+    if not isinstance(found, dict):
+        raise UsageError(f"placement {path} is no mapping of components to computers")
+    return found
+
+
+def _checked(
+    rule: str,
+    found: Mapping[object, object],
+    choices: Mapping[str, tuple[str, ...]],
+    needed: Mapping[str, str],
+) -> dict[str, str]:
+    """Return the placement in a file; UsageError with all that is wrong with it."""
+    faults = [f"it has no component '{name}'" for name in needed if name not in found]
+    placement = {}
+    for component, computer in found.items():
+        name, where = str(component), str(computer)
+        if name not in choices:
+            faults.append(f"the task needs no component '{name}'")
+        elif where not in choices[name]:
+            here = " or ".join(choices[name])
+            faults.append(f"'{name}' may not run on '{where}', only on {here}")
+        placement[name] = where
+    if faults:
+        raise UsageError(f"placement {rule}: {'; '.join(faults)}")
+    return placement

@@ -1,0 +1,102 @@
+"""Placements by a rule or from a file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+
+import poise
+from poise.errors import UsageError
+from poise.model.robot import Architecture, Component, Computer, Robot
+
+NAMES = ("a", "b", "c", "d", "held")
+
+
+@pytest.fixture
+def robot() -> Robot:
+    """Return two computers and five components; the last may run on `right` only."""
+    free = [Component(name=name, demand={"cpu": 0.1}) for name in NAMES[:-1]]
+    held = Component(name="held", demand={"cpu": 0.1}, only=("right",))
+    return Robot(
+        name="ruled",
+        computers=tuple(
+            Computer(name=name, capacity={"cpu": 1.0}) for name in ("left", "right")
+        ),
+        architectures=(
+            Architecture(
+                name="all", function="all", home="left", components=(*free, held)
+            ),
+        ),
+    )
+
+
+def test_round_robin_deals_components_in_turn(robot: Robot) -> None:
+    placed = poise.place(robot, method="round-robin")
+    assert placed.where == {
+        "a": "left",
+        "b": "right",
+        "c": "left",
+        "d": "right",
+        "held": "right",
+    }
+    assert placed.method == "round-robin"
+
+
+def test_a_random_placement_is_the_same_for_the_same_seed(robot: Robot) -> None:
+    found = [poise.place(robot, method=f"random:{n}").where for n in (*range(9), 0)]
+    assert found[0] == found[-1]
+    assert len({tuple(each.items()) for each in found}) > 1
+    assert {each["held"] for each in found} == {"right"}
+
+
+def test_a_placement_is_read_from_what_plan_printed(
+    robot: Robot, tmp_path: Path
+) -> None:
+    wanted = dict.fromkeys(NAMES, "right")
+    for name, content in (
+        ("plain.yaml", "".join(f"{n}: right\n" for n in NAMES)),
+        ("printed.json", json.dumps({"placement": wanted, "feasible": True})),
+    ):
+        (tmp_path / name).write_text(content)
+        placed = poise.place(robot, method=str(tmp_path / name))
+        assert placed.where == wanted
+
+
+def test_all_that_is_wrong_with_a_file_is_said_at_once(
+    robot: Robot, tmp_path: Path
+) -> None:
+    file = tmp_path / "placement.yaml"
+    file.write_text("a: left\nb: nowhere\nc: left\nheld: left\nother: left\n")
+    with pytest.raises(UsageError) as said:
+        poise.place(robot, method=str(file))
+    assert str(said.value) == (
+        f"placement {file}: it has no component 'd'; 'b' may not run on 'nowhere', "
+        "only on left or right; 'held' may not run on 'left', only on right; the task "
+        "needs no component 'other'"
+    )
+
+
+@pytest.mark.parametrize(
+    ("rule", "said"),
+    [
+        ("random:x", "the seed is a whole number, as in random:7"),
+        ("nowhere.yaml", "cannot be read"),
+        ("fast", "no method 'fast'"),
+    ],
+)
+def test_a_rule_that_is_none_is_refused(robot: Robot, rule: str, said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        poise.place(robot, method=rule)
+
+
+def test_a_rule_may_overfill_a_computer_and_says_so(robot: Robot) -> None:
+    small = replace(
+        robot,
+        computers=tuple(replace(c, capacity={"cpu": 0.2}) for c in robot.computers),
+    )
+    placed = poise.place(small, method="round-robin")
+    assert not placed.feasible
+    assert "right: cpu needs 0.3" in placed.reason
