@@ -7,7 +7,12 @@ from typing import cast
 import pytest
 
 from poise.manage.agents import Agents
-from poise.manage.control_socket.records import MoveCommand, Moved, StatusCommand
+from poise.manage.control_socket.records import (
+    MoveCommand,
+    Moved,
+    Refusal,
+    StatusCommand,
+)
 from poise.manage.journal import Journal
 from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
@@ -76,6 +81,25 @@ def test_a_move_to_a_computer_that_is_out_of_reach_is_refused_at_once(
     managed.manager.work(0.0)  # from here on the manager goes on without it
     sentences = managed.sentences_of_move()
     assert "computer 'left' is out of reach since" in sentences[-1]
+
+
+def test_a_bug_in_a_command_is_refused_and_the_robot_goes_on(
+    managed: Managed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def break_down(*_: object) -> None:
+        managed.run.tell([])  # in the middle of a change
+        raise KeyError("odd")
+
+    monkeypatch.setattr("poise.manage.manager.move", break_down)
+    future = managed.manager.submit(COMMAND)
+    managed.manager.work(0.0)
+    refusal = future.result(0.0)
+    assert isinstance(refusal, Refusal)
+    assert "KeyError: 'odd'" in refusal.reason
+    entry = managed.journal.entries()[-1]
+    assert (entry.kind, "KeyError: 'odd'" in entry.what) == ("failed", True)
+    assert "break_down" in entry.facts["traceback"]
+    assert {each.component for each in managed.run.wanted} == set(PLACEMENT)
 
 
 def test_a_status_waits_for_nothing_that_the_manager_does(managed: Managed) -> None:

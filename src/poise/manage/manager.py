@@ -11,6 +11,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
+import traceback
 from collections.abc import Callable
 from concurrent.futures import Future
 
@@ -179,6 +180,18 @@ class Manager:
             return self._done(command)
         except PoiseError as error:
             return Refusal.from_error(error)
+        except Exception as error:  # noqa: BLE001, a bug of Poise must not end the robot
+            return self._refusal_of_bug(command, error)
+
+    def _refusal_of_bug(self, command: Command, error: Exception) -> Refusal:
+        """Journal an error that nobody foresaw, and let what was placed go on."""
+        what = f"{command} ended by a bug of Poise: {type(error).__name__}: {error}"
+        self._run.journal.note("failed", what, traceback=traceback.format_exc())
+        try:
+            self._run.tell(self._run.placed.values())
+        except PoiseError as told:
+            return Refusal(f"{what}; then: {told}", "RunError")
+        return Refusal(f"{what}. The robot goes on as it was placed", "RunError")
 
     def _done(self, command: Command) -> Result:
         run = self._run
