@@ -13,6 +13,9 @@ from poise.runtime.execution.exclusion import Exclusion, new_chain
 
 log = logging.getLogger(__name__)
 
+BORROW_LIMIT = 5.0
+"""Whoever wants the component's code waits this long for another who has it [s]."""
+
 
 class ExecutionGate:
     """Whether a component's code may run. It starts paused.
@@ -23,6 +26,8 @@ class ExecutionGate:
         The component's, for errors.
     may_resume
         Returns whether the component is active, and should be.
+    borrow_limit
+        How long one waits while another has borrowed its code [s].
     """
 
     def __init__(
@@ -31,11 +36,13 @@ class ExecutionGate:
         exclusion: Exclusion,
         endpoints: Endpoints,
         may_resume: Callable[[], bool],
+        borrow_limit: float = BORROW_LIMIT,
     ) -> None:
         self._name = name
         self._exclusion = exclusion
         self._endpoints = endpoints
         self._may_resume = may_resume
+        self._borrow_limit = borrow_limit
         self._changed = threading.Condition()
         self._is_paused = True
         self._is_borrowed = self._resumes_later = False
@@ -114,9 +121,17 @@ class ExecutionGate:
         ------
         RunError
             It is at work.
+        Timeout
+            Another, such as `snapshot`, had it for all of the limit.
         """
         with self._changed:
-            self._changed.wait_for(lambda: not self._is_borrowed)
+            if not self._changed.wait_for(
+                lambda: not self._is_borrowed, self._borrow_limit
+            ):
+                raise Timeout(
+                    f"component '{self._name}': its `snapshot`, `restore` or another "
+                    f"hook still runs after {self._borrow_limit:g} s"
+                )
             if not self._is_paused:
                 raise RunError(f"component '{self._name}' is not paused")
             self._is_borrowed = True

@@ -224,7 +224,8 @@ class Runner:
         if hook == "cleanup":
             return
         try:
-            self.component.cleanup()
+            with self.gate.borrowed(by_hook=True):
+                self.component.cleanup()
         except (Exception, SystemExit):
             log.exception("component '%s': cleanup after an error", self.spec.name)
 

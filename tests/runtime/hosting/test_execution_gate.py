@@ -1,0 +1,40 @@
+"""Nobody waits for ever for code of a component that hangs."""
+
+from __future__ import annotations
+
+import threading
+from typing import cast
+
+import pytest
+
+from poise.errors import Timeout
+from poise.runtime.connectors.endpoints import Endpoints
+from poise.runtime.execution.exclusion import Exclusion
+from poise.runtime.hosting.execution_gate import ExecutionGate
+
+
+def test_what_hangs_is_not_waited_for_without_limit() -> None:
+    gate = ExecutionGate(
+        "map", Exclusion("map"), cast("Endpoints", None), lambda: False, 0.01
+    )
+    hangs, goes_on = threading.Event(), threading.Event()
+
+    def snapshot() -> None:
+        with gate.borrowed():
+            hangs.set()
+            goes_on.wait()
+
+    thread = threading.Thread(target=snapshot)
+    thread.start()
+    hangs.wait()
+    try:
+        with (
+            pytest.raises(Timeout, match=r"'map'.*still runs"),
+            gate.borrowed(by_hook=True),
+        ):
+            pass
+    finally:
+        goes_on.set()
+        thread.join()
+    with gate.borrowed(by_hook=True):  # it is free again
+        pass
