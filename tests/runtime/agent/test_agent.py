@@ -17,6 +17,7 @@ from typing import Any
 import msgspec
 import pytest
 import zenoh
+from msgspec import structs
 
 from poise.runtime.waker import wait_readable
 from poise.wire.control_session import open_session
@@ -28,6 +29,7 @@ from poise.wire.records.deployment import (
     Claim,
     ComponentSpec,
     ComponentStatus,
+    ConnectorSpec,
     ContainerHealth,
     ContainerSpec,
     ContainerStatus,
@@ -48,9 +50,12 @@ pytestmark = pytest.mark.slow
 MODULE = '''
 import ctypes, os, pathlib, signal, subprocess, sys, time
 os.chdir(os.path.dirname(__file__))
-from poise import Component, every
+from poise import Component, Message, Published, every
 
 class Quiet(Component): pass
+
+class Speaking(Component):
+    said: Published[Message]
 
 class Angry(Component):
     def configure(self):
@@ -408,6 +413,38 @@ def test_tells_what_cannot_be_imported(
     assert says in only(status).error
 
 
+def test_a_component_recovers_when_it_is_given_the_right_address(
+    manager: Manager,
+) -> None:
+    wrong = ConnectorSpec(
+        name="said",
+        kind="remote",
+        source="speaking",
+        source_port="said",
+        target="far",
+        target_port="heard",
+        address="nowhere/far",
+    )
+    for connector in (wrong, structs.replace(wrong, address="127.0.0.1:9/far")):
+        spec = manager._container("speaking", "active", {})
+        manager._deploy(structs.replace(spec, connectors=(connector,)))
+        if connector == wrong:
+            status = manager.wait_for(
+                lambda s: bool(s.containers) and states(s) == {"speaking": "failed"}
+            )
+            assert "'nowhere/far' is no address" in only(status).error
+    assert manager.wait_active("speaking").components[0].error == ""
+
+
+def test_a_component_that_could_not_start_is_tried_again_when_it_is_another(
+    manager: Manager,
+) -> None:
+    manager.deploy("quiet", implementation="quiet_module:Quite")
+    manager.wait_for(lambda s: states(s) == {"quiet": "failed"})
+    manager.deploy("quiet")
+    manager.wait_active("quiet")
+
+
 def test_kills_one_that_will_not_end(manager: Manager) -> None:
     manager.deploy("stubborn")
     container = manager.wait_active("stubborn")
@@ -535,6 +572,21 @@ def test_a_step_in_a_container_that_is_stopped_meanwhile_fails_at_once(
     assert isinstance(failed, StepsFailed)
     assert "does not respond" in failed.reason
     os.kill(container.pid, signal.SIGKILL)
+
+
+def test_a_step_in_a_container_whose_interpreter_is_held_fails_at_once(
+    manager: Manager,
+) -> None:
+    """It does not wait for the limit of the step, which is longer than the test's."""
+    manager.deploy("greedy")
+    manager.wait_for(lambda s: health(s, "greedy").state == "unresponsive")
+    for number in (10, 11):
+        steps = MigrationSteps(number, 1, "greedy", (Step("redirect", "x"),), limit=1e3)
+        failed = manager.ask(steps)
+        assert isinstance(failed, StepsFailed)
+        assert "interpreter (GIL)" in failed.reason
+    manager.deploy()
+    manager.wait_for(lambda s: not s.containers)
 
 
 def limit_descriptors(pid: int, more: int | None) -> None:

@@ -55,7 +55,7 @@ def test_a_stopped_process_is_noticed_within_a_second_and_once() -> None:
     world.go_on(1.0, beats=True)
     world.stopped = True
     (found,) = world.go_on(0.8)
-    assert found.is_stopped
+    assert not found.is_starved
     assert "SIGSTOP" in found.reason
     assert str(PID) in found.remedy
     assert world.go_on(60.0) == []

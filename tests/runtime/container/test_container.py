@@ -1,7 +1,10 @@
-"""A container does not depend on an agent that is slow to listen."""
+"""What a container does when its agent stands still."""
 
 import contextlib
+import os
 import socket
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,7 +12,15 @@ import pytest
 from poise.runtime.container.container import Container
 from poise.runtime.hosting.stats_page import new_memory
 from poise.runtime.hosting.wiring import Place
-from poise.wire.records.deployment import ContainerSpec
+from poise.runtime.waker import wait_readable
+from poise.wire import record_channel
+from poise.wire.records.deployment import (
+    ContainerFailure,
+    ContainerSpec,
+    FromContainer,
+    ToContainer,
+)
+from tests.waiting import LIMIT
 
 pytestmark = pytest.mark.slow
 
@@ -28,3 +39,37 @@ def test_no_status_waits_for_an_agent_that_stands_still(tmp_path: Path) -> None:
                 ours.send(bytes(1 << 16))
         ours.setblocking(True)
         container._report(container._status())  # raises Timeout if it waits
+
+
+RUN = """
+import socket, sys
+from poise.runtime.container.container import Container
+from poise.runtime.hosting.stats_page import new_memory
+from poise.runtime.hosting.wiring import Place
+place = Place(container="see", folder=sys.argv[2], gateway="", computer="a")
+Container("see", socket.socket(fileno=int(sys.argv[1])), new_memory(), place).run()
+"""
+
+
+def test_says_that_it_ends_because_the_rest_of_a_record_did_not_come(
+    tmp_path: Path,
+) -> None:
+    agent, its = socket.socketpair()
+    with agent, its:
+        argv = [sys.executable, "-c", RUN, str(its.fileno()), str(tmp_path)]
+        process = subprocess.Popen(
+            argv, pass_fds=[its.fileno()], stderr=subprocess.PIPE, text=True
+        )
+        its.close()
+        spec = ContainerSpec(name="see", folder="", components=(), connectors=())
+        reading, writing = socket.socketpair()
+        with reading, writing:
+            record_channel.send(writing, ToContainer(spec))
+            record = reading.recv(1 << 16)
+        os.write(agent.fileno(), record[:-1])
+        assert wait_readable([agent.fileno()], LIMIT)
+        told = record_channel.receive(agent, FromContainer).what
+        _, said = process.communicate(timeout=LIMIT)
+    assert isinstance(told, ContainerFailure)
+    assert told.reason in said
+    assert process.returncode != 0

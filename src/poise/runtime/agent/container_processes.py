@@ -133,6 +133,19 @@ class ContainerProcess:
         if not self.is_deaf:
             self._send(steps)
 
+    def is_stuck(self) -> bool:
+        """Return whether it does not respond, and not only for lack of CPU.
+
+        Its heartbeat is known sooner than the watchdog says that it responds again.
+        """
+        silence, counted = self.silence, self.counted
+        return (
+            silence is not None
+            and counted is not None
+            and not silence.is_starved
+            and silence.heartbeat == counted.heartbeat()
+        )
+
     def hear(self) -> StepsOutcome | None:
         """Take in what it says; return the outcome of a step, if it is one.
 

@@ -41,7 +41,7 @@ class MigrationRelay:
             reason = f"container '{steps.container}' does not run"
             answer(query, StepsFailed(steps.number, reason))
             return
-        if process.silence and process.silence.is_stopped:
+        if process.is_stuck():
             answer(query, StepsFailed(steps.number, _why_silent(process)))
             return
         process.take_steps(steps)
@@ -60,7 +60,7 @@ class MigrationRelay:
             process = self._processes.get(container)
             if process is None or process.is_deaf:
                 reason = f"container '{container}' ended"
-            elif process.silence and process.silence.is_stopped:
+            elif process.is_stuck():
                 reason = _why_silent(process)
             elif now > pending.limit:
                 reason = f"container '{container}' took over {pending.steps.limit:g} s"

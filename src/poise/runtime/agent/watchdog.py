@@ -32,7 +32,14 @@ _SHARE = 0.25
 class Silence(Struct, frozen=True, kw_only=True):
     """A container does not respond; or it responds again: then `reason` is empty.
 
-    `seconds` is how long it did not respond [s].
+    Parameters
+    ----------
+    seconds
+        How long it did not respond [s].
+    heartbeat
+        Where its heartbeat stands still.
+    is_starved
+        Whether it only gets no CPU, which may pass at any moment.
     """
 
     container: str
@@ -40,7 +47,8 @@ class Silence(Struct, frozen=True, kw_only=True):
     seconds: float
     reason: str = ""
     remedy: str = ""
-    is_stopped: bool = False
+    heartbeat: int = 0
+    is_starved: bool = False
 
 
 class Heartbeat(Protocol):
@@ -167,7 +175,7 @@ class Watchdog:
                 seconds=seconds,
                 reason="its process is stopped (SIGSTOP)",
                 remedy=f"`kill -CONT {pid}` lets it go on",
-                is_stopped=True,
+                heartbeat=known.beat,
             )
         delays, cpu = kernel.delays(pid), kernel.cpu(pid)
         if not known.looked_at:
@@ -190,5 +198,11 @@ class Watchdog:
                 reason = "it gets no CPU"
                 remedy = "Give its computer more CPU, or move components to another"
         return Silence(
-            container=name, pid=pid, seconds=seconds, reason=reason, remedy=remedy
+            container=name,
+            pid=pid,
+            seconds=seconds,
+            reason=reason,
+            remedy=remedy,
+            heartbeat=known.beat,
+            is_starved=reason == "it gets no CPU",
         )

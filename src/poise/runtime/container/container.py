@@ -20,6 +20,8 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from types import FrameType
 
+from msgspec import structs
+
 from poise.errors import PoiseError, RunError, Timeout, Unavailable
 from poise.priority import as_usual, go_first
 from poise.runtime.component.error_report import told
@@ -86,10 +88,11 @@ class Container:
         self._transports = Transports(place)
         self._wiring = Wiring(self._transports, self._clock.ahead)
         self._wanted: ContainerSpec | None = None
-        self._preparing: dict[ComponentKey, Future[Runner]] = {}
+        self._preparing: dict[ComponentKey, tuple[ComponentSpec, Future[Runner]]] = {}
         self._runners: dict[ComponentKey, Runner] = {}
         self._ending: dict[ComponentKey, tuple[Runner, float]] = {}
-        self._broken: dict[ComponentKey, ComponentStatus] = {}
+        self._broken: dict[ComponentKey, tuple[ComponentSpec, ComponentStatus]] = {}
+        self._unjoined: dict[ComponentKey, ComponentStatus] = {}
         self._steps = MigrationExecutor(self._runners, self._wiring, self._transports)
         # steps wait for components and for other computers; the control thread must not
         self._step_threads = ThreadPoolExecutor(_STEP_THREADS, "step", go_first)
@@ -195,6 +198,9 @@ class Container:
 
     def _apply(self, spec: ContainerSpec) -> None:
         wanted = {(c.name, c.epoch): c for c in spec.components}
+        for key, (tried, _) in list(self._broken.items()):
+            if key not in wanted or _differ(tried, wanted[key]):
+                del self._broken[key]
         known = {*self._runners, *self._preparing, *self._ending, *self._broken}
         for key, component in wanted.items():
             if key not in known:
@@ -207,9 +213,8 @@ class Container:
                 runner.gate.begin_migration()
             else:
                 runner.aim(goal)
-        for gone in (self._broken, self._preparing):
-            for key in gone.keys() - wanted:
-                del gone[key]
+        for key in self._preparing.keys() - wanted:
+            del self._preparing[key]
         self._stats_page.show(self._runners, self._wiring.endpoints())
 
     def _add(self, key: ComponentKey, component: ComponentSpec, folder: str) -> None:
@@ -218,13 +223,14 @@ class Container:
         is_idle = all(
             each.life_cycle.state != "active" for each in self._runners.values()
         )
-        self._preparing[key] = prepare(
+        preparation = prepare(
             component,
             folder,
             self._clock,
             self._waker.wake,
             gives_way=component.gently and is_idle,
         )
+        self._preparing[key] = component, preparation
 
     def _settle(self) -> bool:
         """Go on with components that are prepared or have ended; whether any are."""
@@ -238,26 +244,24 @@ class Container:
 
     def _take_prepared(self) -> bool:
         """Start the components whose preparation is done; whether there were any."""
-        done = [key for key, each in self._preparing.items() if each.done()]
+        done = [key for key, (_, each) in self._preparing.items() if each.done()]
         for key in done:
-            prepared = self._preparing.pop(key)
+            spec, prepared = self._preparing.pop(key)
             if error := prepared.exception():
-                self._break(key, "start", told(error) or repr(error))
+                why = told(error) or repr(error)
+                self._broken[key] = spec, _failed(key, "start", why)
             else:
                 self._runners[key] = prepared.result()
                 self._runners[key].start()
         return bool(done)
 
-    def _break(self, key: ComponentKey, what: str, why: str) -> None:
-        log.error("component '%s' cannot %s: %s", key[0], what, why)
-        self._broken[key] = ComponentStatus(
-            name=key[0], epoch=key[1], state="failed", error=why, errors=1
-        )
-
     def _connect(self, spec: ContainerSpec, staying: list[ComponentKey]) -> None:
+        """Join what is to be joined; what could not be is tried again every time."""
         runners = {key: self._runners[key] for key in staying}
-        for key, text in self._wiring.apply(spec.connectors, runners).items():
-            self._break(key, "be joined", text)
+        troubles = self._wiring.apply(spec.connectors, runners)
+        self._unjoined = {
+            key: _failed(key, "be joined", text) for key, text in troubles.items()
+        }
 
     def _remove(self, key: ComponentKey) -> None:
         runner = self._runners.pop(key)
@@ -278,6 +282,7 @@ class Container:
 
     def _status(self) -> ContainerStatus:
         used = self._stats_page.cpu()
+        broken = {key: status for key, (_, status) in self._broken.items()}
         components = {key: each.status() for key, (each, _) in self._ending.items()}
         components |= {
             key: ComponentStatus(name=key[0], epoch=key[1], state="unconfigured")
@@ -291,7 +296,7 @@ class Container:
             pid=os.getpid(),
             cpu=time.process_time()
             + sum(r.counters.cpu() for r in self._runners.values() if r.spec.command),
-            components=tuple((components | self._broken).values()),
+            components=tuple((components | broken | self._unjoined).values()),
             connectors=self._wiring.status(),
         )
 
@@ -308,6 +313,17 @@ class Container:
         self._step_threads.shutdown(wait=False, cancel_futures=True)
         self._wiring.close()
         self._transports.close()
+
+
+def _failed(key: ComponentKey, what: str, why: str) -> ComponentStatus:
+    name, epoch = key
+    log.error("component '%s' cannot %s: %s", name, what, why)
+    return ComponentStatus(name=name, epoch=epoch, state="failed", error=why, errors=1)
+
+
+def _differ(tried: ComponentSpec, wanted: ComponentSpec) -> bool:
+    """Return whether a component may start where it could not: not all is the same."""
+    return structs.replace(tried, goal=wanted.goal) != wanted
 
 
 def _end_by_signals() -> None:
