@@ -164,7 +164,7 @@ def _wire(plan: NetworkPlan, host: Probe) -> list[str]:
     namespaces.build(plan)
     if "tc" not in host.tools:
         return []
-    slow = any(cable.latency for cable in plan.cables)
+    slow = any(shape.latency for _, _, shape in plan.links)
     delays = slow and namespaces.can_delay(plan.switch)
     namespaces.shape(plan, delays=delays)
     reason = "link latency: this kernel cannot delay packets (no sch_netem)"

@@ -14,7 +14,7 @@ import pytest
 from poise.emulate import Emulation
 from poise.emulate.network import namespaces
 from poise.emulate.network import plan as network_plan
-from poise.emulate.network.plan import plan_network
+from poise.emulate.network.plan import Shape, plan_network
 from poise.emulate.owner import Owner
 from poise.errors import RobotError, RunError
 from poise.model.robot import Link, Robot
@@ -27,10 +27,12 @@ LINKS = (
 )
 
 
-def test_cable_is_as_wide_as_the_widest_link_of_its_computer() -> None:
+def test_links_join_computers_by_their_numbers() -> None:
     plan = plan_network(OWNER, 0, ["a", "b", "c", "d"], LINKS)
-    assert [c.bandwidth for c in plan.cables] == [1e6, 5e6, 5e6, None]
-    assert [c.latency for c in plan.cables] == [0.002, 0.002, 0.001, 0.0]
+    assert plan.links == (
+        (0, 1, Shape(bandwidth=1e6, latency=0.002)),
+        (1, 2, Shape(bandwidth=5e6, latency=0.001)),
+    )
 
 
 def test_a_tool_that_hangs_is_an_error_like_others(
@@ -60,23 +62,40 @@ def test_addresses_differ_and_names_say_whose_they_are() -> None:
     assert len(widest.owner) <= 15
 
 
-def test_both_ends_of_a_cable_are_shaped() -> None:
-    plan = plan_network(OWNER, 0, ["a", "d"], LINKS)
-    rate = "tbf rate 8000000bit burst 16384 latency 40ms"
-    assert namespaces.shaping(plan, delays=False) == [
-        (plan.switch, [f"qdisc add dev port0 root {rate}"]),
-        (plan.cables[0].namespace, [f"qdisc add dev eth0 root {rate}"]),
-        (plan.cables[1].namespace, []),
+def test_each_link_is_shaped_at_both_ends_by_its_destination() -> None:
+    plan = plan_network(OWNER, 0, ["a", "b", "c", "d"], LINKS)
+    a, b, c, _ = plan.cables
+    narrow = "rate 8000000bit burst 16384 cburst 16384 quantum 1514"
+    wide = "rate 40000000bit burst 16384 cburst 16384 quantum 1514"
+    root = "qdisc add dev eth0 root handle 1: htb"
+    new_class = "class replace dev eth0 parent 1: classid"
+    new_filter = "filter add dev eth0 parent 1: protocol ip prio 1 u32 match ip dst"
+    to_a = [
+        f"{new_class} 1:1 htb {narrow}",
+        "qdisc replace dev eth0 parent 1:1 bfifo limit 56384",
+        f"{new_filter} {a.address}/32 flowid 1:1",
     ]
+    to_b = [
+        "qdisc replace dev eth0 parent 1:2 bfifo limit 56384",
+        f"{new_filter} {b.address}/32 flowid 1:2",
+    ]
+    to_c = [
+        f"{new_class} 1:3 htb {wide}",
+        "qdisc replace dev eth0 parent 1:3 bfifo limit 216384",
+        f"{new_filter} {c.address}/32 flowid 1:3",
+    ]
+    shaping = dict(namespaces.shaping(plan, delays=False))
+    assert shaping[a.namespace] == [root, f"{new_class} 1:2 htb {narrow}", *to_b]
+    assert shaping[b.namespace] == [root, *to_a, *to_c]
+    assert shaping.keys() == {a.namespace, b.namespace, c.namespace}
 
 
-def test_delay_comes_before_the_rate_where_packets_leave() -> None:
-    plan = plan_network(OWNER, 0, ["a"], LINKS)
-    _, (_, commands) = namespaces.shaping(plan, delays=True)
-    assert commands == [
-        "qdisc add dev eth0 root handle 1: netem delay 2000us",
-        "qdisc add dev eth0 parent 1:1 tbf rate 8000000bit burst 16384 latency 40ms",
-    ]
+def test_what_waits_for_the_delay_is_not_dropped() -> None:
+    plan = plan_network(OWNER, 0, ["a", "b"], LINKS)
+    _, commands = namespaces.shaping(plan, delays=True)[0]
+    # 1 MB/s for 40 ms in the queue, and for 2 ms under way, and a bucket of 16 KiB
+    queue = "netem delay 2000us limit 38"
+    assert f"qdisc replace dev eth0 parent 1:2 {queue}" in commands
 
 
 def test_too_many_computers_are_refused() -> None:

@@ -9,13 +9,18 @@ import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
-from poise.emulate.network.plan import Cable, NetworkPlan
+from poise.emulate.network.plan import Cable, NetworkPlan, Shape
 from poise.errors import RunError
 
 NAMESPACES = Path("/run/netns")
 _LIMIT = 10.0
 """Time limit of `ip` and `tc` for a whole batch [s]."""
-_LONGEST_QUEUE = "40ms"
+_LONGEST_QUEUE = 0.04
+"""What waits longer than this before a link is dropped [s]."""
+_UNLIMITED = 1.25e10
+"""The bandwidth of a link without a limit [bytes/s]."""
+_PACKET = 1514
+"""The largest packet [bytes]."""
 _NO_OFFLOAD = "gso_max_segs 1"
 """Otherwise a "packet" of 64 KB crosses a virtual link as one, and traffic comes in
 bursts."""
@@ -50,24 +55,36 @@ def wiring(network: NetworkPlan) -> list[tuple[str, list[str]]]:
 def shaping(network: NetworkPlan, *, delays: bool) -> list[tuple[str, list[str]]]:
     """Return the `tc` commands as (namespace, commands).
 
+    Each link has a class of its own at both ends, where packets leave a computer. What
+    belongs to no link is not shaped.
+
     Parameters
     ----------
     delays
-        Whether the kernel can delay packets (netem); a delay is put where packets
-        leave a computer.
+        Whether the kernel can delay packets (netem).
     """
-    ports = [
-        f"qdisc add dev port{index} root {_rate(cable.bandwidth)}"
-        for index, cable in enumerate(network.cables)
-        if cable.bandwidth
-    ]
-    return [
-        (network.switch, ports),
-        *(
-            (cable.namespace, _leaving(cable, delays=delays))
-            for cable in network.cables
-        ),
-    ]
+    commands: dict[int, list[str]] = {}
+    for one, other, link in network.links:
+        for source, target in ((one, other), (other, one)):
+            inside = commands.setdefault(
+                source, ["qdisc add dev eth0 root handle 1: htb"]
+            )
+            address = network.cables[target].address
+            inside += _link_class(target, link, delays=delays)
+            inside.append(
+                "filter add dev eth0 parent 1: protocol ip prio 1 u32 "
+                f"match ip dst {address}/32 flowid 1:{target + 1:x}"
+            )
+    return [(network.cables[i].namespace, each) for i, each in commands.items()]
+
+
+def reshape(
+    network: NetworkPlan, one: int, other: int, shape: Shape, *, delays: bool
+) -> None:
+    """Shape the link between two computers anew; RunError when `tc` refuses."""
+    for source, target in ((one, other), (other, one)):
+        commands = _link_class(target, shape, delays=delays)
+        _run("tc", network.cables[source].namespace, commands)
 
 
 def build(network: NetworkPlan) -> None:
@@ -77,7 +94,7 @@ def build(network: NetworkPlan) -> None:
 
 
 def shape(network: NetworkPlan, *, delays: bool) -> None:
-    """Give the cables their bandwidth and latency; RunError when `tc` refuses."""
+    """Give the links their bandwidth and latency; RunError when `tc` refuses."""
     for namespace, commands in shaping(network, delays=delays):
         _run("tc", namespace, commands)
 
@@ -113,15 +130,27 @@ def _inside(cable: Cable) -> list[str]:
     ]
 
 
-def _leaving(cable: Cable, *, delays: bool) -> list[str]:
-    commands, parent = [], "root"
-    if delays and cable.latency:
-        delay = f"{round(cable.latency * 1e6)}us"
-        commands = [f"qdisc add dev eth0 root handle 1: netem delay {delay}"]
-        parent = "parent 1:1"
-    if cable.bandwidth:
-        commands += [f"qdisc add dev eth0 {parent} {_rate(cable.bandwidth)}"]
-    return commands
+def _link_class(target: int, shape: Shape, *, delays: bool) -> list[str]:
+    """Return what shapes packets to a computer, whether or not they are already."""
+    minor = f"{target + 1:x}"
+    rate = shape.bandwidth or _UNLIMITED
+    # A bucket of 1 ms holds several packets even on a slow link, and lasts between two
+    # refills on a fast one.
+    burst = max(16 * 1024, int(rate * 0.001))
+    limit = int(rate * _LONGEST_QUEUE) + burst
+    queue = f"bfifo limit {limit}"
+    if delays and shape.latency:
+        under_way = int(rate * shape.latency)
+        queue = (
+            f"netem delay {round(shape.latency * 1e6)}us "
+            f"limit {(limit + under_way) // _PACKET}"
+        )
+    bucket = f"burst {burst} cburst {burst} quantum {_PACKET}"
+    rate_class = f"htb rate {int(rate * 8)}bit {bucket}"
+    return [
+        f"class replace dev eth0 parent 1: classid 1:{minor} {rate_class}",
+        f"qdisc replace dev eth0 parent 1:{minor} {queue}",
+    ]
 
 
 def _run(tool: str, namespace: str, commands: Sequence[str]) -> None:
@@ -142,11 +171,3 @@ def _run(tool: str, namespace: str, commands: Sequence[str]) -> None:
     if done.returncode:
         message = f"{tool} failed{where}: {done.stderr.strip()}"
         raise RunError(message)
-
-
-def _rate(bandwidth: float) -> str:
-    # A bucket of 1 ms holds several packets even on a slow link, and lasts between two
-    # refills on a fast one.
-    burst = max(16 * 1024, int(bandwidth * 0.001))
-    bits = int(bandwidth * 8)
-    return f"tbf rate {bits}bit burst {burst} latency {_LONGEST_QUEUE}"

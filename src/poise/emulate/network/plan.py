@@ -23,31 +23,43 @@ _MOST = 253
 
 
 class Cable(Struct, frozen=True, kw_only=True):
-    """How one computer is connected.
+    """How one computer is connected: its network namespace, its IP address there."""
+
+    namespace: str
+    address: str
+
+
+class Shape(Struct, frozen=True, kw_only=True):
+    """How a link is shaped.
 
     Parameters
     ----------
-    namespace, address
-        Its network namespace and its IP address there.
     bandwidth
-        [bytes/s], each way; None: not shaped.
+        [bytes/s], each way; None: no limit.
     latency
         One way [s].
     """
 
-    namespace: str
-    address: str
     bandwidth: float | None = None
     latency: float = 0.0
 
 
 class NetworkPlan(Struct, frozen=True, kw_only=True):
-    """The whole network that `build` makes."""
+    """The whole network that `build` makes.
+
+    Parameters
+    ----------
+    cables
+        One for each computer, in the order of the robot file.
+    links
+        The two computers of each link, as indices of `cables`, and its shape.
+    """
 
     switch: str
     owner: str
     owner_address: str
     cables: tuple[Cable, ...]
+    links: tuple[tuple[int, int, Shape], ...] = ()
 
     @property
     def namespaces(self) -> tuple[str, ...]:
@@ -62,10 +74,6 @@ def plan_network(
 
     `number` distinguishes the emulations of one owner.
 
-    A computer has one cable for all its links, with the highest bandwidth and the
-    highest latency of them. Where links differ, the narrower ones get more than the
-    robot file says.
-
     Raises
     ------
     RobotError
@@ -76,25 +84,27 @@ def plan_network(
         raise RobotError(message)
     hosts = [str(host) for host in _free_subnet(owner.pid + number).hosts()]
     cables = [
-        Cable(
-            namespace=f"{owner}-{number}-{index}",
-            address=hosts[index],
-            bandwidth=_finite(max((k.bandwidth for k in mine), default=math.inf)),
-            latency=max((link.latency for link in mine), default=0.0),
-        )
-        for index, name in enumerate(computers)
-        for mine in [[link for link in links if name in link.between]]
+        Cable(namespace=f"{owner}-{number}-{index}", address=hosts[index])
+        for index in range(len(computers))
+    ]
+    shaped = [
+        (computers.index(one), computers.index(other), _shape(link))
+        for link in links
+        for one, other in [link.between]
+        if {one, other} <= set(computers)
     ]
     return NetworkPlan(
         switch=f"{owner}-{number}-switch",
         owner=f"{PREFIX}{owner.pid}.{number % 100}",
         owner_address=hosts[-1],
         cables=tuple(cables),
+        links=tuple(shaped),
     )
 
 
-def _finite(bandwidth: float) -> float | None:
-    return bandwidth if math.isfinite(bandwidth) else None
+def _shape(link: Link) -> Shape:
+    bandwidth = link.bandwidth if math.isfinite(link.bandwidth) else None
+    return Shape(bandwidth=bandwidth, latency=link.latency)
 
 
 def _free_subnet(start: int) -> ipaddress.IPv4Network:
