@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from poise.errors import Timeout as Timeout
     from poise.errors import Unavailable as Unavailable
     from poise.errors import UsageError as UsageError
+    from poise.manage.journal import Entry as Entry
+    from poise.manage.journal import read_journal as read_journal
     from poise.model.robot import Robot as Robot
     from poise.runtime.component.component import Component as Component
     from poise.runtime.component.deadline import time_left as time_left
@@ -52,6 +54,7 @@ else:
         "CallError": "errors",
         "CalleeError": "errors",
         "Component": "runtime.component.component",
+        "Entry": "manage.journal",
         "Message": "runtime.component.ports",
         "Placement": "session.placement",
         "PoiseError": "errors",
@@ -80,6 +83,7 @@ else:
         "oneway": "runtime.component.ports",
         "place": "session.placement",
         "profile": "session.profiling.profile",
+        "read_journal": "manage.journal",
         "run": "session.run",
         "stop_without_manager": "session.stop",
         "subscribed": "runtime.component.ports",

@@ -24,6 +24,7 @@ COMMANDS = {
     "move": ("running:move_command", "Move a component of a running robot."),
     "replace": ("running:replace_command", "Swap a component's implementation."),
     "balance": ("running:balance_command", "Place a running robot anew."),
+    "journal": ("journal:journal_command", "Show what a manager decided and why."),
     "stop": ("running:stop_command", "Stop a running robot."),
     "agent": ("agent:agent_command", "Run what the manager wants on this computer."),
 }

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import sqlite3
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import msgspec
 from msgspec import Struct
@@ -29,6 +30,8 @@ wrong, right
     Something is not as the robot file says any more, or is so again.
 """
 
+KINDS: tuple[str, ...] = get_args(Kind)
+
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS entries (
     id INTEGER PRIMARY KEY,
@@ -41,12 +44,16 @@ CREATE TABLE IF NOT EXISTS entries (
 
 
 class Entry(Struct, frozen=True):
-    """An entry of the journal; `at` in seconds since 1970."""
+    """An entry of the journal; `at` in seconds since 1970.
+
+    `number` counts the entries of one file; 0: it is not read from one.
+    """
 
     at: float
     kind: Kind
     what: str
     facts: Any
+    number: int = 0
 
     def __str__(self) -> str:
         """Return time and sentence, for people."""
@@ -105,11 +112,45 @@ class Journal:
 
     def entries(self) -> list[Entry]:
         """Return all entries, oldest first."""
-        rows = self._database.execute(
-            "SELECT at, kind, what, facts FROM entries ORDER BY id"
-        )
-        return [Entry(at, k, what, msgspec.json.decode(f)) for at, k, what, f in rows]
+        return _entries(self._database)
 
     def close(self) -> None:
         """Close the file."""
         self._database.close()
+
+
+def read_journal(path: Path | str, after: int = 0) -> list[Entry]:
+    """Return the entries of a journal, oldest first, also while a manager writes it.
+
+    Parameters
+    ----------
+    after
+        Only entries with a higher number.
+
+    Raises
+    ------
+    UsageError
+        There is no such file, or it is no journal.
+    """
+    where = Path(path).resolve().as_uri()
+    try:
+        with contextlib.closing(
+            sqlite3.connect(f"{where}?mode=ro", uri=True, timeout=1.0)
+        ) as database:
+            return _entries(database, after)
+    except sqlite3.Error as error:
+        raise UsageError(
+            f"the journal {path} cannot be read: {error}. Name the file of "
+            "`poise up --journal`, or journal.sqlite in `poise run --report`'s folder"
+        ) from error
+
+
+def _entries(database: sqlite3.Connection, after: int = 0) -> list[Entry]:
+    rows = database.execute(
+        "SELECT at, kind, what, facts, id FROM entries WHERE id > ? ORDER BY id",
+        (after,),
+    )
+    return [
+        Entry(at, kind, what, msgspec.json.decode(facts), number)
+        for at, kind, what, facts, number in rows
+    ]
