@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from poise.model import Architecture, Component, Computer, Connector, End, Robot
+from poise.model import (
+    Architecture,
+    ComponentEntry,
+    Computer,
+    Connector,
+    ConnectorEnd,
+    Robot,
+)
 
 FOLDER = str(Path(__file__).parents[1])
 TOGETHER = 24
@@ -110,14 +117,14 @@ def _group(k: int, share: float) -> Architecture:
     )
 
 
-def _component(name: str, class_: str, parameters: dict[str, float]) -> Component:
-    return Component(
+def _component(name: str, class_: str, parameters: dict[str, float]) -> ComponentEntry:
+    return ComponentEntry(
         name=name, implementation=f"{_MODULE}:{class_}", parameters=parameters
     )
 
 
 def _connector(source: str, target: str) -> Connector:
-    ends = (End(*source.split(".")), End(*target.split(".")))
+    ends = (ConnectorEnd(*source.split(".")), ConnectorEnd(*target.split(".")))
     return Connector(between=ends)
 
 

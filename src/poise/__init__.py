@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from poise.clock import Stamp as Stamp
     from poise.errors import CalleeError as CalleeError
     from poise.errors import CallError as CallError
+    from poise.errors import FileProblem as FileProblem
     from poise.errors import PoiseError as PoiseError
-    from poise.errors import Problem as Problem
     from poise.errors import RobotError as RobotError
     from poise.errors import RunError as RunError
     from poise.errors import Timeout as Timeout
@@ -55,10 +55,10 @@ else:
         "CalleeError": "errors",
         "Component": "runtime.component.component",
         "Entry": "manage.journal",
+        "FileProblem": "errors",
         "Message": "runtime.component.ports",
         "Placement": "session.placement",
         "PoiseError": "errors",
-        "Problem": "errors",
         "Profiling": "session.profiling.profile",
         "Provided": "runtime.component.ports",
         "Published": "runtime.component.ports",

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from msgspec import Struct
 
 
-class Problem(Struct, frozen=True, order=True):
+class FileProblem(Struct, frozen=True, order=True):
     """One thing that is wrong in a file.
 
     `line` and `column` count from 1; a problem of the file as a whole has 0 in both.
@@ -54,7 +54,7 @@ class RobotError(PoiseError):
         Every problem that was found, when they lie in files.
     """
 
-    def __init__(self, message: str = "", problems: Sequence[Problem] = ()) -> None:
+    def __init__(self, message: str = "", problems: Sequence[FileProblem] = ()) -> None:
         super().__init__(message or "\n".join(map(str, problems)))
         self.problems = tuple(problems)
 

@@ -7,11 +7,11 @@ import json
 import pytest
 import typer
 
-from poise.cli.command.running import balance_command, move_command
+from poise.cli.command.running_robot import balance_command, move_command
 from poise.manage.adaptation.replan import Proposal
 from poise.manage.control_socket.records import Moved, Rebalanced
 from poise.manage.migration.move import MoveReport
-from poise.manage.migration.transition import Step
+from poise.manage.migration.transition import TransitionStep
 from poise.manage.migration.transition_run import TransitionReport
 from poise.plan import Terms
 from poise.session.running import RolledBack, Running
@@ -22,7 +22,7 @@ WHY = "ValueError at\n    maps[name] = found[/tmp] + [i for i in rest]"
 def test_why_it_was_called_off_is_told_as_it_is(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    steps = (Step(kind="move", component="eye", source="a", target="b"),)
+    steps = (TransitionStep(kind="move", component="eye", source="a", target="b"),)
     terms = Terms(total=0.5, communication=0.0, balance=0.5)
     proposal = Proposal(
         shifted={}, now=terms, then=terms, placement={"eye": "b"}, steps=steps

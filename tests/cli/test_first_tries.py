@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 
 from poise import RobotError, place
-from poise.model import Architecture, Component, Computer, Robot
+from poise.model import Architecture, ComponentEntry, Computer, Robot
 from tests.command import POISE, Poise
 from tests.waiting import LONG
 
@@ -92,7 +92,7 @@ def test_problems_of_a_file_are_in_the_json(poise: Poise, tmp_path: Path) -> Non
 
 def test_names_are_never_cut() -> None:
     console = Console(width=80)
-    component = Component(name=LONG_NAME, demand={"cpu": 0.1})
+    component = ComponentEntry(name=LONG_NAME, demand={"cpu": 0.1})
     architecture = Architecture(name="a", function="a", components=(component,))
     left = Computer(name="left", capacity={"cpu": 1.0, "memory": 1.0})
     robot = Robot(name="r", computers=(left,), architectures=(architecture,))

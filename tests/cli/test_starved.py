@@ -12,7 +12,7 @@ from poise.emulate import look
 from poise.estimate.online import Drift, Estimate
 from poise.manage.journal import Journal
 from poise.manage.observe.estimates import Estimates
-from poise.model.robot import Architecture, Component, Computer, Robot
+from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
 from poise.session.launch.start import Sampling, started
 from poise.wire.records.samples import AgentSample
 
@@ -49,7 +49,9 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def starved(component: Component, folder: Path, enough: Callable[[Seen], bool]) -> Seen:
+def starved(
+    component: ComponentEntry, folder: Path, enough: Callable[[Seen], bool]
+) -> Seen:
     """Run a component until enough was seen of it."""
     robot = Robot(
         name="starved",
@@ -111,7 +113,7 @@ def test_jobs_that_went_undone_count(folder: Path) -> None:
 
     After 5 s the change detection has learned; that it is starved is no drift.
     """
-    thinker = Component(name="thinker", implementation="starved_thinker:Thinker")
+    thinker = ComponentEntry(name="thinker", implementation="starved_thinker:Thinker")
     seen = starved(thinker, folder, lambda seen: seen.seconds > 7.0)
     assert seen.cores < 1.1 * QUOTA
     assert seen.found[-1].mean == pytest.approx(NEEDED, rel=0.2)
@@ -126,7 +128,7 @@ def test_what_it_needs_is_known_as_soon_as_it_is_dearer(folder: Path) -> None:
     Up to the 15th estimate after the shift was told, none is far too high; nor far too
     low, once a few jobs have ended.
     """
-    thinker = Component(
+    thinker = ComponentEntry(
         name="thinker",
         implementation="starved_thinker:Thinker",
         parameters={"calm": 8.0},
@@ -145,7 +147,7 @@ def after(seen: Seen) -> list[Estimate]:
 
 @pytest.mark.slow
 def test_a_command_that_was_throttled_tells_a_lower_bound(folder: Path) -> None:
-    burner = Component(name="burner", command=("sh", "-c", "while :; do :; done"))
+    burner = ComponentEntry(name="burner", command=("sh", "-c", "while :; do :; done"))
     seen = starved(burner, folder, lambda seen: seen.seconds > 3.0)
     assert seen.cores < 1.1 * QUOTA
     assert seen.found[-1].starved > 0.5

@@ -8,10 +8,19 @@ from poise.estimate.profile import (
     Profile,
     TimerProfile,
 )
-from poise.estimate.profile.spread import Spread
-from poise.model.robot import Architecture, Component, Computer, Connector, End, Robot
+from poise.estimate.profile.distribution import Distribution
+from poise.model.robot import (
+    Architecture,
+    ComponentEntry,
+    Computer,
+    Connector,
+    ConnectorEnd,
+    Robot,
+)
 
-JOINED = Connector(between=(End("eye", "image"), End("mind", "image")))
+JOINED = Connector(
+    between=(ConnectorEnd("eye", "image"), ConnectorEnd("mind", "image"))
+)
 
 
 @pytest.fixture
@@ -28,8 +37,8 @@ def robot() -> Robot:
                 name="see",
                 function="seeing",
                 components=(
-                    Component(name="eye"),
-                    Component(name="mind", demand={"cpu": 0.5}),
+                    ComponentEntry(name="eye"),
+                    ComponentEntry(name="mind", demand={"cpu": 0.5}),
                 ),
                 connectors=(JOINED,),
             ),
@@ -50,7 +59,7 @@ def profile() -> Profile:
         components={
             "eye": ComponentProfile(
                 version="1",
-                cpu=Spread(mean=0.1, sustained=0.12, peak=0.4, windows=300),
+                cpu=Distribution(mean=0.1, sustained=0.12, peak=0.4, windows=300),
                 share=0.02,
                 memory=8e6,
                 base=2e6,
@@ -62,7 +71,7 @@ def profile() -> Profile:
                 },
             ),
             "mind": ComponentProfile(
-                version="2", cpu=Spread(mean=0.3, sustained=0.3), memory=4e6
+                version="2", cpu=Distribution(mean=0.3, sustained=0.3), memory=4e6
             ),
         },
         connectors={str(JOINED): ConnectorProfile(messages=10.0, size=1000.0)},

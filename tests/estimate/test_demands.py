@@ -3,10 +3,10 @@ from msgspec.structs import replace
 
 from poise.estimate.demands import missing, with_profile
 from poise.estimate.profile import Profile
-from poise.model.robot import Component, Robot
+from poise.model.robot import ComponentEntry, Robot
 
 
-def component(robot: Robot, name: str) -> Component:
+def component(robot: Robot, name: str) -> ComponentEntry:
     return next(c for c in robot.components() if c.name == name)
 
 

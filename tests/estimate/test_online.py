@@ -2,8 +2,8 @@ import random
 
 import pytest
 
+from poise.estimate.demand_windows import Reading
 from poise.estimate.online import SPAN, Drift, RunningEstimate
-from poise.estimate.windows import Reading
 
 STEP = 0.2
 

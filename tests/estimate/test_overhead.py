@@ -7,7 +7,7 @@ from poise.estimate.overhead import (
     overheads,
 )
 from poise.estimate.profile import ConnectorProfile, Costs, KindCosts, Profile
-from poise.model.robot import Component, Connector, End, Robot
+from poise.model.robot import ComponentEntry, Connector, ConnectorEnd, Robot
 from tests.estimate.conftest import JOINED
 
 CALLS = ConnectorProfile(calls=20.0, size=500.0)
@@ -46,10 +46,13 @@ def test_components_of_one_architecture_share_a_container(robot: Robot) -> None:
 
 @pytest.mark.parametrize(
     "alone",
-    [Component(name="mind", isolated=True), Component(name="mind", command=("cat",))],
+    [
+        ComponentEntry(name="mind", isolated=True),
+        ComponentEntry(name="mind", command=("cat",)),
+    ],
 )
 def test_what_has_a_container_of_its_own_is_local(
-    robot: Robot, alone: Component
+    robot: Robot, alone: ComponentEntry
 ) -> None:
     (see,) = robot.architectures
     apart_ = replace(see, components=(see.components[0], alone))
@@ -58,7 +61,9 @@ def test_what_has_a_container_of_its_own_is_local(
 
 
 def test_architectures_do_not_share_a_container(robot: Robot) -> None:
-    between = Connector(between=(End("mind", "wish"), End("hand", "wish")))
+    between = Connector(
+        between=(ConnectorEnd("mind", "wish"), ConnectorEnd("hand", "wish"))
+    )
     assert kinds_together(replace(robot, connectors=(between,)))[str(between)] == (
         "local"
     )

@@ -6,8 +6,8 @@ import random
 
 import pytest
 
+from poise.estimate.demand_windows import Reading
 from poise.estimate.online import Estimate, RunningEstimate
-from poise.estimate.windows import Reading
 
 STEP = 0.2
 TICK = 0.001

@@ -10,11 +10,11 @@ from msgspec.structs import replace
 
 from poise.model.robot import (
     Architecture,
-    Component,
+    ComponentEntry,
     Computer,
     Connector,
+    ConnectorEnd,
     Device,
-    End,
     Robot,
 )
 from poise.wire.records.deployment import (
@@ -43,18 +43,20 @@ def robot() -> Robot:
                 name="eye",
                 function="seeing",
                 components=(
-                    Component(
+                    ComponentEntry(
                         name="grabber",
                         implementation="eye:Grabber",
                         devices=("camera",),
                         parameters={"rate": 5},
                     ),
-                    Component(name="filter", implementation="eye:Filter"),
-                    Component(
+                    ComponentEntry(name="filter", implementation="eye:Filter"),
+                    ComponentEntry(
                         name="heavy", implementation="eye:Heavy", demand={"cpu": 0.6}
                     ),
-                    Component(name="alone", implementation="eye:Alone", isolated=True),
-                    Component(name="driver", command=("./driver", "-v")),
+                    ComponentEntry(
+                        name="alone", implementation="eye:Alone", isolated=True
+                    ),
+                    ComponentEntry(name="driver", command=("./driver", "-v")),
                 ),
                 connectors=(
                     _joined("grabber.raw", "filter.raw"),
@@ -65,7 +67,9 @@ def robot() -> Robot:
             Architecture(
                 name="mind",
                 function="thinking",
-                components=(Component(name="thinker", implementation="mind:Thinker"),),
+                components=(
+                    ComponentEntry(name="thinker", implementation="mind:Thinker"),
+                ),
             ),
         ),
         connectors=(_joined("filter.clean", "thinker.seen", limit=0.3),),
@@ -73,7 +77,7 @@ def robot() -> Robot:
 
 
 def _joined(source: str, target: str, limit: float = 1.0) -> Connector:
-    ends = tuple(End(*end.split(".")) for end in (source, target))
+    ends = tuple(ConnectorEnd(*end.split(".")) for end in (source, target))
     return Connector(between=(ends[0], ends[1]), limit=limit)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from poise.manage.deployment import DeploymentPlan, Incarnation
-from poise.model.robot import Architecture, Component, Computer, Robot
+from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
 from poise.wire.records.deployment import ComponentSpec, Deployment
 
 from .conftest import connector_names
@@ -140,7 +140,7 @@ def test_no_two_containers_have_one_name(names: tuple[str, str]) -> None:
     architecture = Architecture(
         name=names[0],
         function="f",
-        components=(Component(name=names[1], isolated=True),),
+        components=(ComponentEntry(name=names[1], isolated=True),),
     )
     robot = Robot(
         name="r",

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from poise.errors import Problem, RobotError
+from poise.errors import FileProblem, RobotError
 from poise.model import load
 
 MARK = "▸"
 
-Find = Callable[[str], tuple[Problem, ...]]
+Find = Callable[[str], tuple[FileProblem, ...]]
 Refuse = Callable[..., None]
 
 
@@ -18,7 +18,7 @@ Refuse = Callable[..., None]
 def find(tmp_path: Path) -> Find:
     """Return a function that gives the problems of a robot file's text."""
 
-    def find_problems(text: str) -> tuple[Problem, ...]:
+    def find_problems(text: str) -> tuple[FileProblem, ...]:
         path = tmp_path / "robot.yaml"
         path.write_text(text, encoding="utf-8")
         try:

@@ -7,11 +7,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from poise.errors import Problem
+from poise.errors import FileProblem
 from poise.model import robot
-from poise.model.keys import keys_of
+from poise.model.file_keys import keys_of
 
-Find = Callable[[str], tuple[Problem, ...]]
+Find = Callable[[str], tuple[FileProblem, ...]]
 
 REFERENCE = (Path(__file__).parents[2] / "docs/robot-file.md").read_text()
 
@@ -29,7 +29,7 @@ def test_the_example_is_a_right_robot_file(find: Find) -> None:
         (robot.Device, "devices"),
         (robot.Link, "links"),
         (robot.Architecture, "architectures"),
-        (robot.Component, "components"),
+        (robot.ComponentEntry, "components"),
         (robot.Connector, "connectors"),
         (robot.Chain, "chains"),
         (robot.Task, "tasks"),

@@ -6,21 +6,21 @@ from pathlib import Path
 
 import pytest
 
-from poise.errors import Problem, RobotError
+from poise.errors import FileProblem, RobotError
 from poise.model import load
 from poise.model.load import load_source
 from poise.model.robot import (
     Computer,
     Connector,
+    ConnectorEnd,
     DeclaredPort,
     Device,
-    End,
     Link,
     Objective,
     Simulator,
 )
 
-Find = Callable[[str], tuple[Problem, ...]]
+Find = Callable[[str], tuple[FileProblem, ...]]
 
 ROBOT = """
 robot: t-rot
@@ -135,7 +135,7 @@ def test_reads_connectors_chains_tasks_and_the_rest(robot_file: Path) -> None:
     assert own.traffic == 15_000
     assert robot.connectors == (
         Connector(
-            between=(End("scanner", "scan"), End("recorder", "scan")),
+            between=(ConnectorEnd("scanner", "scan"), ConnectorEnd("recorder", "scan")),
             overhead=3.0,
             limit=100 * 1e-3,
         ),

@@ -9,10 +9,10 @@ import jsonschema
 import pytest
 import yaml
 
-from poise.errors import Problem
+from poise.errors import FileProblem
 from poise.model.schema import schema, schema_text
 
-Find = Callable[[str], tuple[Problem, ...]]
+Find = Callable[[str], tuple[FileProblem, ...]]
 
 ROOT = Path(__file__).parents[2]
 

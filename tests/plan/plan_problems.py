@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from poise.model.robot import Computer, Objective
 from poise.plan import Edge, Item, LinkCapacity, Problem
-from poise.plan.arrays import arrays_of
-from poise.plan.limits import violations
+from poise.plan.problem.arrays import arrays_of
+from poise.plan.violations import violations
 from tests.plan.reference import objective
 
 AMOUNTS = st.sampled_from([0.0, 0.1, 0.25, 0.5, 1.0, 1.5, 3.0])

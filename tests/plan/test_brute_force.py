@@ -10,8 +10,8 @@ from msgspec.structs import replace
 from poise import plan
 from poise.model.robot import Computer, Objective
 from poise.plan import Bundle, Edge, Item, Problem
-from poise.plan.arrays import arrays_of
-from poise.plan.limits import violations
+from poise.plan.problem.arrays import arrays_of
+from poise.plan.violations import violations
 from tests.plan.reference import objective
 
 

@@ -10,7 +10,7 @@ from benchmarks.random_robots import random_robot
 from poise import plan
 from poise.model.robot import Objective
 from poise.plan._core import Core
-from poise.plan.arrays import arrays_of
+from poise.plan.problem.arrays import arrays_of
 from tests.plan.plan_problems import least, small_robot
 
 ROBOTS = Path(__file__).parent / "robots"

@@ -9,10 +9,10 @@ from poise import plan
 from poise.errors import UsageError
 from poise.model.robot import (
     Architecture,
-    Component,
+    ComponentEntry,
     Computer,
     Connector,
-    End,
+    ConnectorEnd,
     Layer,
     Link,
     Objective,
@@ -23,7 +23,7 @@ from poise.model.robot import (
 def detector(name: str, quality: float, layer: Layer = "sequencing") -> Architecture:
     """Return an architecture that finds things in the camera's images."""
     need = {"gpu": 1.0, "cpu": 0.2} if name == "learned" else {"cpu": 0.2}
-    component = Component(name=f"{name}_finder", demand=need)
+    component = ComponentEntry(name=f"{name}_finder", demand=need)
     return Architecture(
         name=name,
         function="find",
@@ -51,14 +51,17 @@ def robot() -> Robot:
                 function="see",
                 home="head",
                 components=(
-                    Component(name="camera", demand={"cpu": 0.2}, only=("head",)),
+                    ComponentEntry(name="camera", demand={"cpu": 0.2}, only=("head",)),
                 ),
             ),
             detector("learned", 1.0),
             detector("simple", 0.6),
         ),
         connectors=tuple(
-            Connector(between=(End("camera"), End(f"{name}_finder")), **images)
+            Connector(
+                between=(ConnectorEnd("camera"), ConnectorEnd(f"{name}_finder")),
+                **images,
+            )
             for name in ("learned", "simple")
         ),
     )
@@ -122,8 +125,8 @@ def test_layers_below_are_not_chosen_among(robot: Robot) -> None:
 
 def test_layers_below_are_never_put_aside(robot: Robot) -> None:
     """Both ask for 1.5 of 2 cores; the reactive one has the lowest priority."""
-    big = (Component(name="loop", demand={"cpu": 1.5}),)
-    other = (Component(name="talker", demand={"cpu": 1.5}, only=("head",)),)
+    big = (ComponentEntry(name="loop", demand={"cpu": 1.5}),)
+    other = (ComponentEntry(name="talker", demand={"cpu": 1.5}, only=("head",)),)
     full = replace(
         robot,
         architectures=(
@@ -166,7 +169,7 @@ def test_a_demand_of_zero_is_known(robot: Robot) -> None:
             Architecture(
                 name="idle",
                 function="idle",
-                components=(Component(name="idle", demand={"cpu": 0.0}),),
+                components=(ComponentEntry(name="idle", demand={"cpu": 0.0}),),
             ),
         ),
         connectors=(),

@@ -11,8 +11,8 @@ from benchmarks.random_robots import random_robot
 from poise import plan
 from poise.model.robot import Computer
 from poise.plan import Edge, Item, LinkCapacity, Problem
-from poise.plan.arrays import arrays_of
-from poise.plan.limits import violations
+from poise.plan.problem.arrays import arrays_of
+from poise.plan.violations import violations
 from poise.plan.why.conflict import _at_least
 from poise.plan.why.relaxation import limits_of, relaxed
 from poise.plan.why.relaxation import usual as usual_of

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from poise.model.robot import Computer
 from poise.plan import Edge, Item, LinkCapacity, Problem
-from poise.plan.arrays import Arrays, Placed, arrays_of
-from poise.plan.limits import violations
+from poise.plan.problem.arrays import Arrays, Placed, arrays_of
+from poise.plan.violations import violations
 from tests.plan.native import Native
 from tests.plan.plan_problems import problems
 

@@ -12,8 +12,8 @@ from msgspec.structs import replace
 from benchmarks.random_robots import random_robot
 from poise.model.robot import Spread
 from poise.plan import Edge, LinkCapacity, Problem
-from poise.plan.arrays import Arrays, Placed, arrays_of
-from poise.plan.limits import violations
+from poise.plan.problem.arrays import Arrays, Placed, arrays_of
+from poise.plan.violations import violations
 from tests.plan.native import Native
 from tests.plan.plan_problems import problems
 from tests.plan.reference import objective

@@ -15,7 +15,7 @@ from poise import plan
 from poise.errors import UsageError
 from poise.plan import Problem
 from poise.plan._core import Core
-from poise.plan.snapshot import Snapshot
+from poise.plan.problem.snapshot import Snapshot
 from poise.plan.solvers import portfolio
 from poise.plan.solvers.portfolio import Effort
 

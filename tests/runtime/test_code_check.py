@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.errors import Problem
+from poise.errors import FileProblem
 from poise.model.load import load_source
 from poise.runtime.code_check import check_code
 
@@ -132,7 +132,7 @@ architectures:
       CONNECTOR
 """
 
-Check = Callable[[str, str], list[Problem]]
+Check = Callable[[str, str], list[FileProblem]]
 Refuse = Callable[..., None]
 
 
@@ -145,7 +145,7 @@ def check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Check:
     (tmp_path / package / "__init__.py").touch()
     (tmp_path / package / "nav.py").write_text(CODE)
 
-    def find_problems(more: str, connector: str) -> list[Problem]:
+    def find_problems(more: str, connector: str) -> list[FileProblem]:
         path = tmp_path / "robot.yaml"
         text = ROBOT.replace("MORE", more).replace("CONNECTOR", connector)
         path.write_text(text.replace("PACKAGE", package))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.model.robot import Architecture, Component, Robot
+from poise.model.robot import Architecture, ComponentEntry, Robot
 from poise.runtime.isolated_check import check_code_isolated
 
 pytestmark = pytest.mark.slow
@@ -28,9 +28,12 @@ def check(tmp_path: Path) -> Check:
         (tmp_path / "bad.py").write_text(GOOD + code)
         (tmp_path / "good.py").write_text(GOOD)
         parts = (
-            *(Component(name=n, implementation="bad:Good") for n in names or ("a",)),
-            Component(name="good", implementation="good:Good"),
-            Component(name="absent", implementation="good:Absent"),
+            *(
+                ComponentEntry(name=n, implementation="bad:Good")
+                for n in names or ("a",)
+            ),
+            ComponentEntry(name="good", implementation="good:Good"),
+            ComponentEntry(name="absent", implementation="good:Absent"),
         )
         robot = Robot(
             name="r",
@@ -114,7 +117,7 @@ def test_modules_that_share_a_broken_one_have_one_problem(tmp_path: Path) -> Non
                 name="x",
                 function="f",
                 components=tuple(
-                    Component(name=n, implementation=f"{n}:Any")
+                    ComponentEntry(name=n, implementation=f"{n}:Any")
                     for n in ("shared", "other")
                 ),
             ),

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 import poise
 from poise.errors import UsageError
-from poise.model.robot import Architecture, Component, Computer, Robot
+from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
 
 NAMES = ("a", "b", "c", "d", "held")
 
@@ -18,8 +18,8 @@ NAMES = ("a", "b", "c", "d", "held")
 @pytest.fixture
 def robot() -> Robot:
     """Return two computers and five components; the last may run on `right` only."""
-    free = [Component(name=name, demand={"cpu": 0.1}) for name in NAMES[:-1]]
-    held = Component(name="held", demand={"cpu": 0.1}, only=("right",))
+    free = [ComponentEntry(name=name, demand={"cpu": 0.1}) for name in NAMES[:-1]]
+    held = ComponentEntry(name="held", demand={"cpu": 0.1}, only=("right",))
     return Robot(
         name="ruled",
         computers=tuple(

@@ -6,8 +6,8 @@ from msgspec.structs import replace
 from poise.errors import RobotError
 from poise.estimate.profile import ComponentProfile, Profile
 from poise.estimate.profile import file as profile_file
-from poise.estimate.profile.spread import Spread
-from poise.estimate.profile.version import version_of
+from poise.estimate.profile.code_version import version_of
+from poise.estimate.profile.distribution import Distribution
 from poise.model import load
 from poise.model.robot import Robot
 from poise.session.profiles import profiled, stale
@@ -39,7 +39,7 @@ def measured(robot: Robot) -> Profile:
     eye = next(robot.components())
     found = ComponentProfile(
         version=version_of(eye, robot.folder),
-        cpu=Spread(mean=0.1, sustained=0.2),
+        cpu=Distribution(mean=0.1, sustained=0.2),
         memory=10e6,
     )
     return Profile(

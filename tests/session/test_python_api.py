@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import poise
-from poise.model import Architecture, Component, Computer, Robot
+from poise.model import Architecture, ComponentEntry, Computer, Robot
 from poise.session.report import ComponentReport, RunReport
 from poise.wire.records.deployment import Summary, TimerStatus
 from tests.waiting import LONG
@@ -17,7 +17,7 @@ from tests.waiting import LONG
 
 def hello() -> Robot:
     left = Computer(name="left", capacity={"cpu": 1.0, "memory": 1.0})
-    counter = Component(name="counter", demand={"cpu": 0.5, "memory": 0.5})
+    counter = ComponentEntry(name="counter", demand={"cpu": 0.5, "memory": 0.5})
     architecture = Architecture(name="a", function="a", components=(counter,))
     return Robot(name="hello", computers=(left,), architectures=(architecture,))
 

@@ -6,13 +6,13 @@ import pytest
 from msgspec.structs import replace
 
 from poise.model.robot import Computer, Robot
-from poise.session.failures import ComponentError, HungHandler
 from poise.session.report import (
     RunReport,
     component_reports,
     connector_reports,
     cpu_shares,
 )
+from poise.session.run_errors import ComponentError, HungHandler
 from poise.wire.records.deployment import (
     AgentStatus,
     ComponentStatus,

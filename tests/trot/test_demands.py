@@ -122,13 +122,13 @@ def devices() -> Mapping[str, PlayedDevice]:
     }
 
 
-def implementation_of(component: model.Component) -> type[Component]:
+def implementation_of(component: model.ComponentEntry) -> type[Component]:
     module, name = component.implementation.split(":")
     found: type[Component] = getattr(importlib.import_module(module), name)
     return found
 
 
-def started(component: model.Component) -> Alone:
+def started(component: model.ComponentEntry) -> Alone:
     implementation = implementation_of(component)
     ports = ports_of(implementation).values()
     required = {port.name: Provider() for port in ports if port.kind == "requires"}
@@ -141,7 +141,7 @@ def started(component: model.Component) -> Alone:
     return built
 
 
-def events(component: model.Component, built: Any) -> list[tuple[float, Any]]:
+def events(component: model.ComponentEntry, built: Any) -> list[tuple[float, Any]]:
     """Return what happens to a component, and how often [1/s]; messages come first."""
     found: list[tuple[float, Any]] = []
     ports = ports_of(type(built))

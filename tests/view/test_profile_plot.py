@@ -12,7 +12,7 @@ from poise.estimate.profile import (
     Profile,
     TimerProfile,
 )
-from poise.estimate.profile.spread import Spread
+from poise.estimate.profile.distribution import Distribution
 from poise.view.profile_plot import plot_profile
 
 pytest.importorskip("matplotlib")
@@ -28,11 +28,11 @@ PROFILE = Profile(
     components={
         "eye": ComponentProfile(
             version="1",
-            cpu=Spread(mean=0.1, sustained=0.12, peak=0.4, error=0.01),
+            cpu=Distribution(mean=0.1, sustained=0.12, peak=0.4, error=0.01),
             memory=8e6,
             timers={"look": TIMER},
         ),
-        "mind": ComponentProfile(version="2", cpu=Spread(mean=0.3), stable=False),
+        "mind": ComponentProfile(version="2", cpu=Distribution(mean=0.3), stable=False),
     },
     connectors={"eye.x -> mind.x": ConnectorProfile(messages=10.0, size=1000.0)},
 )

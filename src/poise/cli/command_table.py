@@ -1,4 +1,4 @@
-"""The commands of `poise`: one file per command, and one line each in this table."""
+"""The commands of `poise`: each has a line here and a function in `command/`."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ COMMANDS = {
     "run": ("run:run_command", "Run a task for a while and report."),
     "demo": ("demo:demo_command", "Drive a robot, placed by hand and by Poise."),
     "up": ("up:up_command", "Start a robot and keep it running."),
-    "status": ("running:status_command", "Show how a running robot is."),
-    "move": ("running:move_command", "Move a component of a running robot."),
-    "replace": ("running:replace_command", "Swap a component's implementation."),
-    "balance": ("running:balance_command", "Place a running robot anew."),
+    "status": ("running_robot:status_command", "Show how a running robot is."),
+    "move": ("running_robot:move_command", "Move a component of a running robot."),
+    "replace": ("running_robot:replace_command", "Swap a component's implementation."),
+    "balance": ("running_robot:balance_command", "Place a running robot anew."),
     "journal": ("journal:journal_command", "Show what a manager decided and why."),
-    "stop": ("running:stop_command", "Stop a running robot."),
+    "stop": ("running_robot:stop_command", "Stop a running robot."),
     "agent": ("agent:agent_command", "Run what the manager wants on this computer."),
 }
-"""Command -> where in this folder it is, and what it does. A second word makes a
+"""Command -> file and function in `command/`, and what it does. A second word makes a
 sub-command."""
 
 

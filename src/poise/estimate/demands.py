@@ -15,7 +15,7 @@ import msgspec
 from poise.estimate.online import Estimate
 from poise.estimate.overhead import declared, kinds_together, overhead_of
 from poise.estimate.profile import ComponentProfile, ConnectorProfile, Profile
-from poise.model.robot import Component, Connector, Robot
+from poise.model.robot import ComponentEntry, Connector, Robot
 
 CPU_HEADROOM = 0.05
 MEMORY_HEADROOM = 0.10
@@ -84,7 +84,9 @@ def missing(robot: Robot, profile: Profile) -> list[str]:
     ]
 
 
-def _component(component: Component, profile: ComponentProfile | None) -> Component:
+def _component(
+    component: ComponentEntry, profile: ComponentProfile | None
+) -> ComponentEntry:
     if profile is None:
         return component
     measured = {"cpu": cpu_demand(profile), "memory": memory_demand(profile)}

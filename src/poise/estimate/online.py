@@ -3,8 +3,8 @@
 The estimate covers the last `SPAN` seconds, and restarts when the demand has changed.
 The CPU time of a starved component is not its demand, nor is that of one that works off
 a backlog: the demand is then arriving jobs x CPU time per job
-(`poise.estimate.windows`). Windows that give only a lower bound count only if they
-raise the estimate.
+(`poise.estimate.demand_windows`). Windows that give only a lower bound count only if
+they raise the estimate.
 """
 
 from __future__ import annotations
@@ -14,8 +14,14 @@ from collections import deque
 from msgspec import Struct
 
 from poise.estimate import _change_point
-from poise.estimate.profile.spread import error_of_mean, quantile
-from poise.estimate.windows import Reading, Sums, Window, demand_in, window_between
+from poise.estimate.demand_windows import (
+    Reading,
+    Sums,
+    Window,
+    demand_in,
+    window_between,
+)
+from poise.estimate.profile.distribution import error_of_mean, quantile
 
 SPAN = 30.0
 """An estimate covers this time [s]."""

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from poise.estimate.profile import ConnectorProfile, KindCosts, Profile
-from poise.model.robot import Component, Connector, Robot
+from poise.model.robot import ComponentEntry, Connector, Robot
 
 _HUNDREDTHS = 100
 _MEGABYTE = 1e6
@@ -72,5 +72,5 @@ def declared(connector: Connector) -> ConnectorProfile:
     return ConnectorProfile(messages=connector.rate, size=connector.message)
 
 
-def _is_alone(component: Component) -> bool:
+def _is_alone(component: ComponentEntry) -> bool:
     return component.isolated or bool(component.command)

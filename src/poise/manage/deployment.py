@@ -8,7 +8,13 @@ from pathlib import PurePath
 
 from msgspec import Struct, structs
 
-from poise.model.robot import Architecture, Component, Connector, End, Robot
+from poise.model.robot import (
+    Architecture,
+    ComponentEntry,
+    Connector,
+    ConnectorEnd,
+    Robot,
+)
 from poise.wire.records.deployment import (
     ComponentSpec,
     ConnectorKind,
@@ -249,8 +255,8 @@ def name_of(connector: Connector) -> str:
 def _slots(robot: Robot) -> dict[str, str]:
     """Return the slots of all connectors, by name."""
     homes = {c.name: a for a in robot.architectures for c in a.components}
-    counts: Counter[tuple[End, str]] = Counter()
-    first: dict[tuple[End, str, int], str] = {}
+    counts: Counter[tuple[ConnectorEnd, str]] = Counter()
+    first: dict[tuple[ConnectorEnd, str, int], str] = {}
     slots = {}
     for connector in robot.all_connectors():
         source, target = connector.between
@@ -262,7 +268,7 @@ def _slots(robot: Robot) -> dict[str, str]:
     return slots
 
 
-def _container(architecture: Architecture, component: Component) -> str:
+def _container(architecture: Architecture, component: ComponentEntry) -> str:
     alone = component.isolated or component.command
     if alone or component.demand.get("cpu", 0.0) > FILLS_INTERPRETER:
         # no name has a dot in it, so no two containers have the same name

@@ -39,8 +39,8 @@ from poise.manage.lost_computers import LostComputers
 from poise.manage.migration.move import move, replace
 from poise.manage.migration.replacement import replace_architecture
 from poise.manage.migration.transition_run import transit
+from poise.manage.observe.deadline_misses import DeadlineMisses
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.misses import DeadlineMisses
 from poise.manage.observe.recording import Recording
 from poise.manage.observe.watch import Watch
 from poise.manage.run import Run

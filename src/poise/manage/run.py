@@ -11,13 +11,13 @@ from collections.abc import Callable, Collection, Iterable
 
 from poise.errors import RunError
 from poise.manage.agents import Agents
+from poise.manage.deactivation import deactivate_callers
 from poise.manage.deployment import (
     DeploymentPlan,
     Incarnation,
     Placement,
     name_of,
 )
-from poise.manage.drain import deactivate_callers
 from poise.manage.journal import Journal
 from poise.manage.observe.faults import fault_sentence, faults_after, last_numbers
 from poise.manage.statuses import (

@@ -12,8 +12,8 @@ from typing import Annotated
 
 from msgspec import Struct
 
-from poise.model.forms import RESERVE
-from poise.model.keys import (
+from poise.model.file_forms import RESERVE
+from poise.model.file_keys import (
     Address,
     Amount,
     Bandwidth,

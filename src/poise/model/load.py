@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from poise.errors import Problem, RobotError
+from poise.errors import FileProblem, RobotError
 from poise.model.check import check
 from poise.model.robot import Robot
 from poise.model.yaml.include import read_tree
@@ -36,7 +36,7 @@ def load(path: str | Path) -> Robot:
 
 def load_source(path: str | Path) -> Source:
     """Return the robot and the positions of its parts; raises as `load` does."""
-    problems: list[Problem] = []
+    problems: list[FileProblem] = []
     path = Path(path)
     if "\0" in str(path):
         raise RobotError(f"{quoted(path)} is not a file name")

@@ -11,9 +11,8 @@ from typing import Annotated, Literal, Protocol, TypeVar
 
 from msgspec import Struct
 
-from poise.model.forms import COMMAND, PortKind, by_name, by_port
-from poise.model.hardware import Computer, Device, Link
-from poise.model.keys import (
+from poise.model.file_forms import COMMAND, PortKind, by_name, by_port
+from poise.model.file_keys import (
     Amount,
     Bytes,
     Name,
@@ -25,12 +24,13 @@ from poise.model.keys import (
     says,
     written,
 )
+from poise.model.hardware import Computer, Device, Link
 from poise.model.software import (
     Architecture,
-    Component,
+    ComponentEntry,
     Connector,
+    ConnectorEnd,
     DeclaredPort,
-    End,
     Layer,
 )
 
@@ -39,12 +39,12 @@ __all__ = [
     "Architecture",
     "Arrivals",
     "Chain",
-    "Component",
+    "ComponentEntry",
     "Computer",
     "Connector",
+    "ConnectorEnd",
     "DeclaredPort",
     "Device",
-    "End",
     "Generated",
     "Layer",
     "Link",
@@ -139,7 +139,7 @@ class Simulator(Struct, frozen=True, kw_only=True):
 class Generated(Struct, frozen=True, kw_only=True):
     """Messages that are generated for a port while components are measured."""
 
-    port: End
+    port: ConnectorEnd
     rate: Annotated[Rate, says("On average: 10 Hz.", gt=0)]
     arrivals: Annotated[
         Arrivals, says("At equal distances, or at random ones (Poisson).")
@@ -252,7 +252,7 @@ class Robot(Struct, frozen=True, kw_only=True):
     ] = ""
     folder: str = ""
 
-    def components(self) -> Iterator[Component]:
+    def components(self) -> Iterator[ComponentEntry]:
         """Yield every component of every architecture."""
         for architecture in self.architectures:
             yield from architecture.components

@@ -8,7 +8,7 @@ from typing import Any
 
 from msgspec import inspect as types
 
-from poise.model.keys import FileKey, keys_of
+from poise.model.file_keys import FileKey, keys_of
 from poise.model.robot import Robot
 from poise.units import NUMBER
 

@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Struct
 
-from poise.model.forms import COMMAND, ENDS, PORTS, PortKind, by_name
-from poise.model.keys import (
+from poise.model.file_forms import COMMAND, ENDS, PORTS, PortKind, by_name
+from poise.model.file_keys import (
     Amount,
     Bytes,
     Cores,
@@ -54,7 +54,7 @@ class DemandKeys(Struct):
     ] = {}
 
 
-class Component(Struct, frozen=True, kw_only=True):
+class ComponentEntry(Struct, frozen=True, kw_only=True):
     """A unit that has ports, a demand and, when it runs, state.
 
     Without `implementation` and `command` it is for planning only. A resource that
@@ -95,7 +95,7 @@ class Component(Struct, frozen=True, kw_only=True):
     ] = {}
 
 
-class End(Struct, frozen=True):
+class ConnectorEnd(Struct, frozen=True):
     """One end of a connector: a component and one of its ports ("" if not named)."""
 
     component: str
@@ -115,7 +115,7 @@ class Connector(Struct, frozen=True, kw_only=True):
     """
 
     between: Annotated[
-        tuple[End, End],
+        tuple[ConnectorEnd, ConnectorEnd],
         ENDS,
         says("Publisher or caller first, subscriber or callee second."),
     ]
@@ -168,8 +168,8 @@ class Architecture(Struct, frozen=True, kw_only=True):
         Name | None, says("The computer on which static placement puts it.")
     ] = None
     components: Annotated[
-        tuple[Component, ...],
-        by_name(Component),
+        tuple[ComponentEntry, ...],
+        by_name(ComponentEntry),
         says("Its components by name.", is_required=True),
     ] = ()
     connectors: Annotated[

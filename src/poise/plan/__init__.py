@@ -1,13 +1,13 @@
 """Where each component runs: the objective, the greedy, search, proof, explanation."""
 
-from poise.plan.load import load, schema
 from poise.plan.planner import Planner, evaluate, solve
-from poise.plan.problem import Bundle, Edge, Item, LinkCapacity, Problem
-from poise.plan.records import Conflict, GreedyStep, More, Terms, Tightest, Trial
+from poise.plan.problem.file import load, schema
+from poise.plan.problem.from_robot import problem_of, static
+from poise.plan.problem.problem import Bundle, Edge, Item, LinkCapacity, Problem
 from poise.plan.result import Result
-from poise.plan.robot_problem import problem_of, static
-from poise.plan.what_if.change import add, keep_components, scale, without
-from poise.plan.what_if.smallest import Smallest, smallest
+from poise.plan.result_records import Conflict, GreedyStep, More, Terms, Tightest, Trial
+from poise.plan.what_if.changed_problem import add, keep_components, scale, without
+from poise.plan.what_if.fewest_computers import Smallest, smallest
 from poise.plan.why.explain import Explanation, Option, Rejection, explain
 
 __all__ = [

@@ -10,14 +10,14 @@ from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.plan import _core
-from poise.plan.arrays import arrays_of
-from poise.plan.problem import Item, Problem
-from poise.plan.records import Ask
+from poise.plan.problem.arrays import arrays_of
+from poise.plan.problem.problem import Item, Problem
+from poise.plan.problem.snapshot import Snapshot
 from poise.plan.result import Result
-from poise.plan.snapshot import Snapshot
+from poise.plan.result_records import Ask
 from poise.plan.solvers import alternatives, portfolio
 from poise.plan.solvers.portfolio import METHODS, UNLIMITED, Effort
-from poise.plan.what_if.change import keep_components
+from poise.plan.what_if.changed_problem import keep_components
 
 LONGEST = 1e9
 """A budget beyond this is as good as none [s]."""

@@ -9,11 +9,18 @@ from typing import Any, NamedTuple, cast
 
 import msgspec
 
-from poise.plan.arrays import Placed
-from poise.plan.limits import tightest, violations
-from poise.plan.problem import Problem
-from poise.plan.records import Ask, Conflict, GreedyStep, Stopped, Terms, Tightest
-from poise.plan.snapshot import Snapshot
+from poise.plan.problem.arrays import Placed
+from poise.plan.problem.problem import Problem
+from poise.plan.problem.snapshot import Snapshot
+from poise.plan.result_records import (
+    Ask,
+    Conflict,
+    GreedyStep,
+    Stopped,
+    Terms,
+    Tightest,
+)
+from poise.plan.violations import tightest, violations
 from poise.plan.why.conflict import conflict
 
 LONGEST_TRACE = 2_000

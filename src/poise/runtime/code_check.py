@@ -14,10 +14,10 @@ import msgspec
 
 from poise.errors import PoiseError, RobotError
 from poise.model.check.cycles import check_cycles
-from poise.model.check.paths import components
+from poise.model.check.file_paths import components
 from poise.model.check.ports import KnownPort, check_ports, check_required
 from poise.model.check.workload import check_generated
-from poise.model.robot import Component, PortKind, Robot
+from poise.model.robot import ComponentEntry, PortKind, Robot
 from poise.model.yaml.positions import Finding, Path
 from poise.runtime.component.fingerprint import fingerprint
 from poise.runtime.component.implementation import find, find_type, load_module
@@ -115,7 +115,7 @@ class _WrongCode(Exception):
 
 
 def _ports(
-    path: Path, component: Component, folder: str
+    path: Path, component: ComponentEntry, folder: str
 ) -> Iterator[tuple[str, KnownPort]]:
     """Yield the ports that the class or, without one, the robot file declares."""
     if component.implementation:
@@ -130,7 +130,7 @@ def _ports(
 
 
 def _coded_ports(
-    path: Path, component: Component, folder: str
+    path: Path, component: ComponentEntry, folder: str
 ) -> Iterator[tuple[str, KnownPort]]:
     try:
         code = find(component.implementation, folder)

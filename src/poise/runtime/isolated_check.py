@@ -19,7 +19,7 @@ from tempfile import TemporaryFile
 import msgspec
 
 from poise.errors import RunError
-from poise.model.check.paths import components
+from poise.model.check.file_paths import components
 from poise.model.robot import Robot
 from poise.model.yaml.positions import Finding
 from poise.runtime.hosting.command_line import die_with_parent

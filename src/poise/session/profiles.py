@@ -10,8 +10,8 @@ from poise.errors import RobotError
 from poise.estimate.demands import missing, with_profile
 from poise.estimate.profile import Profile
 from poise.estimate.profile import file as profile_file
+from poise.estimate.profile.code_version import version_of
 from poise.estimate.profile.store import Store
-from poise.estimate.profile.version import version_of
 from poise.model.robot import Robot
 from poise.session.writable import to_write
 

@@ -10,11 +10,15 @@ from msgspec import Struct
 from rich.console import RenderableType
 
 from poise.errors import RunError
-from poise.manage.drain import unprocessed
+from poise.manage.deactivation import unprocessed
 from poise.manage.observe.faults import faults_after
 from poise.manage.statuses import Statuses
 from poise.model.robot import Robot
-from poise.session.failures import (
+from poise.session.launch.start import Started
+from poise.session.placement import Placement
+from poise.session.render.report import report_parts
+from poise.session.render.shown import Shown
+from poise.session.run_errors import (
     ComponentError,
     HungHandler,
     SilentPort,
@@ -23,10 +27,6 @@ from poise.session.failures import (
     refused_messages,
     silent_ports,
 )
-from poise.session.launch.start import Started
-from poise.session.placement import Placement
-from poise.session.render.report import report_parts
-from poise.session.render.shown import Shown
 from poise.wire.records.clocks import ClockStatus
 from poise.wire.records.deployment import (
     AgentStatus,

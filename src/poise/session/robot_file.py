@@ -5,7 +5,7 @@ from __future__ import annotations
 from os import PathLike
 from pathlib import Path
 
-from poise.errors import Problem, RobotError
+from poise.errors import FileProblem, RobotError
 from poise.model.load import load_source
 from poise.model.robot import Robot
 from poise.runtime.isolated_check import check_code_isolated
@@ -13,7 +13,7 @@ from poise.session.profiles import profiled
 from poise.session.say import Say, log
 
 
-def check(file: str | PathLike[str]) -> tuple[Problem, ...]:
+def check(file: str | PathLike[str]) -> tuple[FileProblem, ...]:
     """Return what is wrong with a robot file; when nothing is, what is with its code.
 
     Parameters

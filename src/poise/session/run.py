@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from poise.manage.drain import drain
+from poise.manage.deactivation import drain
 from poise.manage.journal import Journal
 from poise.manage.run import Run
 from poise.model.robot import Robot

@@ -8,10 +8,17 @@ import pytest
 
 from poise.estimate.online import Estimate
 from poise.manage.adaptation.facts import Facts
+from poise.manage.observe.deadline_misses import Misses
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.observe.loads import Load
-from poise.manage.observe.misses import Misses
-from poise.model.robot import Action, Architecture, Component, Computer, Robot, Task
+from poise.model.robot import (
+    Action,
+    Architecture,
+    ComponentEntry,
+    Computer,
+    Robot,
+    Task,
+)
 
 Make = Callable[..., Facts]
 
@@ -29,7 +36,8 @@ def two() -> Robot:
                 name="all",
                 function="all",
                 components=tuple(
-                    Component(name=name, demand={"cpu": 0.2}) for name in ("a", "b")
+                    ComponentEntry(name=name, demand={"cpu": 0.2})
+                    for name in ("a", "b")
                 ),
             ),
         ),

@@ -12,10 +12,10 @@ from poise.manage.observe.estimates import DemandEstimate
 from poise.model.robot import (
     Action,
     Architecture,
-    Component,
+    ComponentEntry,
     Computer,
     Connector,
-    End,
+    ConnectorEnd,
     Robot,
     Task,
 )
@@ -36,12 +36,16 @@ def robot() -> Robot:
                 name="all",
                 function="all",
                 components=tuple(
-                    Component(name=name, demand={"cpu": cpu}, state=2_000_000)
+                    ComponentEntry(name=name, demand={"cpu": cpu}, state=2_000_000)
                     for name, cpu in demands.items()
                 ),
                 connectors=(
                     Connector(
-                        between=(End("eye", "out"), End("mind", "into")), overhead=1.0
+                        between=(
+                            ConnectorEnd("eye", "out"),
+                            ConnectorEnd("mind", "into"),
+                        ),
+                        overhead=1.0,
                     ),
                 ),
             ),

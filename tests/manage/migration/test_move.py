@@ -32,10 +32,10 @@ from poise.manage.run import Run
 from poise.manage.statuses import components_of, connectors_of
 from poise.model.robot import (
     Architecture,
-    Component,
+    ComponentEntry,
     Computer,
     Connector,
-    End,
+    ConnectorEnd,
     Robot,
 )
 from poise.wire.records.deployment import Deployment
@@ -269,7 +269,7 @@ class SimulatorProcess:
         self.name = name
         self.striking = Striking(agents)
         self.journal = journal
-        self.extra: tuple[Component, ...] = ()
+        self.extra: tuple[ComponentEntry, ...] = ()
         self.source = "Source"
         self.joints = JOINTS
         self.limit = 3.0
@@ -364,7 +364,7 @@ class SimulatorProcess:
             name=self.name,
             function="one",
             components=tuple(
-                Component(
+                ComponentEntry(
                     name=n,
                     implementation=f"moved:{c}",
                     isolated=isolated,
@@ -375,7 +375,8 @@ class SimulatorProcess:
             + self.extra,
             connectors=tuple(
                 Connector(
-                    between=(End(*a.split(".")), End(*b.split("."))), limit=self.limit
+                    between=(ConnectorEnd(*a.split(".")), ConnectorEnd(*b.split("."))),
+                    limit=self.limit,
                 )
                 for a, b in self.joints
             ),
@@ -819,11 +820,11 @@ def test_a_chain_that_comes_back_to_its_caller_while_the_callee_moves(
     assert world.wrong() == 0
 
 
-def _ticker(folder: Path) -> Component:
+def _ticker(folder: Path) -> ComponentEntry:
     code = "import os, sys, time; open(sys.argv[1], 'w').write(str(os.getpid()))"
     code += "; time.sleep(600)"
     command = ("python", "-c", code, str(folder / "pid"))
-    return Component(name="ticker", command=command)
+    return ComponentEntry(name="ticker", command=command)
 
 
 def test_a_command_line_component_moves_by_a_cold_move(

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from poise.manage.deployment import DeploymentPlan, Incarnation
 from poise.manage.migration.plan import MigrationPlan
-from poise.model.robot import Architecture, Component, Connector, End, Robot
+from poise.model.robot import (
+    Architecture,
+    ComponentEntry,
+    Connector,
+    ConnectorEnd,
+    Robot,
+)
 from poise.wire.records.migration import Step
 
 GATEWAYS = {"left": "10.0.0.1:4001", "right": "10.0.0.2:4002"}
@@ -81,11 +87,13 @@ def _alternatives() -> Robot:
     """Return a robot whose ``source`` is joined to ``a`` (then ``b``), or to ``c``."""
 
     def architecture(name: str, function: str, *names: str) -> Architecture:
-        components = tuple(Component(name=n, implementation=f"x:{n}") for n in names)
+        components = tuple(
+            ComponentEntry(name=n, implementation=f"x:{n}") for n in names
+        )
         return Architecture(name=name, function=function, components=components)
 
     def joined(first: str, second: str) -> Connector:
-        ends = (End(*each.split(".")) for each in (first, second))
+        ends = (ConnectorEnd(*each.split(".")) for each in (first, second))
         return Connector(between=(next(ends), next(ends)))
 
     return Robot(

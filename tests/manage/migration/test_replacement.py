@@ -17,10 +17,10 @@ from poise.manage.run import Run
 from poise.manage.statuses import components_of
 from poise.model.robot import (
     Architecture,
-    Component,
+    ComponentEntry,
     Computer,
     Connector,
-    End,
+    ConnectorEnd,
     Layer,
     Robot,
 )
@@ -188,7 +188,7 @@ def _robot(folder: Path, place: Path) -> Robot:
             layer=layer,
             home="left",
             components=tuple(
-                Component(
+                ComponentEntry(
                     name=each,
                     implementation=f"replaced:{each.title()}",
                     parameters={"folder": str(place)},
@@ -205,7 +205,7 @@ def _robot(folder: Path, place: Path) -> Robot:
         joints += [f"{name}.sums sink.sums"]
     connectors = []
     for joint in joints:
-        first, second = (End(*end.split(".")) for end in joint.split())
+        first, second = (ConnectorEnd(*end.split(".")) for end in joint.split())
         connectors.append(Connector(between=(first, second), limit=3.0))
     capacity = {"cpu": 1.0, "memory": 1e9}
     return Robot(

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from poise.errors import RobotError
-from poise.manage.migration.transition import Step, plan_transition
-from poise.model.robot import Architecture, Component, Computer, Robot
+from poise.manage.migration.transition import TransitionStep, plan_transition
+from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
 
 
 def robot_of(demands: dict[str, float], capacities: dict[str, float]) -> Robot:
@@ -24,7 +24,7 @@ def robot_of(demands: dict[str, float], capacities: dict[str, float]) -> Robot:
                 name="all",
                 function="all",
                 components=tuple(
-                    Component(name=name, demand={"cpu": cpu})
+                    ComponentEntry(name=name, demand={"cpu": cpu})
                     for name, cpu in demands.items()
                 ),
             ),
@@ -33,7 +33,7 @@ def robot_of(demands: dict[str, float], capacities: dict[str, float]) -> Robot:
 
 
 def loads_on_the_way(
-    robot: Robot, now: dict[str, str], steps: tuple[Step, ...]
+    robot: Robot, now: dict[str, str], steps: tuple[TransitionStep, ...]
 ) -> list[dict[str, float]]:
     """Return the cpu load per computer after each step, both ends of a move counted."""
     demand = {c.name: c.demand["cpu"] for c in robot.components()}
@@ -53,7 +53,7 @@ def loads_on_the_way(
     return loads
 
 
-def result_of(now: dict[str, str], steps: tuple[Step, ...]) -> dict[str, str]:
+def result_of(now: dict[str, str], steps: tuple[TransitionStep, ...]) -> dict[str, str]:
     """Return the placement after all steps."""
     placement = dict(now)
     for step in steps:

@@ -9,7 +9,7 @@ from msgspec import structs
 
 from poise.manage.agents import Agents
 from poise.manage.journal import Journal
-from poise.manage.migration.transition import Step
+from poise.manage.migration.transition import TransitionStep
 from poise.manage.migration.transition_run import transit
 from poise.manage.run import Run
 from poise.model.robot import Robot
@@ -17,8 +17,8 @@ from poise.wire.records.deployment import ComponentStatus, Deployment
 from tests.manage.conftest import FakeAgents
 
 PLACEMENT = {"grabber": "left", "filter": "left"}
-START = Step(kind="start", component="thinker", target="right")
-STOP = Step(kind="stop", component="filter", source="left")
+START = TransitionStep(kind="start", component="thinker", target="right")
+STOP = TransitionStep(kind="stop", component="filter", source="left")
 
 
 @pytest.fixture
@@ -70,7 +70,7 @@ def test_what_was_replaced_stays_replaced_over_a_cold_move(
     run.placed["filter"] = structs.replace(
         run.placed["filter"], implementation="eye:Better"
     )
-    again = Step(kind="start", component="filter", target="right")
+    again = TransitionStep(kind="start", component="filter", target="right")
     assert transit(run, (STOP, again)).committed
     assert told(agents)["filter"] == ("right", 1, "eye:Better")
 
@@ -78,7 +78,9 @@ def test_what_was_replaced_stays_replaced_over_a_cold_move(
 def test_a_move_that_is_refused_undoes_the_steps_before(
     run: Run, agents: FakeAgents
 ) -> None:
-    nowhere = Step(kind="move", component="grabber", source="left", target="moon")
+    nowhere = TransitionStep(
+        kind="move", component="grabber", source="left", target="moon"
+    )
     report = transit(run, (START, nowhere))
     assert not report.committed
     assert "no computer 'moon'" in report.reason

@@ -2,7 +2,7 @@ from collections.abc import Callable
 
 import pytest
 
-from poise.model.robot import Architecture, Component, Computer, Robot
+from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
 from poise.wire.records.samples import (
     AgentSample,
     ComponentSample,
@@ -16,7 +16,7 @@ Sampler = Callable[[float], AgentSample]
 @pytest.fixture
 def robot() -> Robot:
     """One computer, of half the reference's speed, with an eye and a mind on it."""
-    parts = (Component(name="eye"), Component(name="mind"))
+    parts = (ComponentEntry(name="eye"), ComponentEntry(name="mind"))
     return Robot(
         name="r",
         computers=(

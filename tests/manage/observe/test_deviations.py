@@ -11,7 +11,7 @@ from poise.manage.observe.deviations import (
     find_deviations,
     find_unjoined,
 )
-from poise.model.robot import Connector, End, Robot
+from poise.model.robot import Connector, ConnectorEnd, Robot
 from poise.wire.records.deployment import (
     AgentStatus,
     ComponentStatus,
@@ -23,7 +23,7 @@ from poise.wire.records.deployment import (
     State,
 )
 
-JOINED = Connector(between=(End("eye", "x"), End("mind", "x")))
+JOINED = Connector(between=(ConnectorEnd("eye", "x"), ConnectorEnd("mind", "x")))
 FAULT = Fault(container="see", message="was killed by SIGKILL")
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from poise.errors import RunError, UsageError
 from poise.estimate.profile import ComponentProfile, Profile
-from poise.estimate.profile.spread import Spread
+from poise.estimate.profile.distribution import Distribution
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.prometheus import MetricsServer, to_prometheus
 from poise.manage.observe.recording import Recording, load, save
@@ -26,7 +26,7 @@ from tests.manage.observe.conftest import Sampler
 
 def test_stands_against_the_profile(robot: Robot, steady: Sampler) -> None:
     """The computer's 10 % are 5 % of the reference computer's core."""
-    known = ComponentProfile(version="", cpu=Spread(mean=0.05))
+    known = ComponentProfile(version="", cpu=Distribution(mean=0.05))
     profile = Profile(
         robot="r",
         poise="",

@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import pytest
 
-from poise.errors import Problem
+from poise.errors import FileProblem
 
-Find = Callable[[str], tuple[Problem, ...]]
+Find = Callable[[str], tuple[FileProblem, ...]]
 Refuse = Callable[..., None]
 
 ROBOT = """

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.errors import Problem, RobotError
+from poise.errors import FileProblem, RobotError
 from poise.model import load
 
 COMPUTERS = "computers: {main: {cpu: 1, memory: 1 GiB}}\n"
@@ -17,7 +17,7 @@ def write(folder: Path, **files: str) -> Path:
     return folder / "robot.yaml"
 
 
-def problems(path: Path) -> list[Problem]:
+def problems(path: Path) -> list[FileProblem]:
     with pytest.raises(RobotError) as error:
         load(path)
     return list(error.value.problems)

@@ -2,12 +2,12 @@
 
 import pytest
 
-from poise.errors import Problem
+from poise.errors import FileProblem
 from poise.model.yaml.tree import DEEPEST, MOST, Location, Node, Scalar, parse
 
 
-def tree(text: str) -> tuple[Node | None, list[Problem]]:
-    problems: list[Problem] = []
+def tree(text: str) -> tuple[Node | None, list[FileProblem]]:
+    problems: list[FileProblem] = []
     return parse(text, "r.yaml", problems), problems
 
 

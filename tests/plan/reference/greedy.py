@@ -9,8 +9,8 @@ formula.
 
 from math import inf
 
-from poise.plan.arrays import Arrays, Placed
-from poise.plan.limits import obstacle
+from poise.plan.problem.arrays import Arrays, Placed
+from poise.plan.violations import obstacle
 from tests.plan.reference import objective
 
 ROUNDING = 1e-12

@@ -9,9 +9,9 @@ The paper's eq. 1 is the case of scale ``paper``, one resource and no linear cos
 
 from __future__ import annotations
 
-from poise.plan.arrays import Arrays, Placed
-from poise.plan.limits import loads
-from poise.plan.records import Terms
+from poise.plan.problem.arrays import Arrays, Placed
+from poise.plan.result_records import Terms
+from poise.plan.violations import loads
 
 
 def terms(arrays: Arrays, placed: Placed) -> Terms:

@@ -2,8 +2,15 @@ import pytest
 from msgspec.structs import replace
 
 from poise.estimate.profile import ConnectorProfile
-from poise.estimate.profile.spread import Spread
-from poise.model.robot import Architecture, Component, Computer, Connector, End, Robot
+from poise.estimate.profile.distribution import Distribution
+from poise.model.robot import (
+    Architecture,
+    ComponentEntry,
+    Computer,
+    Connector,
+    ConnectorEnd,
+    Robot,
+)
 from poise.session.profiling.figures import (
     Observed,
     Subject,
@@ -21,8 +28,12 @@ ROBOT = Robot(
         Architecture(
             name="see",
             function="seeing",
-            components=tuple(Component(name=name) for name in NAMES),
-            connectors=(Connector(between=(End("eye", "x"), End("mind", "x"))),),
+            components=tuple(ComponentEntry(name=name) for name in NAMES),
+            connectors=(
+                Connector(
+                    between=(ConnectorEnd("eye", "x"), ConnectorEnd("mind", "x"))
+                ),
+            ),
         ),
     ),
 )
@@ -32,7 +43,10 @@ def observed(eye: float, *, undone: float = 0.0) -> Observed:
     """Both in one container of 30 MB, which uses 4 % beyond them."""
     return Observed(
         measured=Measured(
-            cpu={"eye": Spread(mean=eye, peak=2 * eye), "mind": Spread(mean=0.2)},
+            cpu={
+                "eye": Distribution(mean=eye, peak=2 * eye),
+                "mind": Distribution(mean=0.2),
+            },
             rest={"see": 0.04},
             members={"see": NAMES},
             memory={"see": 30e6},

@@ -5,12 +5,12 @@ from poise.errors import UsageError
 from poise.manage.deployment import DeploymentPlan
 from poise.model.robot import (
     Architecture,
-    Component,
+    ComponentEntry,
     Computer,
     Connector,
+    ConnectorEnd,
     DeclaredPort,
     Device,
-    End,
     Robot,
     Simulator,
     Workload,
@@ -18,7 +18,7 @@ from poise.model.robot import (
 from poise.session.profiling.rig import EMPTY, OTHERS, rig_of
 
 
-def architecture(name: str, *components: Component) -> Architecture:
+def architecture(name: str, *components: ComponentEntry) -> Architecture:
     return Architecture(name=name, function=name, components=components)
 
 
@@ -34,15 +34,19 @@ ROBOT = Robot(
     computers=(computer("main"), computer("vision")),
     devices=(Device(name="laser", computer="main"),),
     architectures=(
-        architecture("see", Component(name="eye", devices=("laser",))),
-        architecture("think", Component(name="mind", ports=(ASKS,))),
-        architecture("remember", Component(name="map")),
-        architecture("speak", Component(name="mouth")),
+        architecture("see", ComponentEntry(name="eye", devices=("laser",))),
+        architecture("think", ComponentEntry(name="mind", ports=(ASKS,))),
+        architecture("remember", ComponentEntry(name="map")),
+        architecture("speak", ComponentEntry(name="mouth")),
     ),
     connectors=(
-        Connector(between=(End("eye", "image"), End("mind", "image"))),
-        Connector(between=(End("mind", "map"), End("map", "map"))),
-        Connector(between=(End("mind", "words"), End("mouth", "words"))),
+        Connector(
+            between=(ConnectorEnd("eye", "image"), ConnectorEnd("mind", "image"))
+        ),
+        Connector(between=(ConnectorEnd("mind", "map"), ConnectorEnd("map", "map"))),
+        Connector(
+            between=(ConnectorEnd("mind", "words"), ConnectorEnd("mouth", "words"))
+        ),
     ),
     simulator=Simulator(command=("world",)),
     workload=Workload(command=("work",)),
@@ -110,15 +114,19 @@ def test_names_what_there_is() -> None:
 
 def test_only_one_alternative_runs_and_the_measured_one_is_preferred() -> None:
     """Two provide `see`; messages reach neither if both run."""
-    better = replace(architecture("look", Component(name="eyes")), function="see")
+    better = replace(architecture("look", ComponentEntry(name="eyes")), function="see")
     worse = replace(ROBOT.architectures[0], quality=0.5)
     robot = replace(
         ROBOT,
         architectures=(worse, *ROBOT.architectures[1:], better),
         connectors=(
             *ROBOT.connectors,
-            Connector(between=(End("eyes", "image"), End("mind", "image"))),
-            Connector(between=(End("mouth", "said"), End("eyes", "said"))),
+            Connector(
+                between=(ConnectorEnd("eyes", "image"), ConnectorEnd("mind", "image"))
+            ),
+            Connector(
+                between=(ConnectorEnd("mouth", "said"), ConnectorEnd("eyes", "said"))
+            ),
         ),
     )
     assert rig_of(robot, "think", "main", apart=False).feeding == (

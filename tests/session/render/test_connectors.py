@@ -7,7 +7,7 @@ from io import StringIO
 from rich.console import Console
 
 from poise.session.render.connectors import connector_tables
-from poise.wire.records.deployment import ConnectorStatus, End, Summary
+from poise.wire.records.deployment import ConnectorStatus, Side, Summary
 
 NAME = "laser-of-the-robot.distances-navigator.distances"
 
@@ -27,7 +27,7 @@ def shown(*ends: ConnectorStatus) -> list[list[list[str]]]:
 
 
 def end(
-    which: End,
+    which: Side,
     messages: int,
     sizes: tuple[int, int] = (0, 0),
     errors: int = 0,

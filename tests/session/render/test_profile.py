@@ -10,7 +10,7 @@ from rich.console import Console
 
 from poise.estimate.profile import ComponentProfile, Profile
 from poise.estimate.profile import file as profile_file
-from poise.estimate.profile.spread import Spread
+from poise.estimate.profile.distribution import Distribution
 from poise.estimate.profile.store import Store
 from poise.model import load
 from poise.session.render.profile import history_table
@@ -26,7 +26,9 @@ profile: profile.yaml
 
 
 def eye(mean: float, version: str = "1") -> ComponentProfile:
-    return ComponentProfile(version=version, cpu=Spread(mean=mean), memory=2 * 2**20)
+    return ComponentProfile(
+        version=version, cpu=Distribution(mean=mean), memory=2 * 2**20
+    )
 
 
 NOW = Profile(

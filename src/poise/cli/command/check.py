@@ -11,7 +11,7 @@ import msgspec
 import typer
 
 from poise.cli.options import AsJson
-from poise.errors import Problem, UsageError
+from poise.errors import FileProblem, UsageError
 from poise.session.robot_file import check
 from poise.units import counted
 
@@ -49,12 +49,12 @@ def _print_schema() -> None:
     sys.stdout.write(schema_text())
 
 
-def _print_json(problems: tuple[Problem, ...]) -> None:
+def _print_json(problems: tuple[FileProblem, ...]) -> None:
     report = {"ok": not problems, "problems": msgspec.to_builtins(problems)}
     sys.stdout.write(json.dumps(report, indent=2) + "\n")
 
 
-def _print_text(path: Path, problems: tuple[Problem, ...]) -> None:
+def _print_text(path: Path, problems: tuple[FileProblem, ...]) -> None:
     if not problems:
         sys.stdout.write(f"{path}: no problems\n")
         return

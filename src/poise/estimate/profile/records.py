@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 from msgspec import Struct
 
-from poise.estimate.profile.spread import Spread
+from poise.estimate.profile.distribution import Distribution
 
 
 class TimerProfile(Struct, frozen=True, kw_only=True):
@@ -50,7 +50,7 @@ class ComponentProfile(Struct, frozen=True, kw_only=True):
     """
 
     version: str
-    cpu: Spread
+    cpu: Distribution
     share: float = 0.0
     memory: float = 0.0
     base: float = 0.0

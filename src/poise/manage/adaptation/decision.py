@@ -16,8 +16,8 @@ from msgspec.structs import replace
 from poise.errors import RobotError
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.replan import Proposal, propose, with_present_needs
-from poise.manage.migration.transition import Step
-from poise.model.check.hosts import allowed_hosts
+from poise.manage.migration.transition import TransitionStep
+from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Computer, Robot
 
 HORIZON = 30.0
@@ -116,7 +116,9 @@ def shortage(
     return sum(max(0.0, needs[c.name] - c.usable("cpu")) for c in computers)
 
 
-def _cost(robot: Robot, steps: Iterable[Step], downtimes: Mapping[str, float]) -> float:
+def _cost(
+    robot: Robot, steps: Iterable[TransitionStep], downtimes: Mapping[str, float]
+) -> float:
     demands = {c.name: c.demand.get("cpu", 0.0) for c in robot.components()}
     return sum(
         START + demands[step.component] * downtimes.get(step.component, DOWNTIME)
@@ -130,7 +132,7 @@ def _barring(
     """Return the robot whose components may not go where they are barred from."""
     if not barred:
         return robot
-    allowed = allowed_hosts(robot)
+    allowed = allowed_computers(robot)
     only = {
         name: tuple(
             computer

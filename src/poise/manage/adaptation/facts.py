@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from msgspec import Struct
 from msgspec.structs import replace
 
+from poise.manage.observe.deadline_misses import Misses
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.observe.loads import Load
-from poise.manage.observe.misses import Misses
 from poise.model.robot import Computer, Robot
 
 

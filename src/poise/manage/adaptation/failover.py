@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from poise import plan
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.replan import SOLVE_FOR, with_present_needs
-from poise.model.check.hosts import allowed_hosts
+from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Architecture, Robot
 
 
@@ -37,7 +37,7 @@ def fail_over(facts: Facts, lost: Collection[str]) -> Failover:
     lost
         Computers that are out of reach.
     """
-    allowed = allowed_hosts(facts.robot)
+    allowed = allowed_computers(facts.robot)
     movable = {c.name for c in facts.robot.components() if c.movable}
     missing: dict[str, str] = {}
     homes: dict[str, tuple[str, ...]] = {}

@@ -14,7 +14,7 @@ from msgspec import Struct
 from poise.manage.adaptation.decision import Decision, decide
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.failover import fail_over
-from poise.manage.adaptation.restraint import Restraint
+from poise.manage.adaptation.move_limits import MoveLimits
 from poise.manage.adaptation.triggers import TRIGGERS, Lasting, Symptom
 from poise.manage.migration.transition_run import begin_again, transit
 from poise.manage.observe.deviations import Deviation
@@ -52,8 +52,8 @@ class Adaptation:
         self._acts = acts
         self._clock = clock
         self._lasting = Lasting()
-        self._restraint = Restraint()
-        self._failures = Restraint()
+        self._move_limits = MoveLimits()
+        self._failures = MoveLimits()
         self._downtimes: dict[str, float] = {}
         self._told: dict[tuple[str, str], _Told] = {}
         self._missing: set[str] = set()
@@ -68,9 +68,9 @@ class Adaptation:
         if self._acts and not self._failures.rests(now) and self._fail_over(facts, now):
             return
         if not symptoms:
-            self._restraint.forget_nothing()
-        elif self._acts and not self._restraint.rests(now):
-            decision = decide(facts, self._restraint.barred(now), self._downtimes)
+            self._move_limits.forget_nothing()
+        elif self._acts and not self._move_limits.rests(now):
+            decision = decide(facts, self._move_limits.barred(now), self._downtimes)
             self._carry_out(decision, facts, now)
 
     def _fail_over(self, facts: Facts, now: float) -> bool:
@@ -96,16 +96,16 @@ class Adaptation:
     def _carry_out(self, decision: Decision, facts: Facts, now: float) -> None:
         steps = decision.proposal.steps if decision.proposal else ()
         why = decision.why
-        if decision.acts and not self._restraint.may_move(len(steps), now):
+        if decision.acts and not self._move_limits.may_move(len(steps), now):
             why = f"{len(steps)} moves are over the budget of a minute"
         elif decision.acts:
             note = self._run.journal.note
             note("decided", why, decision=decision, loads=facts.loads)
-            self._restraint.note(steps, now)
+            self._move_limits.note(steps, now)
             report = transit(self._run, steps)
             self._downtimes |= {m.component: m.downtime for m in report.moves}
             return
-        self._restraint.note_nothing(now)
+        self._move_limits.note_nothing(now)
         self._tell_why_not(why, decision)
 
     def _tell(self, symptoms: tuple[Symptom, ...]) -> None:

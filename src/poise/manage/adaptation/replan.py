@@ -10,9 +10,9 @@ from msgspec.structs import replace
 from poise import plan
 from poise.errors import RobotError
 from poise.estimate.demands import shifted_cpu_demand
-from poise.manage.migration.transition import Placement, Step, plan_transition
+from poise.manage.migration.transition import Placement, TransitionStep, plan_transition
 from poise.manage.observe.estimates import DemandEstimate
-from poise.model.robot import Component, Computer, Robot
+from poise.model.robot import ComponentEntry, Computer, Robot
 
 SOLVE_FOR = 0.1
 """The planner searches for so long [s]; small robots are proven optimal before."""
@@ -67,7 +67,7 @@ class Proposal(Struct, frozen=True, kw_only=True):
     then: plan.Terms
     placement: Placement
     trouble: str = ""
-    steps: tuple[Step, ...] = ()
+    steps: tuple[TransitionStep, ...] = ()
     proven: bool = False
 
 
@@ -155,7 +155,7 @@ def _shifted(
         )
 
 
-def _most(component: Component, computer: Computer) -> float:
+def _most(component: ComponentEntry, computer: Computer) -> float:
     """Return what a computer can give a component that is alone there [cores].
 
     One chain at a time runs a component's code, so that is one core at most; a command

@@ -15,8 +15,8 @@ from poise.manage.deployment import Incarnation
 from poise.manage.journal import Kind
 from poise.manage.migration.coordinator import Migration, MigrationReport
 from poise.manage.run import ACTIVE_LIMIT, READY_LIMIT, Run
-from poise.model.check.hosts import allowed_hosts
-from poise.model.robot import Component
+from poise.model.check.allowed_computers import allowed_computers
+from poise.model.robot import ComponentEntry
 
 
 class MoveReport(MigrationReport, frozen=True, kw_only=True):
@@ -178,7 +178,7 @@ def _check_target(run: Run, component: str, computer: str) -> None:
     known = [each.name for each in run.robot.computers]
     if computer not in known:
         raise UsageError(f"no computer '{computer}' (there are {', '.join(known)})")
-    allowed = allowed_hosts(run.robot)[component]
+    allowed = allowed_computers(run.robot)[component]
     if computer not in allowed:
         raise UsageError(
             f"component '{component}' may not run on '{computer}', only on "
@@ -188,7 +188,7 @@ def _check_target(run: Run, component: str, computer: str) -> None:
         raise UsageError(f"component '{component}' is not movable (robot file)")
 
 
-def _component(run: Run, name: str) -> Component:
+def _component(run: Run, name: str) -> ComponentEntry:
     return next(each for each in run.robot.components() if each.name == name)
 
 

@@ -14,8 +14,8 @@ from typing import Literal
 from msgspec import Struct
 
 from poise.errors import RobotError
-from poise.model.check.hosts import allowed_hosts
-from poise.model.robot import Component, Robot
+from poise.model.check.allowed_computers import allowed_computers
+from poise.model.robot import ComponentEntry, Robot
 from poise.units import format_amount
 
 _SLACK = 1e-9
@@ -23,7 +23,7 @@ _SLACK = 1e-9
 Placement = Mapping[str, str]
 
 
-class Step(Struct, frozen=True, kw_only=True):
+class TransitionStep(Struct, frozen=True, kw_only=True):
     """One step of a transition.
 
     Parameters
@@ -49,7 +49,9 @@ class Step(Struct, frozen=True, kw_only=True):
         return f"{way} ({self.why})" if self.why else way
 
 
-def plan_transition(robot: Robot, now: Placement, then: Placement) -> tuple[Step, ...]:
+def plan_transition(
+    robot: Robot, now: Placement, then: Placement
+) -> tuple[TransitionStep, ...]:
     """Return the steps from placement `now` to `then`.
 
     Stops come first, then moves, then starts; taking all steps yields `then`.
@@ -69,13 +71,13 @@ class _Planner:
         self._usable = {
             h.name: {r: h.usable(r) for r in h.capacity} for h in robot.computers
         }
-        self._allowed = allowed_hosts(robot)
+        self._allowed = allowed_computers(robot)
         self._now = dict(now)
         self._then = then
-        self._steps: list[Step] = []
+        self._steps: list[TransitionStep] = []
         self._check(then)
 
-    def plan(self) -> tuple[Step, ...]:
+    def plan(self) -> tuple[TransitionStep, ...]:
         for name in sorted(self._now.keys() - self._then.keys()):
             self._stop(name)
         stopped = self._move_all()
@@ -161,22 +163,28 @@ class _Planner:
         source = self._now[name]
         self._now[name] = target
         self._add(
-            Step(kind="move", component=name, source=source, target=target, why=why)
+            TransitionStep(
+                kind="move", component=name, source=source, target=target, why=why
+            )
         )
 
     def _stop(self, name: str, why: str = "") -> None:
         source = self._now.pop(name)
-        self._add(Step(kind="stop", component=name, source=source, why=why))
+        self._add(TransitionStep(kind="stop", component=name, source=source, why=why))
 
     def _start(self, name: str, why: str) -> None:
         self._now[name] = self._then[name]
-        self._add(Step(kind="start", component=name, target=self._then[name], why=why))
+        self._add(
+            TransitionStep(
+                kind="start", component=name, target=self._then[name], why=why
+            )
+        )
 
-    def _add(self, step: Step) -> None:
+    def _add(self, step: TransitionStep) -> None:
         self._steps.append(step)
 
 
-def _weight(component: Component) -> tuple[float, float]:
+def _weight(component: ComponentEntry) -> tuple[float, float]:
     return component.state, component.demand.get("cpu", 0.0)
 
 

@@ -10,7 +10,7 @@ from msgspec import Struct, structs
 from poise.errors import RunError, UsageError
 from poise.manage.deployment import Incarnation
 from poise.manage.migration.move import MoveReport, move
-from poise.manage.migration.transition import Step
+from poise.manage.migration.transition import TransitionStep
 from poise.manage.run import ACTIVE_LIMIT, READY_LIMIT, Run
 
 
@@ -29,7 +29,7 @@ class TransitionReport(Struct, frozen=True, kw_only=True):
         The moves that were made, in order, those back included.
     """
 
-    steps: tuple[Step, ...]
+    steps: tuple[TransitionStep, ...]
     committed: bool
     reason: str = ""
     moves: tuple[MoveReport, ...] = ()
@@ -59,7 +59,7 @@ def begin_again(run: Run, placement: Mapping[str, str]) -> bool:
     return True
 
 
-def transit(run: Run, steps: tuple[Step, ...]) -> TransitionReport:
+def transit(run: Run, steps: tuple[TransitionStep, ...]) -> TransitionReport:
     """Take the steps of a planned transition; roll all back when one fails."""
     run.journal.note("decided", f"transition of {len(steps)} steps", steps=steps)
     transition = _Transition(run)
@@ -88,7 +88,7 @@ class _Transition:
         # what is started again may have been replaced since the robot began
         self._implementations: dict[str, str] = {}
 
-    def take(self, step: Step) -> str:
+    def take(self, step: TransitionStep) -> str:
         """Take a step; return why it failed, or an empty text."""
         try:
             match step.kind:
@@ -104,7 +104,7 @@ class _Transition:
             return str(error)
         return ""
 
-    def roll_back(self, taken: Sequence[Step]) -> str:
+    def roll_back(self, taken: Sequence[TransitionStep]) -> str:
         """Undo the steps that were taken, last first; return what went wrong there."""
         troubles = ""
         for step in reversed(taken):
@@ -145,9 +145,9 @@ class _Transition:
             raise
 
 
-def _inverse(step: Step) -> Step:
+def _inverse(step: TransitionStep) -> TransitionStep:
     kind = {"start": "stop", "stop": "start", "move": "move"}[step.kind]
-    return Step(
+    return TransitionStep(
         kind=kind,  # type: ignore[arg-type] # a dict of literals widens to str
         component=step.component,
         source=step.target,

@@ -6,9 +6,9 @@ import threading
 
 from msgspec import Struct
 
+from poise.estimate.demand_windows import Reading
 from poise.estimate.online import Drift, Estimate, RunningEstimate
 from poise.estimate.profile import ConnectorProfile, Profile
-from poise.estimate.windows import Reading
 from poise.manage.observe.loads import Loads
 from poise.model.robot import Robot
 from poise.wire.records.samples import AgentSample, ComponentSample, ConnectorSample

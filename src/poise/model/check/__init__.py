@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from poise.model.check.addresses import check_addresses
+from poise.model.check.allowed_computers import check_allowed_computers
 from poise.model.check.connectors import check_chains, check_connectors
 from poise.model.check.demands import check_demands
-from poise.model.check.hosts import check_hosts
 from poise.model.check.names import check_names
 from poise.model.check.ports import check_ports, declared_ports
-from poise.model.check.sets import check_sets
+from poise.model.check.together_apart import check_together_apart
 from poise.model.check.workload import check_workload
 from poise.model.robot import Robot
 from poise.model.yaml.positions import Finding
@@ -20,9 +20,9 @@ def check(robot: Robot) -> Iterator[Finding]:
     """Yield every problem of `robot` that shows without its code."""
     yield from check_names(robot)
     yield from check_addresses(robot)
-    yield from check_hosts(robot)
+    yield from check_allowed_computers(robot)
     yield from check_demands(robot)
-    yield from check_sets(robot)
+    yield from check_together_apart(robot)
     yield from check_connectors(robot)
     yield from check_chains(robot)
     yield from check_ports(robot, declared_ports(robot))

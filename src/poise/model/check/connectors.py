@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import pairwise
 
+from poise.model.check.file_paths import component_names, connectors
 from poise.model.check.names import check_components_known
-from poise.model.check.paths import component_names, connectors
 from poise.model.robot import Architecture, Connector, Robot
 from poise.model.suggest import unknown
 from poise.model.yaml.positions import Finding, Path

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from collections.abc import Set as AbstractSet
 
-from poise.model.check.paths import connectors
+from poise.model.check.file_paths import connectors
 from poise.model.check.ports import Ports
 from poise.model.robot import Connector, Robot
 from poise.model.yaml.positions import Finding, Path

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from poise.model.check.hosts import allowed_hosts
-from poise.model.check.paths import components
-from poise.model.robot import Component, Computer, Robot
+from poise.model.check.allowed_computers import allowed_computers
+from poise.model.check.file_paths import components
+from poise.model.robot import ComponentEntry, Computer, Robot
 from poise.model.yaml.positions import Finding, Path
 from poise.units import format_amount
 
@@ -16,7 +16,7 @@ SLACK = 1e-9
 
 def check_demands(robot: Robot) -> Iterator[Finding]:
     """Yield the demands that are larger than every computer that is allowed."""
-    hosts = allowed_hosts(robot)
+    hosts = allowed_computers(robot)
     for path, _, component in components(robot):
         allowed = [c for c in robot.computers if c.name in hosts[component.name]]
         if allowed:
@@ -24,7 +24,7 @@ def check_demands(robot: Robot) -> Iterator[Finding]:
 
 
 def _too_large(
-    path: Path, component: Component, allowed: list[Computer]
+    path: Path, component: ComponentEntry, allowed: list[Computer]
 ) -> Iterator[Finding]:
     for resource, amount in component.demand.items():
         largest = max(allowed, key=lambda computer: computer.usable(resource))

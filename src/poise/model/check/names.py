@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from poise.model.check.paths import component_names, components
-from poise.model.robot import Component, Robot
+from poise.model.check.file_paths import component_names, components
+from poise.model.robot import ComponentEntry, Robot
 from poise.model.suggest import unknown
 from poise.model.yaml.positions import Finding, Path
 
@@ -77,7 +77,7 @@ def _components(robot: Robot) -> Iterator[Finding]:
         yield from _one_way_to_run(path, component)
 
 
-def _one_way_to_run(path: Path, component: Component) -> Iterator[Finding]:
+def _one_way_to_run(path: Path, component: ComponentEntry) -> Iterator[Finding]:
     if component.implementation and component.command:
         yield Finding(
             (*path, "command"),

@@ -10,8 +10,8 @@ from collections.abc import Hashable, Iterator, Mapping
 
 from msgspec import Struct
 
-from poise.model.check.paths import components, connectors
-from poise.model.robot import Connector, End, PortKind, Robot
+from poise.model.check.file_paths import components, connectors
+from poise.model.robot import Connector, ConnectorEnd, PortKind, Robot
 from poise.model.suggest import did_you_mean
 from poise.model.yaml.positions import Finding, Path
 
@@ -99,7 +99,7 @@ def check_required(robot: Robot, ports: Ports) -> Iterator[Finding]:
     served = {str(connector.between[0]) for _, _, connector in connectors(robot)}
     for path, _, component in components(robot):
         for port in ports.get(component.name, {}).values():
-            end = str(End(component.name, port.name))
+            end = str(ConnectorEnd(component.name, port.name))
             if port.kind == "requires" and end not in served:
                 yield Finding(
                     path,
@@ -108,11 +108,11 @@ def check_required(robot: Robot, ports: Ports) -> Iterator[Finding]:
                 )
 
 
-def _find(end: End, ports: Ports) -> KnownPort | None:
+def _find(end: ConnectorEnd, ports: Ports) -> KnownPort | None:
     return ports.get(end.component, {}).get(end.port)
 
 
-def _no_such_port(end: End, ports: Mapping[str, KnownPort]) -> str:
+def _no_such_port(end: ConnectorEnd, ports: Mapping[str, KnownPort]) -> str:
     choices = ", ".join(f"'{port.name}' ({port})" for port in ports.values()) or "none"
     if not end.port:
         return f"name the port of component '{end.component}' too; it has: {choices}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from poise.model.check.paths import component_names
+from poise.model.check.file_paths import component_names
 from poise.model.check.ports import KnownPort
 from poise.model.robot import Robot
 from poise.model.suggest import listed, unknown

@@ -5,7 +5,7 @@ from __future__ import annotations
 from os.path import realpath
 from pathlib import Path
 
-from poise.errors import Problem
+from poise.errors import FileProblem
 from poise.model.yaml.tree import Location, Node, Scalar, parse
 from poise.units import quoted
 
@@ -15,7 +15,7 @@ MOST_FILES = 100
 """More included files than this are an error."""
 
 
-def read_tree(path: Path, problems: list[Problem]) -> Node | None:
+def read_tree(path: Path, problems: list[FileProblem]) -> Node | None:
     """Return the merged tree of a robot file; every problem is added to `problems`.
 
     Mappings are merged key by key and lists are joined. A single value that is defined
@@ -27,7 +27,7 @@ def read_tree(path: Path, problems: list[Problem]) -> Node | None:
 
 
 class _Reader:
-    def __init__(self, problems: list[Problem]) -> None:
+    def __init__(self, problems: list[FileProblem]) -> None:
         self.root: Node | None = None
         self._problems = problems
         self._done: set[str] = set()
@@ -80,7 +80,7 @@ class _Reader:
 
 
 def _read_text(
-    path: Path, asked: Location | None, problems: list[Problem]
+    path: Path, asked: Location | None, problems: list[FileProblem]
 ) -> str | None:
     def wrong(text: str) -> None:
         where = asked or Location(str(path), 0, 0)
@@ -108,7 +108,7 @@ def _read_text(
     return None
 
 
-def _merge(into: Node, other: Node, name: str, problems: list[Problem]) -> None:
+def _merge(into: Node, other: Node, name: str, problems: list[FileProblem]) -> None:
     if isinstance(into.value, list) and isinstance(other.value, list):
         into.value.extend(other.value)
     elif (

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from msgspec import Struct
 
-from poise.errors import Problem
+from poise.errors import FileProblem
 from poise.model.yaml.tree import Location, Node
 
 Path = tuple[str | int, ...]
@@ -52,7 +52,7 @@ class Positions:
             (self._places[each] for each in below), key=lambda p: (p.line, p.column)
         )
 
-    def problem(self, finding: Finding) -> Problem:
+    def problem(self, finding: Finding) -> FileProblem:
         """Return the finding with its location in the file."""
         return self.at(finding.path).problem(finding.message)
 

@@ -13,7 +13,7 @@ import yaml
 from msgspec import Struct
 from yaml.reader import ReaderError
 
-from poise.errors import Problem
+from poise.errors import FileProblem
 from poise.units import quoted
 
 DEEPEST = 40
@@ -32,9 +32,9 @@ class Location(Struct, frozen=True):
     line: int
     column: int
 
-    def problem(self, message: str) -> Problem:
+    def problem(self, message: str) -> FileProblem:
         """Return a problem at this place."""
-        return Problem(self.file, self.line, self.column, message)
+        return FileProblem(self.file, self.line, self.column, message)
 
     def __str__(self) -> str:
         return f"{self.file}:{self.line}:{self.column}"
@@ -60,12 +60,12 @@ class Node(Struct):
 class _Bad(Exception):
     """The text cannot be made into a tree."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: FileProblem) -> None:
         super().__init__(problem)
         self.problem = problem
 
 
-def parse(text: str, file: str, problems: list[Problem]) -> Node | None:
+def parse(text: str, file: str, problems: list[FileProblem]) -> Node | None:
     """Return the tree of a YAML text, or None when it cannot be parsed.
 
     Every problem is added to `problems`: syntax, duplicate keys, tags, nesting
@@ -120,7 +120,7 @@ class _Loader(yaml.SafeLoader):
 class _Converter:
     """Turns PyYAML's nodes into ours."""
 
-    def __init__(self, file: str, problems: list[Problem]) -> None:
+    def __init__(self, file: str, problems: list[FileProblem]) -> None:
         self._file = file
         self._problems = problems
         self._count = 0
@@ -176,7 +176,7 @@ def _place(file: str, mark: yaml.Mark) -> Location:
     return Location(file, mark.line + 1, mark.column + 1)
 
 
-def _syntax_problem(error: yaml.MarkedYAMLError, file: str) -> Problem:
+def _syntax_problem(error: yaml.MarkedYAMLError, file: str) -> FileProblem:
     mark = error.problem_mark or error.context_mark
     place = _place(file, mark) if mark else Location(file, 1, 1)
     parts = [error.context, error.problem]

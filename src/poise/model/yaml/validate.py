@@ -1,4 +1,4 @@
-"""Checks a tree of nodes against the keys of records (`poise.model.keys`).
+"""Checks a tree of nodes against the keys of records (`poise.model.file_keys`).
 
 The validator knows nothing of robots. It finds every problem in one pass.
 """
@@ -13,11 +13,11 @@ from typing import Any, TypeAlias
 from msgspec import Struct
 from msgspec import inspect as types
 
-from poise.errors import Problem
-from poise.model.keys import FileKey, keys_of
+from poise.errors import FileProblem
+from poise.model.file_keys import FileKey, keys_of
 from poise.model.suggest import did_you_mean, listed
-from poise.model.yaml.plain import NULLS, plain_value
 from poise.model.yaml.tree import Location, Node, Scalar
+from poise.model.yaml.untyped_values import NULLS, plain_value
 from poise.units import parse, quoted
 
 Value: TypeAlias = Any
@@ -41,7 +41,7 @@ class Where(Struct, frozen=True):
 
     name: str
     place: Location
-    problems: list[Problem]
+    problems: list[FileProblem]
     notes: Notes = {}
 
     def inner(self, key: str | int, node: Node) -> Where:
@@ -61,7 +61,7 @@ class Where(Struct, frozen=True):
         return _INVALID
 
 
-def validate(node: Node, kind: types.Type, problems: list[Problem]) -> Value:
+def validate(node: Node, kind: types.Type, problems: list[FileProblem]) -> Value:
     """Return the plain SI value of `node`, whose type is `kind`.
 
     Every problem is added to `problems`. A wrong single value of an optional key is

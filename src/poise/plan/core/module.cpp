@@ -18,9 +18,9 @@ using namespace poise;
 
 namespace {
 
-constexpr double kLeast = 1e-30, kMost = 1e30;  // as in poise.plan.check
+constexpr double kLeast = 1e-30, kMost = 1e30;  // as in poise.plan.problem.check
 
-// Reads the fields of `poise.plan.arrays.Arrays`.
+// Reads the fields of `poise.plan.problem.arrays.Arrays`.
 Numbers read(nb::handle arrays) {
   Numbers in;
   const auto get = [&](auto& to, const char* name) {

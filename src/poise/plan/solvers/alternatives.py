@@ -13,10 +13,10 @@ from itertools import combinations, product
 from math import inf, prod
 
 from poise.errors import UsageError
-from poise.plan.problem import Bundle, Problem
+from poise.plan.problem.problem import Bundle, Problem
 from poise.plan.result import Choice, Result
 from poise.plan.solvers.portfolio import Decide
-from poise.plan.what_if.change import keep_components
+from poise.plan.what_if.changed_problem import keep_components
 
 MOST_COMBINATIONS = 64
 """How many combinations of alternatives are tried; more are tried one change a time."""

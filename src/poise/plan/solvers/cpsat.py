@@ -24,10 +24,10 @@ from ortools.sat.python import cp_model
 
 from poise.errors import UsageError
 from poise.plan import _core
-from poise.plan.arrays import Arrays, Placed, fits
-from poise.plan.limits import loads, traffic
-from poise.plan.problem import SLACK
-from poise.plan.records import Answer, Ask
+from poise.plan.problem.arrays import Arrays, Placed, fits
+from poise.plan.problem.problem import SLACK
+from poise.plan.result_records import Answer, Ask
+from poise.plan.violations import loads, traffic
 
 # OR-Tools may not be installed where this is checked.
 IntVar = Any

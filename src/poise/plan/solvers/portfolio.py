@@ -9,10 +9,10 @@ from typing import NamedTuple, cast
 
 from poise.errors import UsageError
 from poise.plan import _core
-from poise.plan.arrays import Arrays, Placed
-from poise.plan.records import Answer, Ask, Stopped
+from poise.plan.problem.arrays import Arrays, Placed
+from poise.plan.problem.snapshot import Snapshot
 from poise.plan.result import Result
-from poise.plan.snapshot import Snapshot
+from poise.plan.result_records import Answer, Ask, Stopped
 from poise.plan.why.conflict import is_short
 
 METHODS = ("auto", "greedy", "exact", "search", "cpsat")

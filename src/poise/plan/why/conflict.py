@@ -10,11 +10,11 @@ from msgspec.structs import replace
 
 from poise.model.robot import Objective
 from poise.plan import _core
-from poise.plan.arrays import Arrays, arrays_of, fits
-from poise.plan.limits import amount_of
-from poise.plan.problem import Problem
-from poise.plan.records import Ask, Conflict
-from poise.plan.what_if.change import keep_components
+from poise.plan.problem.arrays import Arrays, arrays_of, fits
+from poise.plan.problem.problem import Problem
+from poise.plan.result_records import Ask, Conflict
+from poise.plan.violations import amount_of
+from poise.plan.what_if.changed_problem import keep_components
 from poise.plan.why.relaxation import (
     Limit,
     Relaxation,

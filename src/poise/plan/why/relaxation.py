@@ -9,10 +9,10 @@ from typing import NamedTuple, Protocol
 from msgspec.structs import replace
 
 from poise.model.robot import Computer
-from poise.plan.check import MOST
-from poise.plan.limits import amount_of
-from poise.plan.problem import Problem
-from poise.plan.records import More
+from poise.plan.problem.check import MOST
+from poise.plan.problem.problem import Problem
+from poise.plan.result_records import More
+from poise.plan.violations import amount_of
 
 NEAR = 5e-3
 """How close a raise comes to the least that is enough, relative to it."""

@@ -207,10 +207,10 @@ class ContainerProcess:
         begins = "it begins" if len(names) == 1 else "they begin"
         return f"the state of {', '.join(names)} is gone: {begins} anew"
 
-    def may_be_oom(self, how: End | str) -> bool:
+    def may_be_oom(self, how: ProcessEnd | str) -> bool:
         """Return whether the kernel may have ended it, or one of its commands."""
         has_command = any(component.command for component in self.spec.components)
-        return isinstance(how, End) and (how.is_kill or has_command)
+        return isinstance(how, ProcessEnd) and (how.is_kill or has_command)
 
     def give_up(self, why: str = "") -> None:
         """Listen no more: it is ending, or stuck. The zygote reports its end."""
@@ -229,7 +229,7 @@ class ContainerProcess:
             self.give_up("" if isinstance(error, Unavailable) else str(error))
 
 
-class End(Struct, frozen=True):
+class ProcessEnd(Struct, frozen=True):
     """How a process ended, for people."""
 
     status: int

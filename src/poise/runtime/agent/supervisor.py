@@ -17,7 +17,11 @@ from msgspec import structs
 
 from poise.clock import Clock
 from poise.errors import Unavailable
-from poise.runtime.agent.container_processes import BackOff, ContainerProcess, End
+from poise.runtime.agent.container_processes import (
+    BackOff,
+    ContainerProcess,
+    ProcessEnd,
+)
 from poise.runtime.agent.health import HealthRecords, Usage
 from poise.runtime.agent.oom_kills import OomKills
 from poise.runtime.agent.watchdog import Silence
@@ -120,7 +124,7 @@ class Supervisor:
         if isinstance(event, zygote.Ended):
             by_pid = {process.pid: process for process in self.processes.values()}
             if event.pid in by_pid:
-                self._forget(by_pid[event.pid], End(event.status))
+                self._forget(by_pid[event.pid], ProcessEnd(event.status))
         elif process := self.processes.get(event.name):
             if isinstance(event, zygote.NotForked):
                 self._forget(process, event.reason)
@@ -181,7 +185,9 @@ class Supervisor:
         self.health.note_start(spec.name)
         self.processes[spec.name] = ContainerProcess(spec, connection, memory)
 
-    def _forget(self, process: ContainerProcess, how: End | str = "ended") -> None:
+    def _forget(
+        self, process: ContainerProcess, how: ProcessEnd | str = "ended"
+    ) -> None:
         """Record a container's end, so that it can be started again later."""
         del self.processes[process.name]
         process.close()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from poise.runtime import _calls
 from poise.wire.codec import WireError
-from poise.wire.records.deployment import ConnectorKind, ConnectorStatus, End
+from poise.wire.records.deployment import ConnectorKind, ConnectorStatus, Side
 
 
 class Counts(_calls.Counts):
@@ -15,7 +15,7 @@ class Counts(_calls.Counts):
         self.errors += 1
 
     def status(
-        self, name: str, kind: ConnectorKind, end: End, *, ready: bool
+        self, name: str, kind: ConnectorKind, end: Side, *, ready: bool
     ) -> ConnectorStatus:
         """Return the numbers as a record."""
         return ConnectorStatus(

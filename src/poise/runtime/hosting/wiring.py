@@ -29,7 +29,7 @@ from poise.wire.connections.channel import Channel
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.connections.opening import CALLS, MESSAGES
 from poise.wire.frame import Frame
-from poise.wire.records.deployment import ConnectorSpec, ConnectorStatus, End
+from poise.wire.records.deployment import ConnectorSpec, ConnectorStatus, Side
 
 SENDING: AbstractSet[Kind] = {"publishes", "requires"}
 TAKING: AbstractSet[Kind] = {"subscribes", "provides"}
@@ -110,7 +110,7 @@ class OpenEndpoints:
     def status(self) -> ConnectorStatus:
         """Return what was counted, and whether the other end is there."""
         self.remote_clock.look()
-        end: End = "target" if self.sender is None else "source"
+        end: Side = "target" if self.sender is None else "source"
         if self.spec.kind == "direct":
             end = "both"
         return self.counts.status(

@@ -7,7 +7,13 @@ from collections.abc import Iterator
 import msgspec
 from msgspec import Struct
 
-from poise.model.robot import Architecture, Component, Connector, End, Robot
+from poise.model.robot import (
+    Architecture,
+    ComponentEntry,
+    Connector,
+    ConnectorEnd,
+    Robot,
+)
 
 SIZES = (100, 65_536)
 """[bytes] Small and large; the cost of a byte is the slope between them."""
@@ -54,7 +60,7 @@ def yardsticks(robot: Robot) -> tuple[Robot, dict[str, str]]:
         name="yardsticks",
         function="yardsticks",
         components=tuple(
-            Component(name=n, implementation=f"{_MODULE}:Yardstick", isolated=True)
+            ComponentEntry(name=n, implementation=f"{_MODULE}:Yardstick", isolated=True)
             for n in components
         ),
     )
@@ -73,7 +79,7 @@ def pairs(robot: Robot, here: str, there: str) -> tuple[Robot, dict[str, str]]:
         (TICKING, f"{_MODULE}:Ticker"),
     ):
         placement[name] = here
-        silent = Component(name=name, implementation=implementation)
+        silent = ComponentEntry(name=name, implementation=implementation)
         architectures.append(
             Architecture(name=name, function=name, components=(silent,))
         )
@@ -90,7 +96,7 @@ def _architectures() -> Iterator[Architecture]:
             name=pair.name,
             function=pair.name,
             components=tuple(
-                Component(
+                ComponentEntry(
                     name=name,
                     implementation=f"{_MODULE}:{class_}",
                     isolated=pair.kind != "direct",
@@ -99,7 +105,12 @@ def _architectures() -> Iterator[Architecture]:
                 for name, class_ in zip(ends, (source, target), strict=True)
             ),
             connectors=(
-                Connector(between=(End(ends[0], "port"), End(ends[1], "port"))),
+                Connector(
+                    between=(
+                        ConnectorEnd(ends[0], "port"),
+                        ConnectorEnd(ends[1], "port"),
+                    )
+                ),
             ),
         )
 

@@ -12,7 +12,7 @@ from poise.estimate.profile import (
     ConnectorProfile,
     TimerProfile,
 )
-from poise.estimate.profile.spread import Spread
+from poise.estimate.profile.distribution import Distribution
 from poise.manage.deployment import name_of
 from poise.manage.statuses import Statuses, components_of, connectors_of
 from poise.model.robot import Connector, Robot
@@ -104,7 +104,7 @@ def figures(subject: Subject, runs: Sequence[Observed], apart: Observed) -> Figu
         own, base = memory[name]
         found[name] = ComponentProfile(
             version=subject.versions[name],
-            cpu=_scaled(typical.measured.cpu.get(name, Spread()), speed),
+            cpu=_scaled(typical.measured.cpu.get(name, Distribution()), speed),
             share=speed * _share(typical.measured, name),
             memory=own,
             base=base,
@@ -141,15 +141,15 @@ def _total(run: Observed, names: Iterable[str]) -> float:
     return sum(run.measured.cpu[n].mean for n in names if n in run.measured.cpu)
 
 
-def _scaled(spread: Spread, speed: float) -> Spread:
+def _scaled(distribution: Distribution, speed: float) -> Distribution:
     return msgspec.structs.replace(
-        spread,
-        mean=spread.mean * speed,
-        p95=spread.p95 * speed,
-        p99=spread.p99 * speed,
-        peak=spread.peak * speed,
-        sustained=spread.sustained * speed,
-        error=None if spread.error is None else spread.error * speed,
+        distribution,
+        mean=distribution.mean * speed,
+        p95=distribution.p95 * speed,
+        p99=distribution.p99 * speed,
+        peak=distribution.peak * speed,
+        sustained=distribution.sustained * speed,
+        error=None if distribution.error is None else distribution.error * speed,
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from poise.errors import RunError
-from poise.estimate.profile.spread import WINDOW
+from poise.estimate.profile.distribution import WINDOW
 from poise.manage.journal import Journal
 from poise.manage.observe.recording import Recording
 from poise.manage.run import ACTIVE_LIMIT

@@ -15,10 +15,9 @@ from msgspec import Struct
 from poise.errors import UsageError
 from poise.estimate.profile import Profile
 from poise.estimate.profile import file as profile_file
-from poise.estimate.profile.version import version_of
+from poise.estimate.profile.code_version import version_of
 from poise.manage.statuses import components_of
 from poise.model.robot import Robot
-from poise.session.failures import silent_ports
 from poise.session.profiles import check_keepable, read_profile, store_of
 from poise.session.profiling.figures import (
     Figures,
@@ -29,6 +28,7 @@ from poise.session.profiling.figures import (
 )
 from poise.session.profiling.measurement import Tick, measure_alone
 from poise.session.profiling.rig import EMPTY, ProfilingRig, rig_of
+from poise.session.run_errors import silent_ports
 from poise.session.say import Check, Say, log, nothing
 
 Progress = Callable[[str, float], AbstractContextManager[Tick]]

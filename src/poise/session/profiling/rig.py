@@ -16,7 +16,7 @@ from msgspec import Struct
 from poise.errors import UsageError
 from poise.model.robot import (
     Architecture,
-    Component,
+    ComponentEntry,
     Computer,
     Device,
     Robot,
@@ -166,7 +166,7 @@ def _held_by_devices(
 
 
 def _apart(architecture: Architecture) -> Architecture:
-    empty = Component(
+    empty = ComponentEntry(
         name=EMPTY,
         implementation="poise.runtime.component.component:Component",
         isolated=True,

@@ -8,9 +8,9 @@ from itertools import pairwise
 
 from msgspec import Struct, structs
 
+from poise.estimate.demand_windows import Reading, window_between
 from poise.estimate.profile import ConnectorProfile
-from poise.estimate.profile.spread import Spread, spread_of
-from poise.estimate.windows import Reading, window_between
+from poise.estimate.profile.distribution import Distribution, distribution_of
 from poise.manage.observe.estimates import traffic_between
 from poise.wire.records.samples import AgentSample, ContainerSample
 
@@ -36,7 +36,7 @@ class Measured(Struct, frozen=True, kw_only=True):
         Component -> share of the arrived jobs that were not done.
     """
 
-    cpu: Mapping[str, Spread]
+    cpu: Mapping[str, Distribution]
     rest: Mapping[str, float]
     members: Mapping[str, tuple[str, ...]]
     memory: Mapping[str, float]
@@ -53,13 +53,13 @@ def measure(samples: Iterable[AgentSample]) -> Measured:
         by_agent[sample.computer].append(sample)
         for container in sample.containers:
             by_container[container.name].append(container)
-    cpu: dict[str, Spread] = {}
+    cpu: dict[str, Distribution] = {}
     undone: dict[str, float] = {}
     rest, members, memory = {}, {}, {}
     connectors: dict[str, ConnectorProfile] = {}
     for name, seen in by_container.items():
         readings = _readings(seen)
-        cpu |= {c: _spread(r) for c, r in readings.items()}
+        cpu |= {c: _distribution(r) for c, r in readings.items()}
         undone |= {c: _undone(r) for c, r in readings.items()}
         members[name] = tuple(readings)
         rest[name] = _rate([(s.at, s.cpu) for s in seen]) - sum(
@@ -90,16 +90,16 @@ def _readings(seen: Iterable[ContainerSample]) -> dict[str, list[Reading]]:
     return found
 
 
-def _spread(readings: list[Reading]) -> Spread:
+def _distribution(readings: list[Reading]) -> Distribution:
     windows = [window_between(a, b) for a, b in pairwise(readings)]
     kept = [w for w in windows if w is not None]
     if not kept:
-        return Spread()
+        return Distribution()
     length = sum(w.seconds for w in kept) / len(kept)
-    spread = spread_of([w.cpu / w.seconds for w in kept], length)
+    distribution = distribution_of([w.cpu / w.seconds for w in kept], length)
     # the mean of all windows is exact although their lengths differ
     mean = sum(w.cpu for w in kept) / sum(w.seconds for w in kept)
-    return structs.replace(spread, mean=mean)
+    return structs.replace(distribution, mean=mean)
 
 
 def _undone(readings: list[Reading]) -> float:

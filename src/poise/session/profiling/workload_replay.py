@@ -10,7 +10,13 @@ import msgspec
 from msgspec import Struct
 
 from poise.errors import UsageError
-from poise.model.robot import Architecture, Component, Connector, End, Robot
+from poise.model.robot import (
+    Architecture,
+    ComponentEntry,
+    Connector,
+    ConnectorEnd,
+    Robot,
+)
 from poise.runtime.workload.replay import Part, read_recorded
 from poise.session.recordings.tapped_robot import interface_type, message_type
 
@@ -44,7 +50,7 @@ class Played(Struct, frozen=True):
                 for input_, name in self.ports().items()
             },
         }
-        component = Component(
+        component = ComponentEntry(
             name=PLAYER,
             implementation="poise.runtime.workload.replay:Replay",
             isolated=True,
@@ -73,7 +79,9 @@ class Played(Struct, frozen=True):
     @staticmethod
     def _connector(input_: str, name: str) -> Connector:
         component, _, port = input_.partition(".")
-        return Connector(between=(End(PLAYER, name), End(component, port)))
+        return Connector(
+            between=(ConnectorEnd(PLAYER, name), ConnectorEnd(component, port))
+        )
 
 
 def played(robot: Robot) -> Played:

@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from poise.model.robot import End, Robot
+from poise.model.robot import ConnectorEnd, Robot
 from poise.runtime.component.implementation import find
 from poise.runtime.component.ports import ports_of
 
@@ -47,17 +47,17 @@ def tapped(robot: Robot, placed: Collection[str], path: Path) -> Tapped:
     return Tapped(noted, tuple(sources), tuple(callers))
 
 
-def message_type(robot: Robot, end: End) -> str:
+def message_type(robot: Robot, end: ConnectorEnd) -> str:
     """Return the type of a topic's port as package.module:Class; empty: it is none."""
     return _type(robot, end, ("publishes", "subscribes"))
 
 
-def interface_type(robot: Robot, end: End) -> str:
+def interface_type(robot: Robot, end: ConnectorEnd) -> str:
     """Return the interface of a port as package.module:Class; empty: it has none."""
     return _type(robot, end, ("requires", "provides"))
 
 
-def _type(robot: Robot, end: End, kinds: tuple[str, ...]) -> str:
+def _type(robot: Robot, end: ConnectorEnd, kinds: tuple[str, ...]) -> str:
     component = next(c for c in robot.components() if c.name == end.component)
     if not component.implementation:
         return ""

@@ -32,7 +32,7 @@ State = Literal[
 not respond."""
 ContainerState = Literal["starting", "running", "unresponsive", "restarting", "stopped"]
 ConnectorKind = Literal["direct", "local", "remote"]
-End = Literal["source", "target", "both"]
+Side = Literal["source", "target", "both"]
 
 
 class ComponentSpec(Struct, frozen=True, kw_only=True):
@@ -261,7 +261,7 @@ class ConnectorStatus(Struct, frozen=True, kw_only=True):
 
     name: str
     kind: ConnectorKind
-    end: End
+    end: Side
     ready: bool
     calls: int = 0
     messages: int = 0

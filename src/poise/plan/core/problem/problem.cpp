@@ -25,7 +25,7 @@ void check_indexes(const std::vector<std::int32_t>& values, std::int64_t end,
 }
 
 // What would make the solvers read where nothing is. Whether numbers make sense has been
-// looked at by `poise.plan.check`.
+// looked at by `poise.plan.problem.check`.
 void check(const Numbers& in) {
   const auto size = [](std::int64_t value, std::int64_t most, const char* name) {
     if (value >= 0 && value <= most) return;

@@ -13,7 +13,7 @@ from itertools import chain
 from msgspec import Struct
 
 from poise.model.robot import Computer, Objective
-from poise.plan.check import check
+from poise.plan.problem.check import check
 
 SLACK = 1e-9
 """How far a limit may be passed, relative to it (at least to 1): rounding only."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 
 from poise.errors import RobotError
-from poise.plan.problem import Problem
+from poise.plan.problem.problem import Problem
 
 
 def load(path: str | Path) -> Problem:

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.model.robot import Computer
-from poise.plan.problem import Item, Problem
+from poise.plan.problem.problem import Item, Problem
 
 
 def keep_components(problem: Problem, names: Collection[str]) -> Problem:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from poise.model.robot import Architecture, Component, Connector, Robot
+from poise.model.robot import Architecture, ComponentEntry, Connector, Robot
 from poise.model.yaml.positions import Path
 
 
-def components(robot: Robot) -> Iterator[tuple[Path, Architecture, Component]]:
+def components(robot: Robot) -> Iterator[tuple[Path, Architecture, ComponentEntry]]:
     """Yield every component with its path and its architecture."""
     for architecture in robot.architectures:
         for component in architecture.components:

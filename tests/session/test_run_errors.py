@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
-from poise.model import Architecture, Component, Computer, Connector, End, Robot
-from poise.session.failures import (
+from poise.model import (
+    Architecture,
+    ComponentEntry,
+    Computer,
+    Connector,
+    ConnectorEnd,
+    Robot,
+)
+from poise.session.run_errors import (
     component_errors,
     hung_handlers,
     refused_messages,
@@ -55,7 +62,7 @@ BRAIN = ComponentStatus(
 
 
 def robot(*connectors: Connector) -> Robot:
-    components = tuple(Component(name=name) for name in ("eye", "brain"))
+    components = tuple(ComponentEntry(name=name) for name in ("eye", "brain"))
     return Robot(
         name="r",
         computers=(Computer(name="left"),),
@@ -64,7 +71,9 @@ def robot(*connectors: Connector) -> Robot:
     )
 
 
-IMAGES = Connector(between=(End("eye", "images"), End("brain", "images")))
+IMAGES = Connector(
+    between=(ConnectorEnd("eye", "images"), ConnectorEnd("brain", "images"))
+)
 EYE = ComponentStatus(name="eye", state="inactive")
 
 

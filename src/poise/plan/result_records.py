@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 from msgspec import Struct
 from msgspec.structs import replace
 
-from poise.plan.arrays import Placed
+from poise.plan.problem.arrays import Placed
 
 Ask = Callable[[], bool]
 """Tells a solver, which asks up to 100 times a second, whether to stop now."""

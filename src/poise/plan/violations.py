@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from poise.plan.arrays import Arrays, Placed, fits
-from poise.plan.records import Tightest
+from poise.plan.problem.arrays import Arrays, Placed, fits
+from poise.plan.result_records import Tightest
 from poise.units import format_bandwidth, format_bytes
 
 KIBIBYTE, MILLION = 1024, 1e6

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
-from poise.manage.migration.transition import Step
+from poise.manage.migration.transition import TransitionStep
 
 REST = 3.0
 """The loop rests for so long after a transition [s]; twice as long after the next."""
@@ -29,7 +29,7 @@ twice as long, up to `LONGEST_REST`."""
 _MINUTE = 60.0
 
 
-class Restraint:
+class MoveLimits:
     """What the loop did lately, and so what it may do now.
 
     All times are of one clock that never goes back [s].
@@ -70,7 +70,7 @@ class Restraint:
         """Think at once about what goes wrong next: nothing is wrong now."""
         self._think_again = THINK_AGAIN
 
-    def note(self, steps: Iterable[Step], now: float) -> None:
+    def note(self, steps: Iterable[TransitionStep], now: float) -> None:
         """Remember a transition, whether it went well or not."""
         self.forget_nothing()
         if now - self._last >= FORGET_AFTER:

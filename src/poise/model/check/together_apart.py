@@ -5,21 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from itertools import combinations
 
-from poise.model.check.hosts import Hosts, allowed_hosts
+from poise.model.check.allowed_computers import Names, allowed_computers
 from poise.model.check.names import check_components_known
 from poise.model.robot import Robot
 from poise.model.suggest import listed
 from poise.model.yaml.positions import Finding
 
 
-def check_sets(robot: Robot) -> Iterator[Finding]:
+def check_together_apart(robot: Robot) -> Iterator[Finding]:
     """Yield what is wrong with the sets of components."""
     for section in ("together", "apart"):
         for index, names in enumerate(getattr(robot, section)):
             yield from check_components_known(robot, (section, index), names)
-    hosts = allowed_hosts(robot)
-    yield from _nowhere_together(robot, hosts)
-    yield from _not_apart(robot, hosts)
+    allowed = allowed_computers(robot)
+    yield from _nowhere_together(robot, allowed)
+    yield from _not_apart(robot, allowed)
 
 
 def _groups(robot: Robot) -> Iterator[frozenset[str]]:
@@ -31,9 +31,9 @@ def _groups(robot: Robot) -> Iterator[frozenset[str]]:
         yield merged
 
 
-def _nowhere_together(robot: Robot, hosts: Mapping[str, Hosts]) -> Iterator[Finding]:
+def _nowhere_together(robot: Robot, allowed: Mapping[str, Names]) -> Iterator[Finding]:
     for index, group in enumerate(_groups(robot)):
-        limits = {name: hosts[name] for name in sorted(group) if hosts.get(name)}
+        limits = {name: allowed[name] for name in sorted(group) if allowed.get(name)}
         if limits and not frozenset.intersection(*limits.values()):
             where = "; ".join(
                 f"'{n}' on {listed(sorted(h))}" for n, h in limits.items()
@@ -43,7 +43,7 @@ def _nowhere_together(robot: Robot, hosts: Mapping[str, Hosts]) -> Iterator[Find
             )
 
 
-def _not_apart(robot: Robot, hosts: Mapping[str, Hosts]) -> Iterator[Finding]:
+def _not_apart(robot: Robot, allowed: Mapping[str, Names]) -> Iterator[Finding]:
     groups = tuple(_groups(robot))
     for index, names in enumerate(robot.apart):
         distinct = dict.fromkeys(names)
@@ -55,7 +55,7 @@ def _not_apart(robot: Robot, hosts: Mapping[str, Hosts]) -> Iterator[Finding]:
             )
             continue
         for pair in combinations(distinct, 2):
-            reason = _why_not_apart(pair, hosts, groups)
+            reason = _why_not_apart(pair, allowed, groups)
             if reason:
                 both = f"'{pair[0]}' and '{pair[1]}' must be apart, but {reason}"
                 yield Finding(("apart", index), both)
@@ -63,13 +63,13 @@ def _not_apart(robot: Robot, hosts: Mapping[str, Hosts]) -> Iterator[Finding]:
 
 def _why_not_apart(
     pair: tuple[str, str],
-    hosts: Mapping[str, Hosts],
+    allowed: Mapping[str, Names],
     groups: tuple[frozenset[str], ...],
 ) -> str:
     """Return why the two cannot be apart, or nothing."""
     if any(group.issuperset(pair) for group in groups):
         return "`together` puts them on one computer"
-    common = frozenset.union(*(hosts.get(name, frozenset()) for name in pair))
-    if len(common) == 1 and all(hosts.get(name) for name in pair):
+    common = frozenset.union(*(allowed.get(name, frozenset()) for name in pair))
+    if len(common) == 1 and all(allowed.get(name) for name in pair):
         return f"both can run only on '{next(iter(common))}'"
     return ""

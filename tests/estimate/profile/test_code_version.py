@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from poise.estimate.profile.version import version_of
-from poise.model.robot import Component
+from poise.estimate.profile.code_version import version_of
+from poise.model.robot import ComponentEntry
 
 
 @pytest.fixture
@@ -18,7 +18,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-EYE = Component(name="eye", implementation="pkg.eye:Eye", parameters={"rate": 1})
+EYE = ComponentEntry(name="eye", implementation="pkg.eye:Eye", parameters={"rate": 1})
 
 
 @pytest.mark.parametrize("module", ["eye", "lens", "glass", "__init__"])
@@ -36,14 +36,16 @@ def test_does_not_change_with_other_modules(folder: Path) -> None:
 
 
 def test_changes_with_the_parameters(folder: Path) -> None:
-    other = Component(name="eye", implementation="pkg.eye:Eye", parameters={"rate": 2})
+    other = ComponentEntry(
+        name="eye", implementation="pkg.eye:Eye", parameters={"rate": 2}
+    )
     assert version_of(other, str(folder)) != version_of(EYE, str(folder))
 
 
 def test_covers_a_command_and_the_files_it_names(folder: Path) -> None:
     script = folder / "run.sh"
     script.write_text("true\n")
-    component = Component(name="c", command=("sh", "run.sh", "-v"))
+    component = ComponentEntry(name="c", command=("sh", "run.sh", "-v"))
     before = version_of(component, str(folder))
     script.write_text("false\n")
     assert version_of(component, str(folder)) != before

@@ -2,7 +2,13 @@
 
 import pytest
 
-from poise.estimate.windows import Reading, Sums, Window, demand_in, window_between
+from poise.estimate.demand_windows import (
+    Reading,
+    Sums,
+    Window,
+    demand_in,
+    window_between,
+)
 
 
 def window(cpu: float, asked: int, done: int) -> Window:

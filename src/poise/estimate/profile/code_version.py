@@ -11,12 +11,12 @@ from pathlib import Path
 
 import msgspec
 
-from poise.model.robot import Component
+from poise.model.robot import ComponentEntry
 
 _MOST_FILES = 2000
 
 
-def version_of(component: Component, folder: str) -> str:
+def version_of(component: ComponentEntry, folder: str) -> str:
     """Return a fingerprint that changes when the component's code does.
 
     It covers the parameters, the implementation's module and all modules that it
@@ -31,7 +31,7 @@ def version_of(component: Component, folder: str) -> str:
     return digest.hexdigest()[:16]
 
 
-def _files(component: Component, folder: Path) -> set[Path]:
+def _files(component: ComponentEntry, folder: Path) -> set[Path]:
     if component.command:
         words = [shutil.which(component.command[0]) or "", *component.command[1:]]
         return {folder / word for word in words if word and (folder / word).is_file()}

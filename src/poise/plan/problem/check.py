@@ -14,7 +14,7 @@ from poise.errors import RobotError
 from poise.model.robot import Scale, Spread
 
 if TYPE_CHECKING:
-    from poise.plan.problem import Problem
+    from poise.plan.problem.problem import Problem
 
 LEAST, MOST = 1e-30, 1e30
 """Numbers beyond these would overflow as they are divided, squared and summed."""

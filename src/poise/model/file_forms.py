@@ -8,7 +8,15 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from poise.model.keys import EndText, Name, PortName, Reference, Share, note, written
+from poise.model.file_keys import (
+    EndText,
+    Name,
+    PortName,
+    Reference,
+    Share,
+    note,
+    written,
+)
 from poise.units import quoted
 
 PortKind = Literal["provides", "requires", "publishes", "subscribes"]

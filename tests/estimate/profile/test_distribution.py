@@ -2,11 +2,11 @@ import random
 
 import pytest
 
-from poise.estimate.profile.spread import (
+from poise.estimate.profile.distribution import (
+    distribution_of,
     error_of_mean,
     quantile,
     rolling_means,
-    spread_of,
 )
 
 
@@ -31,16 +31,20 @@ def test_tells_mean_quantiles_and_peak() -> None:
     181 windows touch it, and those that hold all of it are 11, more than 5 %.
     """
     values = [0.1] * 100 + [0.9] * 10 + [0.1] * 90
-    spread = spread_of(values, 0.1)
-    assert spread.mean == pytest.approx(0.14)
-    assert (spread.p95, spread.p99, spread.peak) == (0.1, 0.9, 0.9)
-    assert spread.sustained == pytest.approx(0.5)
-    assert spread.windows == 200
+    distribution = distribution_of(values, 0.1)
+    assert distribution.mean == pytest.approx(0.14)
+    assert (distribution.p95, distribution.p99, distribution.peak) == (0.1, 0.9, 0.9)
+    assert distribution.sustained == pytest.approx(0.5)
+    assert distribution.windows == 200
 
 
 def test_says_nothing_of_no_windows() -> None:
-    spread = spread_of([])
-    assert (spread.mean, spread.error, spread.windows) == (0.0, None, 0)
+    distribution = distribution_of([])
+    assert (distribution.mean, distribution.error, distribution.windows) == (
+        0.0,
+        None,
+        0,
+    )
 
 
 def test_does_not_know_the_error_of_few_windows() -> None:

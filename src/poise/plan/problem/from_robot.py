@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from poise.errors import RobotError, UsageError
 from poise.model import robot as model
-from poise.plan.problem import Bundle, Edge, Item, LinkCapacity, Problem
+from poise.plan.problem.problem import Bundle, Edge, Item, LinkCapacity, Problem
 from poise.plan.solvers.alternatives import needs, part
 
 MEGABYTE = 1e6
@@ -134,7 +134,7 @@ def _without_rivals(
 def _component(
     robot: model.Robot,
     architecture: model.Architecture,
-    component: model.Component,
+    component: model.ComponentEntry,
     present: Mapping[str, str],
     move: float,
     faults: list[str],
@@ -163,7 +163,7 @@ def _component(
 def _pins(
     robot: model.Robot,
     architecture: model.Architecture,
-    component: model.Component,
+    component: model.ComponentEntry,
     now: str | None,
 ) -> Iterator[tuple[tuple[str, ...], str]]:
     """Yield each set of computers that a component is held to, and why."""

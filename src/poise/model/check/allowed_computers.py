@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from poise.model.check.paths import components
-from poise.model.robot import Architecture, Component, Robot
+from poise.model.check.file_paths import components
+from poise.model.robot import Architecture, ComponentEntry, Robot
 from poise.model.suggest import listed
 from poise.model.yaml.positions import Finding
 
-Hosts = frozenset[str]
+Names = frozenset[str]
 
 
-def allowed_hosts(robot: Robot) -> Mapping[str, Hosts]:
+def allowed_computers(robot: Robot) -> Mapping[str, Names]:
     """Return component -> the computers it may run on; names must be known."""
     everywhere = frozenset(computer.name for computer in robot.computers)
     return {
@@ -23,7 +23,7 @@ def allowed_hosts(robot: Robot) -> Mapping[str, Hosts]:
     }
 
 
-def check_hosts(robot: Robot) -> Iterator[Finding]:
+def check_allowed_computers(robot: Robot) -> Iterator[Finding]:
     """Yield the components whose pins, devices and home leave no computer."""
     for path, architecture, component in components(robot):
         limits = _limits(robot, architecture, component)
@@ -36,8 +36,8 @@ def check_hosts(robot: Robot) -> Iterator[Finding]:
 
 
 def _limits(
-    robot: Robot, architecture: Architecture, component: Component
-) -> dict[str, Hosts]:
+    robot: Robot, architecture: Architecture, component: ComponentEntry
+) -> dict[str, Names]:
     """Return what limits a component, for people, -> the computers it leaves.
 
     Names that are unknown limit nothing: they are problems of their own.

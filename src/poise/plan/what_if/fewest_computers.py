@@ -7,10 +7,10 @@ from itertools import combinations
 from typing import NamedTuple
 
 from poise.errors import UsageError
-from poise.plan.arrays import arrays_of
-from poise.plan.problem import Problem
+from poise.plan.problem.arrays import arrays_of
+from poise.plan.problem.problem import Problem
 from poise.plan.result import Result
-from poise.plan.what_if.change import without
+from poise.plan.what_if.changed_problem import without
 from poise.plan.why.conflict import is_short
 
 MOST_SETS = 4096

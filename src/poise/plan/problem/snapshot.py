@@ -8,10 +8,10 @@ from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.plan import _core
-from poise.plan.arrays import Arrays, Placed, arrays_of
-from poise.plan.limits import obstacle
-from poise.plan.problem import Problem
-from poise.plan.records import GreedyStep, Terms, Trial
+from poise.plan.problem.arrays import Arrays, Placed, arrays_of
+from poise.plan.problem.problem import Problem
+from poise.plan.result_records import GreedyStep, Terms, Trial
+from poise.plan.violations import obstacle
 
 
 class Snapshot:

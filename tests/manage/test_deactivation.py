@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from poise.manage.drain import _left
+from poise.manage.deactivation import _left
 from poise.wire.records.deployment import ConnectorStatus, Summary
 
 

@@ -8,11 +8,11 @@ from poise.errors import RobotError, UsageError
 from poise.model.robot import (
     Action,
     Architecture,
-    Component,
+    ComponentEntry,
     Computer,
     Connector,
+    ConnectorEnd,
     Device,
-    End,
     Link,
     Robot,
     Task,
@@ -27,11 +27,15 @@ def robot() -> Robot:
         function="see",
         home="main",
         components=(
-            Component(name="grabber", demand={"cpu": 0.2}, devices=("camera",)),
-            Component(name="finder", demand={"cpu": 0.5}, state=2e6),
+            ComponentEntry(name="grabber", demand={"cpu": 0.2}, devices=("camera",)),
+            ComponentEntry(name="finder", demand={"cpu": 0.5}, state=2e6),
         ),
         connectors=(
-            Connector(between=(End("grabber"), End("finder")), message=1e6, rate=10.0),
+            Connector(
+                between=(ConnectorEnd("grabber"), ConnectorEnd("finder")),
+                message=1e6,
+                rate=10.0,
+            ),
         ),
     )
     motor = Architecture(
@@ -39,13 +43,13 @@ def robot() -> Robot:
         function="move",
         layer="reactive",
         home="main",
-        components=(Component(name="wheels", demand={"cpu": 0.1}),),
+        components=(ComponentEntry(name="wheels", demand={"cpu": 0.1}),),
     )
     talk = Architecture(
         name="talk",
         function="speak",
         home="main",
-        components=(Component(name="voice", demand={"cpu": 0.1}, movable=False),),
+        components=(ComponentEntry(name="voice", demand={"cpu": 0.1}, movable=False),),
     )
     return Robot(
         name="small",
@@ -127,7 +131,7 @@ def test_a_computer_that_is_gone_is_no_present_place(robot: Robot) -> None:
 
 def test_says_which_pins_contradict(robot: Robot) -> None:
     devices = (*robot.devices, Device(name="arm", computer="main"))
-    both = Component(name="hand", devices=("camera", "arm"))
+    both = ComponentEntry(name="hand", devices=("camera", "arm"))
     torn = Architecture(name="grasp", function="grasp", components=(both,))
     with pytest.raises(RobotError, match="'hand' can run nowhere") as caught:
         plan.problem_of(replace(robot, devices=devices, architectures=(torn,)))

@@ -17,7 +17,7 @@ BATCHES = 10
 _T95 = (12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26)
 
 
-class Spread(Struct, frozen=True, kw_only=True):
+class Distribution(Struct, frozen=True, kw_only=True):
     """A measurement over windows of `WINDOW`, in its own unit (cores, for CPU).
 
     Parameters
@@ -72,8 +72,8 @@ def error_of_mean(values: Sequence[float]) -> float | None:
     return _T95[num - 2] * math.sqrt(variance / num)
 
 
-def spread_of(values: Sequence[float], window: float = WINDOW) -> Spread:
-    """Return the spread of a series over windows of equal length.
+def distribution_of(values: Sequence[float], window: float = WINDOW) -> Distribution:
+    """Return the distribution of a series over windows of equal length.
 
     Parameters
     ----------
@@ -83,8 +83,8 @@ def spread_of(values: Sequence[float], window: float = WINDOW) -> Spread:
         Length of a window [s]; > 0.
     """
     if not values:
-        return Spread()
-    return Spread(
+        return Distribution()
+    return Distribution(
         mean=sum(values) / len(values),
         p95=quantile(values, 0.95),
         p99=quantile(values, 0.99),

@@ -12,7 +12,7 @@ from math import inf
 from msgspec import Struct
 
 from poise.errors import UsageError
-from poise.plan.problem import SLACK, Problem
+from poise.plan.problem.problem import SLACK, Problem
 
 LEAST_LINK_USE = 0.1
 """What communication counts for at least, however little of the links it takes: a
