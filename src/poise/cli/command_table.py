@@ -23,7 +23,7 @@ COMMANDS = {
     "status": ("running_robot:status_command", "Show how a running robot is."),
     "move": ("running_robot:move_command", "Move a component of a running robot."),
     "replace": ("running_robot:replace_command", "Swap a component's implementation."),
-    "balance": ("running_robot:balance_command", "Place a running robot anew."),
+    "balance": ("running_robot:balance_command", "Rebalance a running robot."),
     "journal": ("journal:journal_command", "Show what a manager decided and why."),
     "stop": ("running_robot:stop_command", "Stop a running robot."),
     "agent": ("agent:agent_command", "Run what the manager wants on this computer."),

@@ -1,4 +1,4 @@
-"""From where components run to what each computer is told. Pure."""
+"""From a placement to the deployment of each computer. Pure."""
 
 from __future__ import annotations
 

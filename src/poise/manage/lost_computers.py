@@ -67,5 +67,5 @@ class LostComputers:
         self._refusals.pop(computer, None)
         self._reached.add(computer)
         run.excused.discard(computer)
-        how = "" if is_same else "; its agent is another one: components begin anew"
+        how = "" if is_same else "; its agent is another one: components restart"
         run.journal.note("right", f"computer '{computer}' is reached again{how}")

@@ -19,7 +19,7 @@ from poise.errors import PoiseError, RunError
 from poise.manage.adaptation.admission import check_move
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.loop import Adaptation
-from poise.manage.adaptation.replan import propose, with_present_needs
+from poise.manage.adaptation.replan import propose, with_present_demands
 from poise.manage.control_socket.records import (
     Command,
     MoveCommand,
@@ -154,7 +154,7 @@ class Manager:
             self._adaptation.look()
 
     def stop(self) -> None:
-        """Stop the robot, and answer whoever still waits.
+        """Stop the robot, and answer the clients that still wait.
 
         Raises
         ------
@@ -198,7 +198,7 @@ class Manager:
         match command:
             case MoveCommand(component, computer, force):
                 if not force:
-                    robot = with_present_needs(
+                    robot = with_present_demands(
                         run.robot, self._estimates.demand_estimates()
                     )
                     check_move(robot, run.placement(), component, computer)

@@ -83,7 +83,7 @@ class Run:
         self._generation = 0
         self._gateways: dict[str, str] = {}
         self.wanted: tuple[Incarnation, ...] = ()
-        """What the agents were told last to run; amid a move also what is prepared."""
+        """What the agents should run; during a move also what is prepared."""
         self._told: dict[str, Deployment] = {}
         self._is_cancelled = threading.Event()
         self._has_stopped = False
@@ -184,7 +184,7 @@ class Run:
             self.end_all(self.computers())
 
     def end_all(self, computers: set[str]) -> None:
-        """End all containers of computers, whoever started them.
+        """End all containers of computers, also those of another manager.
 
         Raises
         ------

@@ -22,7 +22,7 @@ from poise.plan.what_if.changed_problem import keep_components
 LONGEST = 1e9
 """A budget beyond this is as good as none [s]."""
 BUDGET = 0.1
-"""How long to decide, unless told otherwise [s]."""
+"""How long to decide by default [s]."""
 
 
 class Planner:

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from poise.manage.adaptation.triggers import Lasting, Symptom, deadlines, overload
+from poise.manage.adaptation.triggers import (
+    LastingSymptoms,
+    Symptom,
+    deadlines,
+    overload,
+)
 from tests.manage.adaptation.conftest import Make
 
 
@@ -32,7 +37,7 @@ def test_a_timer_that_misses_deadlines_is_named(facts: Make) -> None:
 
 
 def test_only_what_lasts_counts() -> None:
-    lasting, one = Lasting(0.5), Symptom("overload", "left", "left", "it is")
+    lasting, one = LastingSymptoms(0.5), Symptom("overload", "left", "left", "it is")
     assert lasting.select([one], 10.0) == ()
     assert lasting.select([one], 10.4) == ()
     assert lasting.select([one], 10.5) == (one,)

@@ -343,7 +343,7 @@ def test_heals_a_container_that_was_killed(manager: Manager) -> None:
     (fault,) = manager.faults()
     assert fault.container == "quiet"
     assert fault.message == (
-        "was killed by SIGKILL; the state of 'quiet' is gone: it begins anew"
+        "was killed by SIGKILL; the state of 'quiet' is gone: it restarts"
     )
     assert abs(fault.at - time.time()) < LIMIT
 

@@ -81,7 +81,7 @@ def shaping(network: NetworkPlan, *, delays: bool) -> list[tuple[str, list[str]]
 def reshape(
     network: NetworkPlan, one: int, other: int, shape: Shape, *, delays: bool
 ) -> None:
-    """Shape the link between two computers anew; RunError when `tc` refuses."""
+    """Shape the link between two computers again; RunError when `tc` refuses."""
     for source, target in ((one, other), (other, one)):
         commands = _link_class(target, shape, delays=delays)
         _run("tc", network.cables[source].namespace, commands)

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from poise.errors import RobotError
 from poise.manage.adaptation.facts import Facts
-from poise.manage.adaptation.replan import Proposal, propose, with_present_needs
+from poise.manage.adaptation.replan import Proposal, propose, with_present_demands
 from poise.manage.migration.transition import TransitionStep
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Computer, Robot
@@ -68,8 +68,8 @@ def decide(
     """
     computers = facts.computers_left()
     robot = replace(facts.robot, computers=computers)
-    needy = with_present_needs(robot, facts.demand_estimates)
-    short = shortage(needy, facts.placement, computers)
+    robot_now = with_present_demands(robot, facts.demand_estimates)
+    short = shortage(robot_now, facts.placement, computers)
     if not short:
         return Decision(
             acts=False,
@@ -87,9 +87,9 @@ def decide(
         )
     except RobotError as error:
         return Decision(acts=False, why=f"no placement can help: {error}")
-    left = shortage(needy, proposal.placement, computers)
+    left = shortage(robot_now, proposal.placement, computers)
     gain = (short - left) * HORIZON
-    cost = _cost(needy, proposal.steps, downtimes)
+    cost = _cost(robot_now, proposal.steps, downtimes)
     what = (
         f"{len(proposal.steps)} moves cost {cost:.2f} core-seconds and gain {gain:.2f} "
         f"within {HORIZON:g} s"

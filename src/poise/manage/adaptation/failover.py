@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from poise import plan
 from poise.manage.adaptation.facts import Facts
-from poise.manage.adaptation.replan import SOLVE_FOR, with_present_needs
+from poise.manage.adaptation.replan import SOLVE_FOR, with_present_demands
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Architecture, Robot
 
@@ -66,7 +66,7 @@ def fail_over(facts: Facts, lost: Collection[str]) -> Failover:
 
 def _what_is_left(facts: Facts, homes: Mapping[str, tuple[str, ...]]) -> Robot:
     """Return the robot without what is lost, each component held to its homes."""
-    robot = with_present_needs(facts.robot, facts.demand_estimates)
+    robot = with_present_demands(facts.robot, facts.demand_estimates)
     used = {computer for choices in homes.values() for computer in choices}
     computers = tuple(c for c in facts.computers_left() if c.name in used)
     names = {computer.name for computer in computers}

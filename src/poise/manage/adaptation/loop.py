@@ -15,21 +15,21 @@ from poise.manage.adaptation.decision import Decision, decide
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.failover import fail_over
 from poise.manage.adaptation.move_limits import MoveLimits
-from poise.manage.adaptation.triggers import TRIGGERS, Lasting, Symptom
+from poise.manage.adaptation.triggers import TRIGGERS, LastingSymptoms, Symptom
 from poise.manage.migration.transition_run import begin_again, transit
 from poise.manage.observe.deviations import Deviation
 from poise.manage.run import Run
 
 
 class Adaptation:
-    """Changes the placement by itself when that mends something.
+    """Watches a running robot, and changes its placement when that helps.
 
     Parameters
     ----------
     facts
         Returns what is known now.
     acts
-        Whether it changes anything; else it only tells what is wrong.
+        Whether it changes anything; else it only reports what is wrong.
     clock
         A time that never goes back [s].
 
@@ -51,9 +51,9 @@ class Adaptation:
         self._facts = facts
         self._acts = acts
         self._clock = clock
-        self._lasting = Lasting()
+        self._lasting = LastingSymptoms()
         self._move_limits = MoveLimits()
-        self._failures = MoveLimits()
+        self._failover_limits = MoveLimits()
         self._downtimes: dict[str, float] = {}
         self._told: dict[tuple[str, str], _Told] = {}
         self._missing: set[str] = set()
@@ -65,7 +65,11 @@ class Adaptation:
         found = [symptom for trigger in TRIGGERS for symptom in trigger(facts)]
         symptoms = self._lasting.select(found, now)
         self._tell(symptoms)
-        if self._acts and not self._failures.rests(now) and self._fail_over(facts, now):
+        if (
+            self._acts
+            and not self._failover_limits.rests(now)
+            and self._fail_over(facts, now)
+        ):
             return
         if not symptoms:
             self._move_limits.forget_nothing()
@@ -88,9 +92,9 @@ class Adaptation:
         if found.placement:
             note("decided", _sentence(found.placement), placement=found.placement)
             if begin_again(self._run, found.placement):
-                self._failures.forget_nothing()
+                self._failover_limits.forget_nothing()
             else:
-                self._failures.note_nothing(now)
+                self._failover_limits.note_nothing(now)
         return True
 
     def _carry_out(self, decision: Decision, facts: Facts, now: float) -> None:

@@ -1,9 +1,8 @@
 """Keeps the loop of adaptation from moving too often, or to and fro. Pure.
 
-Three rules. After a transition the loop rests, twice as long each time, until a long
-time without one has passed. A component does not go back to a computer that it left
-for its own good, for a time that doubles, too. And no more components move in a minute
-than the budget allows.
+Three rules. After a transition there is a cool-down, twice as long each time, until a
+long time without one has passed. A component does not return to a computer that
+it left, for a time that doubles, too. At most `BUDGET` components move in a minute.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ FORGET_AFTER = 600.0
 STAY_AWAY = 300.0
 """A component does not return to a computer for so long [s]; then twice as long."""
 BUDGET = 60
-"""At most so many components move within a minute."""
+"""The most components that move within a minute."""
 THINK_AGAIN = 2.0
 """When nothing can be done, it is thought about again after this time [s]; then after
 twice as long, up to `LONGEST_REST`."""
@@ -30,7 +29,7 @@ _MINUTE = 60.0
 
 
 class MoveLimits:
-    """What the loop did lately, and so what it may do now.
+    """What the loop did lately, and so whether it may act now.
 
     All times are of one clock that never goes back [s].
     """
@@ -48,7 +47,7 @@ class MoveLimits:
         return now < self._rests_until
 
     def may_move(self, number: int, now: float) -> bool:
-        """Return whether so many components may move within the budget."""
+        """Return whether `number` components may move within the budget."""
         while self._moves and now - self._moves[0] >= _MINUTE:
             self._moves.popleft()
         return len(self._moves) + number <= BUDGET

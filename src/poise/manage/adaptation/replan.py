@@ -1,4 +1,4 @@
-"""Places a running robot anew, from what its components turned out to need."""
+"""Computes a new placement for a running robot, from its present demands."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ SOLVE_FOR = 0.1
 """The planner searches for so long [s]; small robots are proven optimal before."""
 
 
-class Need(Struct, frozen=True, kw_only=True):
-    """What a component needs now [cores].
+class PresentDemand(Struct, frozen=True, kw_only=True):
+    """The CPU demand of a component now [cores].
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class Proposal(Struct, frozen=True, kw_only=True):
         Whether no placement is better.
     """
 
-    shifted: Mapping[str, Need]
+    shifted: Mapping[str, PresentDemand]
     now: plan.Terms
     then: plan.Terms
     placement: Placement
@@ -98,14 +98,16 @@ def propose(
         The task fits nowhere with these demands, or there is no way to the placement.
     """
     shifted = dict(_shifted(robot, demand_estimates))
-    needy = _with_cpu(robot, {name: need.counted for name, need in shifted.items()})
-    problem = plan.problem_of(needy, task, present=now, move=move)
+    robot_now = _with_cpu(
+        robot, {name: demand.counted for name, demand in shifted.items()}
+    )
+    problem = plan.problem_of(robot_now, task, present=now, move=move)
     # Of alternative architectures only one runs: keep to it.
     planner = plan.Planner(plan.keep_components(problem, now.keys()))
     result = planner.decide(budget=SOLVE_FOR)
     if not result.feasible or result.objective is None:
         result.find_conflict()
-        needs = "".join(f"; {name} needs {need}" for name, need in shifted.items())
+        needs = "".join(f"; {name} needs {demand}" for name, demand in shifted.items())
         raise RobotError(
             f"task '{task}' has no placement any more: {result.reason}{needs}"
         )
@@ -117,22 +119,22 @@ def propose(
         then=result.objective,
         placement=result.placement,
         trouble=present.reason,
-        steps=plan_transition(needy, now, result.placement),
+        steps=plan_transition(robot_now, now, result.placement),
         proven=result.proven,
     )
 
 
-def with_present_needs(
+def with_present_demands(
     robot: Robot, demand_estimates: Iterable[DemandEstimate]
 ) -> Robot:
     """Return the robot with the CPU demands that its components have now [cores]."""
     shifted = _shifted(robot, demand_estimates)
-    return _with_cpu(robot, {name: need.counted for name, need in shifted})
+    return _with_cpu(robot, {name: demand.counted for name, demand in shifted})
 
 
 def _shifted(
     robot: Robot, demand_estimates: Iterable[DemandEstimate]
-) -> Iterator[tuple[str, Need]]:
+) -> Iterator[tuple[str, PresentDemand]]:
     """Give the demands that are not what was counted with: shifted, or too small."""
     components = {c.name: c for c in robot.components()}
     for each in demand_estimates:
@@ -146,7 +148,7 @@ def _shifted(
         most = max(_most(component, computer) for computer in robot.computers)
         yield (
             each.component,
-            Need(
+            PresentDemand(
                 mean=now.mean,
                 error=now.error,
                 counted=min(needed, most),

@@ -1,4 +1,4 @@
-"""What makes the manager think about another placement.
+"""What makes the manager look for another placement.
 
 A trigger is a function from facts to symptoms. Add one here, and to `TRIGGERS`.
 """
@@ -89,8 +89,8 @@ def deadlines(facts: Facts) -> Iterator[Symptom]:
 TRIGGERS: tuple[Trigger, ...] = (overload, deadlines)
 
 
-class Lasting:
-    """Tells what lasts from what is over before anything could be done.
+class LastingSymptoms:
+    """Selects the symptoms that last.
 
     Parameters
     ----------

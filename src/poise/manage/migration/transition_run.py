@@ -36,7 +36,7 @@ class TransitionReport(Struct, frozen=True, kw_only=True):
 
 
 def begin_again(run: Run, placement: Mapping[str, str]) -> bool:
-    """Start components anew on other computers; return whether they are at work.
+    """Start components elsewhere without their state; return whether they work.
 
     Where they ran is out of reach: what is left of them there is ended once it is back.
     """

@@ -14,7 +14,7 @@ from poise.model.robot import Robot
 from poise.wire.records.samples import AgentSample, ComponentSample, ConnectorSample
 
 _COUNT_OVER = 2.0
-"""A connector's rates are counted anew every so often [s]."""
+"""Time over which a connector's rates are counted [s]."""
 
 
 class DemandEstimate(Struct, frozen=True, kw_only=True):

@@ -1,7 +1,7 @@
 """The faults that agents reported after some moment. Pure.
 
 Agents number their faults and keep them for as long as they live, also over robots, so
-whoever looks for new ones remembers the numbers of those before.
+a reader of new ones remembers the numbers of those before.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Numbers = Mapping[str, int]
 """Computer -> the number of its agent's last fault."""
 _FIRST = 5
 _WINDOW = 60.0
-"""A container with more than `_FIRST` faults in this time is told once in it [s]."""
+"""A container with more than `_FIRST` faults in this time is reported once [s]."""
 
 
 def last_numbers(statuses: Statuses) -> Numbers:
@@ -48,16 +48,16 @@ def fault_sentence(computer: str, fault: Fault) -> str:
 
 
 class NewFault(Struct, frozen=True):
-    """A fault that is to be told, with the sentence."""
+    """A fault to report, with its sentence."""
 
     sentence: str
     fault: Fault
 
 
 class FaultFilter:
-    """Tells faults as they come; of a container with very many, one a minute.
+    """Selects the faults to report: of a container with very many, one a minute.
 
-    The first `_FIRST` faults of a container within `_WINDOW` are told one by one.
+    The first `_FIRST` faults of a container within `_WINDOW` are reported one by one.
 
     Parameters
     ----------
@@ -67,12 +67,12 @@ class FaultFilter:
 
     def __init__(self, before: Numbers) -> None:
         self.count = 0
-        """How many faults there were, told or not."""
+        """How many faults there were, reported or not."""
         self._known = before
         self._of: dict[tuple[str, str], _Faults] = {}
 
     def new(self, statuses: Statuses, now: float) -> Iterator[NewFault]:
-        """Yield the faults to tell at `now` [s], oldest first."""
+        """Yield the faults to report at `now` [s], oldest first."""
         for computer, fault in faults_after(self._known, statuses):
             self.count += not fault.is_over
             known = self._of.setdefault((computer, fault.container), _Faults())
@@ -82,7 +82,7 @@ class FaultFilter:
         self._known = {**self._known, **last_numbers(statuses)}
 
     def close(self, computer: str, container: str) -> bool:
-        """Take a container's last fault for over; return whether that is to be told."""
+        """Take a container's last fault for over; return whether to report that."""
         known = self._of.get((computer, container))
         if known is None or known.is_over:
             return False
@@ -100,9 +100,9 @@ class _Faults:
         self._untold = 0
 
     def take(self, fault: Fault, now: float) -> str:
-        """Decide whether a fault is told, and return what to add to its sentence."""
+        """Decide whether to report a fault, and return what to add to its sentence."""
         self.is_over = fault.is_over
-        if fault.is_over:  # it is told as the fault before, which it ends
+        if fault.is_over:  # reported like the fault before, which it ends
             return ""
         self.is_told = not self._is_many(now) or now - self._told_at >= _WINDOW
         self._moments.append(now)

@@ -14,7 +14,7 @@ from poise.wire.records.samples import AgentSample, ContainerSample
 OVER = 1.0
 """A load is the mean over this time [s]."""
 _NOTICEABLE = 0.02
-"""Fewer cores than this of other programs are not told from the kernel's own work."""
+"""Less use by other programs may be the kernel's own work [cores]."""
 
 
 class Load(Struct, frozen=True, kw_only=True):

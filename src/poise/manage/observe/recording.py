@@ -1,4 +1,4 @@
-"""What agents told of what they use, kept in order: to measure by, or to replay."""
+"""A recording of samples in memory, in order: to measure by, or to replay."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from poise.wire.records.recorded import Recorded
 from poise.wire.records.samples import AgentSample
 
 MOST = 200_000
-"""A recording holds at most so many samples: eleven hours of one computer at 5 Hz."""
+"""The most samples in a recording: eleven hours of one computer at 5 Hz."""
 
 
 class Recording:

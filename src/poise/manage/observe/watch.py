@@ -1,7 +1,4 @@
-"""What is not as it should be on a running robot: told as it begins and as it ends.
-
-This is where a trigger of adaptation finds the facts.
-"""
+"""Journals each deviation and fault of a running robot, as it begins and as it ends."""
 
 from __future__ import annotations
 
@@ -40,8 +37,8 @@ class Watch:
     def look(self) -> None:
         """Journal each deviation and fault when it begins, and when it ends.
 
-        A deviation that a container's fault caused is told by that fault; what is just
-        being moved is for the move to judge.
+        The entry of a container's fault covers the deviation that it caused. A move
+        judges the components that it moves.
         """
         run = self._run
         run.note_refused()

@@ -340,7 +340,7 @@ class Agent:
 
 
 def _states(status: AgentStatus) -> tuple[object, ...]:
-    """Return the part of a status whose change is told at once."""
+    """Return the part of a status whose change is sent at once."""
     components = [
         (component.name, component.state, component.errors)
         for container in status.containers

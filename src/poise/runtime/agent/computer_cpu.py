@@ -1,4 +1,4 @@
-"""The CPU time of all programs of this computer, whoever started them."""
+"""The CPU time of all programs of this computer, also of others than Poise."""
 
 from __future__ import annotations
 

@@ -204,8 +204,8 @@ class ContainerProcess:
         names = [f"'{c.name}'" for c in self._components() if c.state == "active"]
         if not names:
             return ""
-        begins = "it begins" if len(names) == 1 else "they begin"
-        return f"the state of {', '.join(names)} is gone: {begins} anew"
+        restart = "it restarts" if len(names) == 1 else "they restart"
+        return f"the state of {', '.join(names)} is gone: {restart}"
 
     def may_be_oom(self, how: ProcessEnd | str) -> bool:
         """Return whether the kernel may have ended it, or one of its commands."""

@@ -52,7 +52,7 @@ def within(seconds: float) -> Iterator[None]:
 def time_left() -> float:
     """Return how long the caller of what runs on this thread waits still [s].
 
-    0 when it gave up or ended: nobody takes the answer, and whoever computes it may
+    0 when it gave up or ended: nobody takes the answer, and the callee may
     stop. Infinite in a timer, a message and a hook, and on threads of your own.
     """
     left = max(0.0, _calls.time_left(math.inf))

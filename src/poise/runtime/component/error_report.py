@@ -1,4 +1,4 @@
-"""How an error that users' code lets out is told: by its lines, and not too often."""
+"""Reports errors of users' code: by its lines, and not too often."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _OURS = (
 )
 
 MOST_DISTINCT = 20
-"""Errors of so many lines are kept apart; further ones count with the last of these."""
+"""The most lines whose errors are counted apart; others count with the last one."""
 AGAIN = 10.0
 """What is like something that was logged is logged again after this time [s]."""
 
@@ -100,7 +100,7 @@ class Errors:
 def told(error: BaseException) -> str:
     """Return an error as text, with the lines of its traceback that lie outside Poise.
 
-    Without such lines, what Poise raised on purpose is told by its message alone: it
+    Without such lines, what Poise raised on purpose has its message alone: it
     says what is wrong and where. Any other error is then a fault of Poise, and keeps
     its whole traceback.
     """

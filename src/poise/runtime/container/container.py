@@ -102,7 +102,7 @@ class Container:
         self._stats_page = StatsPage(stats_page)
 
     def run(self) -> None:
-        """Work until told to end, or until the agent is gone.
+        """Work until the agent says to end, or is gone.
 
         Raises
         ------

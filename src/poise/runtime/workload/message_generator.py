@@ -1,4 +1,4 @@
-"""Messages that are made up: of a type, of a size, the same for the same seed."""
+"""Generates messages: of a type, of a size, the same for the same seed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from poise.errors import UsageError
 from poise.wire.codec import codec
 
 Maker = Callable[[random.Random, float], Any]
-"""Makes a message of about so many bytes when encoded."""
+"""Makes a message of about this encoded size [bytes]."""
 
 _TRIES = 3
 _HALF = 0.5
@@ -32,7 +32,7 @@ def maker(type_: Any) -> Maker:  # noqa: ANN401, any type of a message
     Raises
     ------
     UsageError
-        A field is of a type that nothing can be made up for.
+        A field is of a type for which nothing can be generated.
     """
     coder = codec(type_)
 
@@ -131,6 +131,6 @@ class _Filling:
 
 def _cannot(where: str, hint: object) -> str:
     return (
-        f"nothing can be made up for {where} ({hint}): name a function of your own "
+        f"nothing can be generated for {where} ({hint}): name a function of your own "
         "as `message`"
     )

@@ -126,7 +126,7 @@ class Replay(Component):
             self.measure("failed_calls", 1)
 
     def _generated(self, name: str, how: Generated) -> Iterator[Due]:
-        """Yield made up messages."""
+        """Yield generated messages."""
         rng = random.Random(how.seed)  # noqa: S311, it is to be repeatable
         make: Any = maker(self.types[name])
         if how.message:

@@ -307,7 +307,7 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
     handler, handler_seconds
         The timer or port whose code its thread runs now, and for how long already [s].
     cpu
-        CPU time of its own code, whoever's thread ran it [s].
+        CPU time of its own code, on any thread [s].
     start
         How long it took to import, make and configure it [s].
     snapshot

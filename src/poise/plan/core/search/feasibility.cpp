@@ -125,7 +125,7 @@ void Feasibility::take(int unit) {
   units.pop_back();
 }
 
-// Add up a computer's load anew, and what it exceeds.
+// Recompute a computer's load, and what it exceeds.
 void Feasibility::weigh(int h) {
   for (int k = 0; k < r_; ++k) {
     double load = 0;
@@ -160,7 +160,7 @@ void Feasibility::raise() {
   for (int h = 0; h < p_.m; ++h) weigh(h);
 }
 
-// Share out some units of two computers anew; whether less is exceeded.
+// Divide some units of two computers again; whether less is exceeded.
 bool Feasibility::split() {
   int a = random_.below(p_.m);
   if (random_.below(4) > 0) a = broken_[random_.below(static_cast<int>(broken_.size()))];

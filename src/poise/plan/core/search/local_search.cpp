@@ -1,4 +1,4 @@
-// Iterated local search: shake the placement a little, then share out every two computers anew.
+// Iterated local search: shake the placement a little, then repartition pairs of computers.
 #include <algorithm>
 #include <utility>
 

@@ -14,7 +14,7 @@ namespace poise {
 // to another computer, alone or in exchange for a piece from there. Limits are soft while
 // cooling: what breaks them has a price that rises while they are broken and falls while
 // they hold. Iterated local search then shakes the best placement by a few moves and shares out every
-// two computers anew (`PairRepartition`), over and over.
+// two computers again (`PairRepartition`), over and over.
 class Search {
  public:
   Search(const Problem& problem, Stop& stop, std::uint64_t seed);
@@ -67,7 +67,7 @@ class Search {
   double price_ = 0, lowest_price_ = 0;
   double record_ = kInfinity;  // the best F noted while cooling
   Placement noted_;
-  std::vector<std::pair<int, int>> stale_;  // pairs of computers to be shared out anew
+  std::vector<std::pair<int, int>> stale_;  // pairs of computers to be repartitioned
   Placement best_;
   double best_objective_ = kInfinity;
 };
