@@ -102,6 +102,13 @@ def test_refuses_a_section(refuse: Refuse, text: str, words: list[str]) -> None:
     refuse(ROBOT + text + "\n", *words)
 
 
+def test_refuses_an_architecture_that_would_never_run(refuse: Refuse) -> None:
+    text = ROBOT.replace("    function: nav", "    ▸function: nav").replace(
+        "function: audition", "function: navigation\n    layer: reactive\n    home: main"
+    )
+    refuse(text, "'nav' would never run", "'ear' of the reactive layer")
+
+
 def test_refuses_a_reserve_of_what_the_computer_lacks(refuse: Refuse) -> None:
     text = ROBOT.replace("main: {cpu: 2,", "main: {reserve: {▸gpu: 5%}, cpu: 2,")
     refuse(text, "no resource 'gpu'", "'cpu', 'memory'")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from poise.model.check.file_paths import component_names, components
-from poise.model.robot import ComponentEntry, Robot
+from poise.model.robot import Architecture, ComponentEntry, Robot
 from poise.model.suggest import unknown
 from poise.model.yaml.positions import Finding, Path
 
@@ -16,6 +16,7 @@ def check_names(robot: Robot) -> Iterator[Finding]:
     yield from _devices(robot)
     yield from _links(robot)
     yield from _architectures(robot)
+    yield from _never_chosen(robot)
     yield from _components(robot)
     yield from _tasks(robot)
     yield from _resources(robot)
@@ -64,6 +65,24 @@ def _architectures(robot: Robot) -> Iterator[Finding]:
                 path,
                 f"architecture '{architecture.name}' is in the {architecture.layer} "
                 "layer, which does not move: it needs a `home` computer",
+            )
+
+
+def _never_chosen(robot: Robot) -> Iterator[Finding]:
+    """Yield the architectures beside one that does not move and so always runs."""
+    fixed: dict[str, Architecture] = {}
+    for architecture in robot.architectures:
+        if architecture.layer != "sequencing":
+            fixed.setdefault(architecture.function, architecture)
+    for architecture in robot.architectures:
+        runs = fixed.get(architecture.function, architecture)
+        if runs.name != architecture.name:
+            yield Finding(
+                ("architectures", architecture.name, "function"),
+                f"architecture '{architecture.name}' would never run: '{runs.name}' of "
+                f"the {runs.layer} layer provides '{runs.function}', too, and Poise "
+                "chooses only in the sequencing layer. Remove one of them, or name "
+                "another function",
             )
 
 
