@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -139,3 +140,35 @@ def test_a_stopped_container_is_shown_with_the_command_that_continues_it() -> No
     assert done.returncode == 1
     assert f"`kill -CONT {stopped}` lets it go on (noticed " in done.stdout
     wait_long(lambda: not status().deviations)
+
+
+@pytest.mark.parametrize("who", ["container 'working'", "the gateway"])
+def test_a_lack_of_file_descriptors_is_told_until_it_is_over(
+    up: Path, who: str
+) -> None:
+    short = container = pid()
+    if who == "the gateway":  # it is in the agent, the parent of the zygote
+        short = parent(parent(container))
+    limits = resource.prlimit(short, resource.RLIMIT_NOFILE)
+    resource.prlimit(short, resource.RLIMIT_NOFILE, (4, limits[1]))
+    try:
+        wait_long(lambda: status().deviations)
+        done = run_poise("status", "--robot", NAME)
+    finally:
+        resource.prlimit(short, resource.RLIMIT_NOFILE, limits)
+    assert done.returncode == 1
+    told = f"on 'small' {who} accepts no connection for now: [Errno 24] Too many open"
+    shown = " ".join(done.stdout.split())
+    assert told in shown
+    assert f"Process {short} may open 4 files: raise that where" in shown
+    wait_long(lambda: not status().deviations)
+    assert pid() == container
+    wrong, right = journal(up)
+    assert wrong.what.startswith(told)
+    assert right.what == f"no more: {wrong.what}"
+    assert run_poise("status", "--robot", NAME).returncode == 0
+
+
+def parent(child: int) -> int:
+    """Return the parent of a process."""
+    return int(Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[1])

@@ -104,7 +104,8 @@ def test_refuses_a_section(refuse: Refuse, text: str, words: list[str]) -> None:
 
 def test_refuses_an_architecture_that_would_never_run(refuse: Refuse) -> None:
     text = ROBOT.replace("    function: nav", "    ▸function: nav").replace(
-        "function: audition", "function: navigation\n    layer: reactive\n    home: main"
+        "function: audition",
+        "function: navigation\n    layer: reactive\n    home: main",
     )
     refuse(text, "'nav' would never run", "'ear' of the reactive layer")
 

@@ -44,6 +44,16 @@ def test_each_kill_explains_one_end(tmp_path: Path, version: int) -> None:
     assert ("256 MiB" in kills.limit()) == bool(version)
 
 
+def test_a_count_that_cannot_be_read_for_a_while_explains_no_end(
+    tmp_path: Path,
+) -> None:
+    kills = OomKills(kernel(tmp_path, 2, 5))
+    (tmp_path / "memory/robot/memory.events").unlink()
+    kills.look(1.0)
+    kernel(tmp_path, 2, 5)
+    assert not kills.claim(2.0)
+
+
 def test_a_kill_explains_no_end_long_after_it(tmp_path: Path) -> None:
     kills = OomKills(kernel(tmp_path, 2, 0))
     kernel(tmp_path, 2, 1)

@@ -134,8 +134,12 @@ def _of_components(
 
 
 def _of_containers(wanted: AbstractSet[str], status: AgentStatus) -> Iterator[str]:
-    """Yield which containers run unwanted, and which crash again and again."""
+    """Yield what is wrong with containers, and with the gateway to them."""
+    if status.trouble:
+        yield f"on '{status.computer}' {status.trouble}"
     for running in status.containers:
+        if running.trouble:
+            yield f"on '{status.computer}' {running.trouble}"
         if running.name not in wanted:
             yield f"container '{running.name}' runs on '{status.computer}', unwanted"
     for each in status.health:

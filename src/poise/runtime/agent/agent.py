@@ -120,6 +120,7 @@ class Agent:
         self._born = self._clock.now()
         self._stopping = False
         self._gateway = ""
+        self._trouble: Callable[[], str] = str
         self._clocks: Callable[[], Mapping[str, ClockStatus]] = dict
         self._usage: Callable[[], Usage] = dict
         self._silences: deque[Silence] = deque()
@@ -171,7 +172,7 @@ class Agent:
                 lease=lease,
             ) as session,
         ):
-            self._gateway = str(gateway)
+            self._gateway, self._trouble = str(gateway), gateway.warning.trouble
             self._say(
                 f"agent of computer '{setup.computer}' of robot '{setup.robot}' at "
                 f"{self._locator.removeprefix('tcp/')}, gateway {gateway}; "
@@ -320,6 +321,7 @@ class Agent:
             load=sum(cores for cores, _ in usage.values()),
             memory=sum(size for _, size in usage.values()),
             gateway=self._gateway,
+            trouble=self._trouble(),
             containers=statuses,
             faults=supervisor.health.faults(),
             health=supervisor.records(usage),

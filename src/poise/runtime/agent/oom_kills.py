@@ -34,12 +34,14 @@ class OomKills:
         ]
         self._file = next((f for f in counters if _count(f) is not None), None)
         self._limits = group / "memory.max", group / "memory.limit_in_bytes"
-        self._seen = self._now()
+        self._seen = (_count(self._file) or 0) if self._file else 0
         self._unclaimed: deque[float] = deque()
 
     def look(self, now: float) -> None:
         """Take note of kills until `now` [s]; call it a few times a second."""
-        count = self._now()
+        count = _count(self._file) if self._file else None
+        if count is None:  # no file descriptor is free at the moment
+            count = self._seen
         self._unclaimed.extend([now] * (count - self._seen))
         self._seen = count
         while self._unclaimed and self._unclaimed[0] < now - _LATE:
@@ -62,9 +64,6 @@ class OomKills:
                 continue
             return f" (limit {format_bytes(limit)})" if limit < _NO_LIMIT else ""
         return ""
-
-    def _now(self) -> int:
-        return (_count(self._file) or 0) if self._file else 0
 
 
 def _count(file: Path) -> int | None:

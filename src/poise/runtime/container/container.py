@@ -25,7 +25,7 @@ from msgspec import structs
 from poise.errors import PoiseError, RunError, Timeout, Unavailable
 from poise.priority import as_usual, go_first
 from poise.runtime.component.error_report import told
-from poise.runtime.container.descendants import reap_adopted
+from poise.runtime.container.descendants import Orphans
 from poise.runtime.container.preparation import prepare
 from poise.runtime.hosting.computer_clock import ComputerClock
 from poise.runtime.hosting.runner import Runner
@@ -136,6 +136,7 @@ class Container:
 
     def _serve(self) -> None:
         report_at, unjoined = 0.0, self._wiring.unjoined()
+        orphans = Orphans()
         while not self._stopping:
             self._stats_page.beat()
             look_at = min(report_at, self._clock.now() + BEAT_EVERY)
@@ -147,7 +148,7 @@ class Container:
             if has_news or unjoined != before or self._clock.now() >= report_at:
                 self._report(self._status())
                 report_at = self._clock.now() + REPORT_EVERY
-                reap_adopted()
+                orphans.reap()
 
     def _listen(self, limit: float) -> bool:
         """Wait up to `limit` [s] for news, and take it in; whether it is to be told.
@@ -294,6 +295,7 @@ class Container:
         return ContainerStatus(
             name=self._name,
             pid=os.getpid(),
+            trouble=self._transports.server.warning.trouble(),
             cpu=time.process_time()
             + sum(r.counters.cpu() for r in self._runners.values() if r.spec.command),
             components=tuple((components | broken | self._unjoined).values()),

@@ -1,4 +1,7 @@
-"""Says that connections cannot be accepted, and what to do; not at every attempt."""
+"""Says that connections cannot be accepted, and what to do.
+
+It is logged now and then, and reported for as long as it lasts.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,8 @@ log = logging.getLogger(__name__)
 
 EVERY = 10.0
 """At most one warning in this time [s]."""
+_LATELY = 2.0
+"""A failure counts for this time [s]: status is asked for more often."""
 _PASSING = {errno.EAGAIN, errno.ECONNABORTED, errno.EINTR}
 
 
@@ -27,16 +32,28 @@ class AcceptWarning:
     def __init__(self, who: str) -> None:
         self._who = who
         self._again_at = 0.0
+        self._last = ""
+        self._last_at = float("-inf")
 
     def note(self, error: OSError) -> None:
         """Warn of an error of `accept`, unless the connection has just gone."""
-        now = time.monotonic()
-        if error.errno in _PASSING or now < self._again_at:
+        if error.errno in _PASSING:
             return
-        self._again_at = now + EVERY
-        log.warning(
-            "%s accepts no connection for now: %s%s", self._who, error, _remedy(error)
-        )
+        self._last_at, self._last = time.monotonic(), self._sentence(error)
+        if self._last_at >= self._again_at:
+            self._again_at = self._last_at + EVERY
+            log.warning("%s", self._last)
+
+    def trouble(self) -> str:
+        """Return why no connection can be accepted now; empty: they can."""
+        try:
+            os.close(os.eventfd(0))
+        except OSError as error:
+            return self._sentence(error)
+        return self._last if time.monotonic() < self._last_at + _LATELY else ""
+
+    def _sentence(self, error: OSError) -> str:
+        return f"{self._who} accepts no connection for now: {error}{_remedy(error)}"
 
 
 def _remedy(error: OSError) -> str:

@@ -76,6 +76,11 @@ class ConnectionServer:
         Where the sockets of this computer's containers are.
     container
         The container's name.
+
+    Attributes
+    ----------
+    warning
+        Knows whether connections are accepted.
     """
 
     def __init__(self, folder: Path, container: str) -> None:
@@ -86,7 +91,7 @@ class ConnectionServer:
         self._lock = threading.Lock()
         self._container = container
         self._closed = threading.Event()
-        self._warning = AcceptWarning(f"container '{container}'")
+        self.warning = AcceptWarning(f"container '{container}'")
         self._paths = socket_path(folder, container), gateway_path(folder, container)
         kinds = socket.SOCK_STREAM, socket.SOCK_DGRAM
         self._neighbours, self._from_gateway = map(_bound, self._paths, kinds)
@@ -150,7 +155,7 @@ class ConnectionServer:
                         self._start(_handed_over(self._from_gateway))
                 except OSError as error:
                     if not self._closed.is_set():
-                        self._warning.note(error)
+                        self.warning.note(error)
                         self._closed.wait(_PAUSE)
 
     def _start(self, sock: socket.socket) -> None:

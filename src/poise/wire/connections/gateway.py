@@ -99,6 +99,11 @@ class Gateway:
     port
         TCP port; 0: one that is free.
 
+    Attributes
+    ----------
+    warning
+        Knows whether connections are accepted.
+
     Raises
     ------
     RunError
@@ -109,7 +114,7 @@ class Gateway:
         self._folder = folder
         self._arrivals: dict[int, _Arrival] = {}
         self._closed = threading.Event()
-        self._warning = AcceptWarning("the gateway")
+        self.warning = AcceptWarning("the gateway")
         self._handing_on = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
             self._listener = socket.create_server(
@@ -184,7 +189,7 @@ class Gateway:
             return
         except OSError as error:
             if not self._closed.is_set():
-                self._warning.note(error)
+                self.warning.note(error)
                 self._closed.wait(_PAUSE)
             return
         connection.setblocking(False)

@@ -17,7 +17,7 @@ from msgspec import Struct
 from poise.wire.records.clocks import Clocks, ClockStatus
 from poise.wire.records.migration import MigrationSteps, StepsDone, StepsFailed
 
-PROTOCOL = 5
+PROTOCOL = 6
 """Manager, agents and containers of different protocol versions refuse each other."""
 
 Goal = Literal["inactive", "active", "stay"]
@@ -335,11 +335,20 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
 
 
 class ContainerStatus(Struct, frozen=True, kw_only=True, tag=True):
-    """A container as it sees itself; `cpu` is its process's CPU time so far [s]."""
+    """A container as it sees itself.
+
+    Parameters
+    ----------
+    cpu
+        Its process's CPU time so far [s].
+    trouble
+        Why it accepts no connection now, and what to do; empty: it does.
+    """
 
     name: str
     pid: int
     cpu: float = 0.0
+    trouble: str = ""
     components: tuple[ComponentStatus, ...] = ()
     connectors: tuple[ConnectorStatus, ...] = ()
 
@@ -441,6 +450,8 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
         What is known of other computers' clocks, by name.
     gateway
         IP address and TCP port of its gateway.
+    trouble
+        Why that accepts no connection now, and what to do; empty: it does.
     """
 
     protocol: int = PROTOCOL
@@ -453,6 +464,7 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
     load: float = 0.0
     memory: int = 0
     gateway: str = ""
+    trouble: str = ""
     containers: tuple[ContainerStatus, ...] = ()
     faults: tuple[Fault, ...] = ()
     health: tuple[ContainerHealth, ...] = ()
