@@ -12,11 +12,14 @@ import ctypes
 import os
 import signal
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 _PR_SET_CHILD_SUBREAPER = 36
 _LOOK = 0.01
+_LOOK_AT_ENDED = os.WEXITED | os.WNOHANG | os.WNOWAIT
+UNCLAIMED = 10.0
+"""An exit code for which nobody asked in this time [s] is nobody's."""
 
 
 def adopt_orphans() -> None:
@@ -31,25 +34,71 @@ def lead_session() -> None:
 
 def children() -> set[int]:
     """Return the processes whose parent is this process."""
-    found: set[int] = set()
-    for file in Path("/proc/self/task").glob("*/children"):
-        with contextlib.suppress(OSError):  # the thread has ended
-            found.update(map(int, file.read_text().split()))
+    return set().union(*_children_by_thread().values())
+
+
+def _children_by_thread() -> dict[int, set[int]]:
+    """Return the children of each thread; none while no file descriptor is free.
+
+    The main thread is read last: it gets the children of those that end meanwhile.
+    """
+    found: dict[int, set[int]] = {}
+    main, tasks = os.getpid(), Path("/proc/self/task")
+    with contextlib.suppress(OSError):
+        threads = {int(folder.name) for folder in tasks.iterdir()}
+        for thread in (*(threads - {main}), main):
+            with contextlib.suppress(OSError):  # it has ended
+                text = (tasks / str(thread) / "children").read_text()
+                found[thread] = set(map(int, text.split()))
     return found
 
 
-def reap_adopted() -> None:
-    """Reap the orphans that this process adopted and that have ended.
+class Orphans:
+    """Reaps the orphans that this process adopted and that have ended.
 
-    An exit code that a component waits for is left alone: what this process forks is in
-    its own session, or leads one. A child in any other session was forked by another
-    process. So an orphan that stayed in this session is reaped with the container only.
+    An exit code that a component waits for is left alone. The kernel gives orphans to
+    the main thread, which forks nothing here, and gives it the children of threads that
+    end. So no child of another thread is an orphan, nor one that was; and a child in
+    this session may be that of a thread that ended before anybody looked: one of these
+    is reaped when it has been left alone for `UNCLAIMED`.
+
+    Parameters
+    ----------
+    clock
+        Returns the time [s].
     """
-    own = os.getsid(0)
-    for child in children():
-        with contextlib.suppress(ProcessLookupError, ChildProcessError):
-            if os.getsid(child) not in {own, child}:
-                os.waitpid(child, os.WNOHANG)
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._forked: set[int] = set()
+        self._ended: dict[int, float] = {}
+
+    def reap(self) -> None:
+        """Look, and reap; call it about once a second."""
+        by_thread = _children_by_thread()
+        adopted = by_thread.pop(os.getpid(), set())
+        forked = set().union(*by_thread.values())
+        # a child that has just got another parent thread may be in neither list
+        self._forked = {each for each in forked | self._forked if _is_child(each)}
+        before, self._ended = self._ended, {}
+        for child in adopted - self._forked:
+            with contextlib.suppress(ProcessLookupError, ChildProcessError):
+                if not os.waitid(os.P_PID, child, _LOOK_AT_ENDED):
+                    continue
+                since = before.get(child, self._clock())
+                is_foreign = os.getsid(child) not in {os.getsid(0), child}
+                if is_foreign or self._clock() - since >= UNCLAIMED:
+                    os.waitpid(child, os.WNOHANG)
+                else:
+                    self._ended[child] = since
+
+
+def _is_child(process: int) -> bool:
+    try:
+        os.waitid(os.P_PID, process, _LOOK_AT_ENDED)
+    except ChildProcessError:
+        return False
+    return True
 
 
 def kill_all(processes: Iterable[int]) -> None:
