@@ -110,6 +110,7 @@ class Migration:
         self._targets = targets
         gone = {each.component for each in sources}
         self._others = {n: each for n, each in run.placed.items() if n not in gone}
+        self._away = run.agents.out_of_reach().keys()
         statuses = run.agents.statuses()
         self._plan = MigrationPlan(
             run.layout,
@@ -142,6 +143,8 @@ class Migration:
         if not reason:
             self._linger()
         self._remove(self._targets if reason else self._sources)
+        if reason:
+            reason = self._with_losses(reason)
         return MigrationReport(
             committed=not reason,
             reason=reason,
@@ -282,6 +285,12 @@ class Migration:
                 self._note_failure(f"'{', '.join(hanging)}' does not end")
         except RunError as error:
             self._note_failure(f"telling what should run: {error}")
+
+    def _with_losses(self, reason: str) -> str:
+        """Return why it rolled back; a loss is known later than what it leads to."""
+        losses = self._run.unreached().items()
+        new = [text for computer, text in losses if computer not in self._away]
+        return "; ".join([reason, *(text for text in new if text not in reason)])
 
     def _note_failure(self, reason: str) -> None:
         self._run.journal.note("failed", f"migration of {self._what}: {reason}")
