@@ -1,4 +1,4 @@
-"""A robot that is up, as it is asked for things: from here, or from elsewhere."""
+"""A running robot, to observe and to command: from this process or another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where components of lost computers go on. Pure."""
+"""Where components of lost computers restart. Pure."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Failover(Struct, frozen=True, kw_only=True):
     Parameters
     ----------
     placement
-        Component -> the computer where it begins again.
+        Component -> the computer where it restarts.
     missing
         Component -> why it runs nowhere until its computer is back.
     """

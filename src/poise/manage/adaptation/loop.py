@@ -16,7 +16,7 @@ from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.failover import fail_over
 from poise.manage.adaptation.move_limits import MoveLimits
 from poise.manage.adaptation.triggers import TRIGGERS, LastingSymptoms, Symptom
-from poise.manage.migration.transition_run import begin_again, transit
+from poise.manage.migration.transition_run import restart_elsewhere, transit
 from poise.manage.observe.deviations import Deviation
 from poise.manage.run import Run
 
@@ -55,7 +55,7 @@ class Adaptation:
         self._move_limits = MoveLimits()
         self._failover_limits = MoveLimits()
         self._downtimes: dict[str, float] = {}
-        self._told: dict[tuple[str, str], _Told] = {}
+        self._reported: dict[tuple[str, str], _Reported] = {}
         self._missing: set[str] = set()
         self.deviations: tuple[Deviation, ...] = ()
 
@@ -64,7 +64,7 @@ class Adaptation:
         now, facts = self._clock(), self._facts()
         found = [symptom for trigger in TRIGGERS for symptom in trigger(facts)]
         symptoms = self._lasting.select(found, now)
-        self._tell(symptoms)
+        self._report(symptoms)
         if (
             self._acts
             and not self._failover_limits.rests(now)
@@ -78,7 +78,7 @@ class Adaptation:
             self._carry_out(decision, facts, now)
 
     def _fail_over(self, facts: Facts, now: float) -> bool:
-        """Let the components of lost computers begin again elsewhere, once."""
+        """Restart the components of lost computers elsewhere, once."""
         stranded = {n for n, c in facts.placement.items() if c in facts.lost}
         self._missing &= stranded
         if stranded <= self._missing:
@@ -91,7 +91,7 @@ class Adaptation:
             note("wrong", f"component '{component}' of '{where}' is missing: {why}")
         if found.placement:
             note("decided", _sentence(found.placement), placement=found.placement)
-            if begin_again(self._run, found.placement):
+            if restart_elsewhere(self._run, found.placement):
                 self._failover_limits.forget_nothing()
             else:
                 self._failover_limits.note_nothing(now)
@@ -110,39 +110,41 @@ class Adaptation:
             self._downtimes |= {m.component: m.downtime for m in report.moves}
             return
         self._move_limits.note_nothing(now)
-        self._tell_why_not(why, decision)
+        self._report_why_not(why, decision)
 
-    def _tell(self, symptoms: tuple[Symptom, ...]) -> None:
+    def _report(self, symptoms: tuple[Symptom, ...]) -> None:
         """Journal each symptom when it has lasted, and when it has ended."""
         note = self._run.journal.note
         for symptom in symptoms:
-            if symptom.key not in self._told:
-                self._told[symptom.key] = _Told(symptom, time.time())
+            if symptom.key not in self._reported:
+                self._reported[symptom.key] = _Reported(symptom, time.time())
                 note("wrong", symptom.what)
-        for key in self._told.keys() - self._lasting.since.keys():
-            note("right", f"no more: {self._told.pop(key).symptom.what}")
+        for key in self._reported.keys() - self._lasting.since.keys():
+            note("right", f"no more: {self._reported.pop(key).symptom.what}")
         self.deviations = tuple(
             Deviation(
-                what=told.symptom.what, computer=told.symptom.computer, since=told.since
+                what=reported.symptom.what,
+                computer=reported.symptom.computer,
+                since=reported.since,
             )
-            for told in self._told.values()
+            for reported in self._reported.values()
         )
 
-    def _tell_why_not(self, why: str, decision: Decision) -> None:
+    def _report_why_not(self, why: str, decision: Decision) -> None:
         """Journal why nothing is done, once for each reason while symptoms last."""
-        if any(told.why_not != why for told in self._told.values()):
-            for told in self._told.values():
-                told.why_not = why
+        if any(reported.why_not != why for reported in self._reported.values()):
+            for reported in self._reported.values():
+                reported.why_not = why
             self._run.journal.note("seen", why, decision=decision)
 
 
 def _sentence(placement: Mapping[str, str]) -> str:
     where = ", ".join(f"'{c}' on '{at}'" for c, at in sorted(placement.items()))
-    return f"components of a lost computer begin again without their state: {where}"
+    return f"components of a lost computer restart without their state: {where}"
 
 
-class _Told(Struct):
-    """A symptom as it was told, since when [s since 1970], and why it stays."""
+class _Reported(Struct):
+    """A symptom as it was reported, since when [s since 1970], and why it stays."""
 
     symptom: Symptom
     since: float

@@ -35,7 +35,7 @@ class TransitionReport(Struct, frozen=True, kw_only=True):
     moves: tuple[MoveReport, ...] = ()
 
 
-def begin_again(run: Run, placement: Mapping[str, str]) -> bool:
+def restart_elsewhere(run: Run, placement: Mapping[str, str]) -> bool:
     """Start components elsewhere without their state; return whether they work.
 
     Where they ran is out of reach: what is left of them there is ended once it is back.
@@ -50,8 +50,8 @@ def begin_again(run: Run, placement: Mapping[str, str]) -> bool:
         run.bring([each.with_goal("inactive") for each in new], READY_LIMIT)
         run.bring(new, ACTIVE_LIMIT)
     except RunError as error:
-        run.journal.note("failed", f"components did not begin again: {error}")
-        with contextlib.suppress(RunError):  # whom it was not told is told later
+        run.journal.note("failed", f"components did not restart: {error}")
+        with contextlib.suppress(RunError):  # agents out of reach get it later
             run.tell(run.placed.values())
         return False
     run.placed |= {each.component: each for each in new}

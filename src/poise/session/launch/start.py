@@ -66,10 +66,10 @@ class Started(Struct, frozen=True):
 
 
 class Sampling(Struct, frozen=True):
-    """Who takes samples of what components use, how often [s]; and snapshots' sizes.
+    """What takes samples of resource use, how often [s]; and snapshots' sizes.
 
     `take` is called on a thread of its own and must not block, and only while all
-    components are at work: who starts or ends uses next to nothing.
+    components are at work.
     """
 
     take: Callable[[AgentSample], object] | None = None
