@@ -167,7 +167,7 @@ def _flat(record: Struct, *without: str) -> dict[str, Any]:
     return found
 
 
-class Measured(Struct, frozen=True, kw_only=True):
+class MeasuredRun(Struct, frozen=True, kw_only=True):
     """What was seen between the moments when all had begun and when all was to end.
 
     `seconds` is the time between [s].
@@ -180,7 +180,7 @@ class Measured(Struct, frozen=True, kw_only=True):
     interrupted: bool
 
 
-def reported(up: Started, placed: Placement, task: str, seen: Measured) -> RunReport:
+def reported(up: Started, placed: Placement, task: str, seen: MeasuredRun) -> RunReport:
     """Return the report of a run whose components are inactive by now."""
     final = up.run.agents.statuses()
     robot = up.run.robot

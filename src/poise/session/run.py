@@ -14,7 +14,7 @@ from poise.model.robot import Robot
 from poise.session.launch.start import Sampling, Started, started
 from poise.session.placement import Placement, runnable
 from poise.session.recordings.record_run import keeping
-from poise.session.report import Measured, RunReport, reported
+from poise.session.report import MeasuredRun, RunReport, reported
 from poise.session.robot_file import task_of
 from poise.session.say import Check, Say, log, nothing
 
@@ -84,7 +84,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         return reported(up, placed, chosen, seen)
 
 
-def _measure(up: Started, seconds: float, meanwhile: Meanwhile) -> Measured:
+def _measure(up: Started, seconds: float, meanwhile: Meanwhile) -> MeasuredRun:
     up.computers.begin()
     begin, began = up.run.agents.statuses(), time.monotonic()
     interrupted = False
@@ -92,7 +92,7 @@ def _measure(up: Started, seconds: float, meanwhile: Meanwhile) -> Measured:
         up.watch(seconds, lambda _: meanwhile(up.run, time.monotonic() - began))
     except KeyboardInterrupt:
         interrupted = True
-    return Measured(
+    return MeasuredRun(
         begin=begin,
         end=up.run.agents.statuses(),
         seconds=time.monotonic() - began,

@@ -259,7 +259,7 @@ class Striking:
         return self._agents.take_steps(told, check)
 
 
-class SimulatorProcess:
+class MovingRobot:
     """Two agents, and a robot whose `counter` moves between them."""
 
     def __init__(
@@ -423,11 +423,11 @@ mortals = pytest.fixture(name="mortals")(_two_agents)
 """Agents that a test may kill."""
 
 
-def _world(pair: TwoAgents, name: str) -> Iterator[SimulatorProcess]:
+def _world(pair: TwoAgents, name: str) -> Iterator[MovingRobot]:
     """Give each test containers with names, and so back-offs, of their own."""
     journal = Journal(":memory:")
     name = f"c{abs(hash(name)) % 10**8}"
-    world = SimulatorProcess(pair.folder, pair.agents, journal, name)
+    world = MovingRobot(pair.folder, pair.agents, journal, name)
     yield world
     with contextlib.suppress(RunError):  # of an agent that the test killed
         world.run.stop()
@@ -435,16 +435,12 @@ def _world(pair: TwoAgents, name: str) -> Iterator[SimulatorProcess]:
 
 
 @pytest.fixture
-def world(
-    pair: TwoAgents, request: pytest.FixtureRequest
-) -> Iterator[SimulatorProcess]:
+def world(pair: TwoAgents, request: pytest.FixtureRequest) -> Iterator[MovingRobot]:
     yield from _world(pair, request.node.name)
 
 
 @pytest.fixture
-def mortal(
-    mortals: TwoAgents, request: pytest.FixtureRequest
-) -> Iterator[SimulatorProcess]:
+def mortal(mortals: TwoAgents, request: pytest.FixtureRequest) -> Iterator[MovingRobot]:
     yield from _world(mortals, request.node.name)
 
 
@@ -466,7 +462,7 @@ def move_counter(run: Run, computer: str) -> None:
     ("source", "containers"), [("left", "one"), ("left", "two"), ("right", "one")]
 )
 def test_nothing_is_lost_doubled_or_reordered(
-    world: SimulatorProcess, source: str, containers: str
+    world: MovingRobot, source: str, containers: str
 ) -> None:
     """There and back: the other ends are direct, local and remote in turn."""
     run = world.start("Counter", source, isolated=containers == "two")
@@ -476,7 +472,7 @@ def test_nothing_is_lost_doubled_or_reordered(
     assert world.wrong() == 0
 
 
-def test_a_large_state_goes_ahead_and_timers_keep_on(world: SimulatorProcess) -> None:
+def test_a_large_state_goes_ahead_and_timers_keep_on(world: MovingRobot) -> None:
     run = world.start("Gradual")
     move_counter(run, "right")
     world.works()
@@ -484,7 +480,7 @@ def test_a_large_state_goes_ahead_and_timers_keep_on(world: SimulatorProcess) ->
 
 
 def test_a_publisher_waits_for_a_slow_subscriber_that_moves(
-    world: SimulatorProcess,
+    world: MovingRobot,
 ) -> None:
     run = world.start("Slow")
     for target in ("right", "left", "right"):
@@ -517,7 +513,7 @@ def test_a_publisher_waits_for_a_slow_subscriber_that_moves(
     ],
 )
 def test_rolls_back_when_the_component_cannot_move(
-    world: SimulatorProcess, implementation: str, words: str
+    world: MovingRobot, implementation: str, words: str
 ) -> None:
     run = world.start(implementation)
     report = move(run, "counter", "right")
@@ -531,7 +527,7 @@ def test_rolls_back_when_the_component_cannot_move(
 
 
 def test_rolls_back_and_says_so_when_the_component_does_not_come_to_rest(
-    world: SimulatorProcess, monkeypatch: pytest.MonkeyPatch
+    world: MovingRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # the component's own limit is the smaller one; here by more than machines stall
     monkeypatch.setattr("poise.manage.migration.coordinator.DOWNTIME_LIMIT", 6.0)
@@ -548,7 +544,7 @@ def test_rolls_back_and_says_so_when_the_component_does_not_come_to_rest(
 
 
 def test_goes_on_in_its_container_when_a_snapshot_that_took_too_long_ends(
-    world: SimulatorProcess, monkeypatch: pytest.MonkeyPatch
+    world: MovingRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("poise.manage.migration.coordinator.DOWNTIME_LIMIT", 0.5)
     run = world.start("Lingering")
@@ -567,7 +563,7 @@ def test_goes_on_in_its_container_when_a_snapshot_that_took_too_long_ends(
     assert world.told("sink")[1] == 0
 
 
-def test_a_move_after_one_that_rolled_back_succeeds(world: SimulatorProcess) -> None:
+def test_a_move_after_one_that_rolled_back_succeeds(world: MovingRobot) -> None:
     run = world.start("Counter")
     world.striking.before["pause"] = lambda: world.kill("right", "counter")
     first, second = move(run, "counter", "right"), move(run, "counter", "right")
@@ -577,7 +573,7 @@ def test_a_move_after_one_that_rolled_back_succeeds(world: SimulatorProcess) -> 
 
 
 def test_a_stop_ends_a_move_amid_the_pre_copy_of_its_state(
-    world: SimulatorProcess,
+    world: MovingRobot,
 ) -> None:
     run = world.start("LingeringFirst")
     lingers = world.folder / world.name / "lingers"
@@ -595,7 +591,7 @@ def test_a_stop_ends_a_move_amid_the_pre_copy_of_its_state(
 
 @pytest.mark.parametrize("before", ["offer state", "await idle"])
 def test_a_move_away_from_a_frozen_container_fails_soon(
-    world: SimulatorProcess, before: StepName
+    world: MovingRobot, before: StepName
 ) -> None:
     """It said nothing for 30 s: the source offered its state when it went on."""
     run = world.start("Counter", "right", isolated=True)
@@ -617,7 +613,7 @@ def test_a_move_away_from_a_frozen_container_fails_soon(
     assert world.told("sink")[1] == 0
 
 
-def test_a_missing_implementation_is_not_put_in(world: SimulatorProcess) -> None:
+def test_a_missing_implementation_is_not_put_in(world: MovingRobot) -> None:
     run = world.start("Counter")
     report = replace(run, "counter", "moved:Nowhere")
     assert not report.committed
@@ -627,7 +623,7 @@ def test_a_missing_implementation_is_not_put_in(world: SimulatorProcess) -> None
     assert world.told("sink")[1] == 0
 
 
-def test_a_slow_import_of_a_target_holds_up_nothing(world: SimulatorProcess) -> None:
+def test_a_slow_import_of_a_target_holds_up_nothing(world: MovingRobot) -> None:
     """The container's control thread imported: it heard and reported nothing."""
     run = world.start("Counter")
     may_end = world.folder / world.name / "may-end"
@@ -656,7 +652,7 @@ def test_a_slow_import_of_a_target_holds_up_nothing(world: SimulatorProcess) -> 
 
 
 def test_an_implementation_is_replaced_and_its_state_adapted(
-    world: SimulatorProcess,
+    world: MovingRobot,
 ) -> None:
     run = world.start("Counter")
     report = replace(run, "counter", "moved:Adapted", "moved:adapt")
@@ -668,7 +664,7 @@ def test_an_implementation_is_replaced_and_its_state_adapted(
 @pytest.mark.parametrize("victim", [("left", "counter"), ("right", "counter")])
 @pytest.mark.parametrize("before", ROUNDS)
 def test_a_container_that_is_killed_between_two_rounds(
-    world: SimulatorProcess, victim: tuple[str, str], before: StepName
+    world: MovingRobot, victim: tuple[str, str], before: StepName
 ) -> None:
     run = world.start("Counter", isolated=True)
     world.striking.before[before] = lambda: world.kill(*victim)
@@ -688,7 +684,7 @@ def test_a_container_that_is_killed_between_two_rounds(
 
 @pytest.mark.parametrize("before", ["pause", "resume"])
 def test_a_source_that_is_killed_between_two_rounds(
-    world: SimulatorProcess, before: StepName
+    world: MovingRobot, before: StepName
 ) -> None:
     run = world.start("Counter", "right", isolated=True)
     world.striking.before[before] = lambda: world.kill("right", "source")
@@ -700,7 +696,7 @@ def test_a_source_that_is_killed_between_two_rounds(
 
 @pytest.mark.parametrize("before", ["pause", "resume"])
 def test_a_sink_that_is_killed_between_two_rounds(
-    world: SimulatorProcess, before: StepName
+    world: MovingRobot, before: StepName
 ) -> None:
     run = world.start("Counter", isolated=True)
     world.striking.before[before] = lambda: world.kill("left", "sink")
@@ -712,7 +708,7 @@ def test_a_sink_that_is_killed_between_two_rounds(
 
 @pytest.mark.parametrize("seed", range(2))
 def test_nothing_is_lost_when_containers_stand_still_amid_moves(
-    world: SimulatorProcess, seed: int
+    world: MovingRobot, seed: int
 ) -> None:
     world.limit = 2 * LIMIT  # far longer than they do
     world.chance = chance = random.Random(seed)
@@ -733,7 +729,7 @@ def test_nothing_is_lost_when_containers_stand_still_amid_moves(
 
 @pytest.mark.parametrize("before", ROUNDS)
 def test_goes_on_when_the_targets_agent_dies(
-    mortal: SimulatorProcess, mortals: TwoAgents, before: StepName
+    mortal: MovingRobot, mortals: TwoAgents, before: StepName
 ) -> None:
     run = mortal.start("Counter")
 
@@ -754,7 +750,7 @@ def test_goes_on_when_the_targets_agent_dies(
 
 
 def test_the_sources_resume_without_waiting_for_why_an_agent_is_silent(
-    mortal: SimulatorProcess, mortals: TwoAgents, monkeypatch: pytest.MonkeyPatch
+    mortal: MovingRobot, mortals: TwoAgents, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     waited: list[float] = []
     why = Agents._why_silent
@@ -778,7 +774,7 @@ def test_the_sources_resume_without_waiting_for_why_an_agent_is_silent(
     assert mortal.told("sink")[1] == 0
 
 
-def test_a_caller_that_waits_no_longer_than_its_limit(world: SimulatorProcess) -> None:
+def test_a_caller_that_waits_no_longer_than_its_limit(world: MovingRobot) -> None:
     world.limit = 0.1
     run = world.start("Late")
     move_counter(run, "right")
@@ -788,7 +784,7 @@ def test_a_caller_that_waits_no_longer_than_its_limit(world: SimulatorProcess) -
 
 
 def test_what_a_manager_left_that_is_gone_is_ended_first(
-    world: SimulatorProcess,
+    world: MovingRobot,
 ) -> None:
     """Else it would run on as it was, though it has other code or parameters by now."""
 
@@ -810,7 +806,7 @@ def test_what_a_manager_left_that_is_gone_is_ended_first(
 
 @pytest.mark.parametrize("source", ["left", "right"])
 def test_a_chain_that_comes_back_to_its_caller_while_the_callee_moves(
-    world: SimulatorProcess, source: str
+    world: MovingRobot, source: str
 ) -> None:
     world.source = "Called"
     world.joints = (*JOINTS, ("counter.helps", "source.helps"))
@@ -829,7 +825,7 @@ def _ticker(folder: Path) -> ComponentEntry:
 
 
 def test_a_command_line_component_moves_by_a_cold_move(
-    world: SimulatorProcess,
+    world: MovingRobot,
 ) -> None:
     world.extra = (_ticker(world.folder),)
     run = world.start("Counter")
@@ -847,7 +843,7 @@ def test_a_command_line_component_moves_by_a_cold_move(
 
 
 def test_a_command_line_component_goes_on_when_it_cannot_start_elsewhere(
-    world: SimulatorProcess,
+    world: MovingRobot,
 ) -> None:
     world.extra = (_ticker(world.folder),)
     run = world.start("Counter")
@@ -873,7 +869,7 @@ def test_a_command_line_component_goes_on_when_it_cannot_start_elsewhere(
     world.works()
 
 
-def test_refuses_what_cannot_be_moved(world: SimulatorProcess) -> None:
+def test_refuses_what_cannot_be_moved(world: MovingRobot) -> None:
     run = world.start("Counter")
     with pytest.raises(UsageError, match="no component 'nobody' runs"):
         move(run, "nobody", "right")

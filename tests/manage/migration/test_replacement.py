@@ -158,7 +158,7 @@ def misadapt(before: Before) -> Broke:
 )
 
 
-class SimulatorProcess(Told):
+class RobotWithAlternatives(Told):
     """Two agents, and a robot with alternatives for what is between its ends."""
 
     def __init__(self, folder: Path, agents: Agents, place: Path) -> None:
@@ -232,9 +232,9 @@ def pair() -> Iterator[tuple[Path, Agents]]:
 
 
 @pytest.fixture
-def world(pair: tuple[Path, Agents], tmp_path: Path) -> Iterator[SimulatorProcess]:
+def world(pair: tuple[Path, Agents], tmp_path: Path) -> Iterator[RobotWithAlternatives]:
     """Start the robot."""
-    world = SimulatorProcess(*pair, tmp_path)
+    world = RobotWithAlternatives(*pair, tmp_path)
     world.run.start()
     world.works()
     yield world
@@ -243,7 +243,7 @@ def world(pair: tuple[Path, Agents], tmp_path: Path) -> Iterator[SimulatorProces
 
 
 def test_the_alternative_goes_on_where_the_architecture_stopped(
-    world: SimulatorProcess,
+    world: RobotWithAlternatives,
 ) -> None:
     report = replace_architecture(world.run, "halves", "one", "replaced:adapt")
     assert (report.committed, report.reason) == (True, "")
@@ -257,7 +257,7 @@ def test_the_alternative_goes_on_where_the_architecture_stopped(
 
 
 def test_all_goes_on_as_before_when_one_component_cannot_restore(
-    world: SimulatorProcess,
+    world: RobotWithAlternatives,
 ) -> None:
     report = replace_architecture(world.run, "halves", "bad", "replaced:misadapt")
     assert not report.committed
@@ -271,7 +271,7 @@ def test_all_goes_on_as_before_when_one_component_cannot_restore(
 
 
 def test_a_state_is_matched_by_the_names_of_its_fields(
-    world: SimulatorProcess,
+    world: RobotWithAlternatives,
 ) -> None:
     for by, adapt, words in (
         ("Counter", "", "Counter has no `restore`, so the state would be lost"),
@@ -293,7 +293,9 @@ def test_a_state_is_matched_by_the_names_of_its_fields(
     assert world.wrong() == 0
 
 
-def test_no_state_of_an_architecture_is_lost_unsaid(world: SimulatorProcess) -> None:
+def test_no_state_of_an_architecture_is_lost_unsaid(
+    world: RobotWithAlternatives,
+) -> None:
     with pytest.raises(UsageError, match=r"'adder, counter' would be lost: .*--fresh"):
         replace_architecture(world.run, "halves", "one")
     report = replace_architecture(world.run, "halves", "one", "replaced:misadapt")
@@ -304,7 +306,7 @@ def test_no_state_of_an_architecture_is_lost_unsaid(world: SimulatorProcess) -> 
     assert replace_architecture(world.run, "halves", "bad", fresh=True).committed
 
 
-def test_refuses_before_anything_is_touched(world: SimulatorProcess) -> None:
+def test_refuses_before_anything_is_touched(world: RobotWithAlternatives) -> None:
     for name, by, words in (
         ("none", "one", "has no architecture 'none'"),
         ("one", "halves", "architecture 'one' does not run"),

@@ -17,7 +17,7 @@ from poise.session.profiling.figures import (
     disagreeing,
     figures,
 )
-from poise.session.profiling.usage import Measured
+from poise.session.profiling.usage import MeasuredUsage
 from poise.wire.records.deployment import AgentStatus, ComponentStatus, ContainerStatus
 
 NAMES = ("eye", "mind")
@@ -42,7 +42,7 @@ ROBOT = Robot(
 def observed(eye: float, *, undone: float = 0.0) -> Observed:
     """Both in one container of 30 MB, which uses 4 % beyond them."""
     return Observed(
-        measured=Measured(
+        measured=MeasuredUsage(
             cpu={
                 "eye": Distribution(mean=eye, peak=2 * eye),
                 "mind": Distribution(mean=0.2),
@@ -66,7 +66,7 @@ def apart() -> Observed:
         components=(ComponentStatus(name="eye", state="inactive", snapshot=123),),
     )
     return Observed(
-        measured=Measured(
+        measured=MeasuredUsage(
             cpu={},
             rest={},
             members={"see.eye": ("eye",), "see.mind": ("mind",), "see.e": ("e",)},

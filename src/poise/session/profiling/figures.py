@@ -16,7 +16,7 @@ from poise.estimate.profile.distribution import Distribution
 from poise.manage.deployment import name_of
 from poise.manage.statuses import Statuses, components_of, connectors_of
 from poise.model.robot import Connector, Robot
-from poise.session.profiling.usage import Measured
+from poise.session.profiling.usage import MeasuredUsage
 from poise.wire.records.deployment import ComponentStatus, Summary
 
 AGREE_SHARE = 0.05
@@ -38,7 +38,7 @@ class Observed(Struct, frozen=True, kw_only=True):
         Why the measurement is invalid; empty: it is valid.
     """
 
-    measured: Measured
+    measured: MeasuredUsage
     statuses: Statuses
     working: Statuses = {}
     invalid: str = ""
@@ -153,7 +153,7 @@ def _scaled(distribution: Distribution, speed: float) -> Distribution:
     )
 
 
-def _share(measured: Measured, name: str) -> float:
+def _share(measured: MeasuredUsage, name: str) -> float:
     """Return a component's equal part of its container's own CPU."""
     for container, members in measured.members.items():
         if name in members:
@@ -187,7 +187,7 @@ def _memory(
     return {name: found.get(name, (0.0, 0.0)) for name in names}
 
 
-def _by_component(measured: Measured) -> dict[str, float]:
+def _by_component(measured: MeasuredUsage) -> dict[str, float]:
     """Return component -> memory of its container, for those that have their own."""
     return {
         members[0]: measured.memory[container]

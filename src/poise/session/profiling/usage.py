@@ -15,7 +15,7 @@ from poise.manage.observe.estimates import traffic_between
 from poise.wire.records.samples import AgentSample, ContainerSample
 
 
-class Measured(Struct, frozen=True, kw_only=True):
+class MeasuredUsage(Struct, frozen=True, kw_only=True):
     """Usage over a time, in CPU of the computers themselves.
 
     Parameters
@@ -45,7 +45,7 @@ class Measured(Struct, frozen=True, kw_only=True):
     undone: Mapping[str, float]
 
 
-def measure(samples: Iterable[AgentSample]) -> Measured:
+def measure(samples: Iterable[AgentSample]) -> MeasuredUsage:
     """Return the usage from the first to the last of `samples`."""
     by_agent: dict[str, list[AgentSample]] = defaultdict(list)
     by_container: dict[str, list[ContainerSample]] = defaultdict(list)
@@ -68,7 +68,7 @@ def measure(samples: Iterable[AgentSample]) -> Measured:
         memory[name] = max(float(s.memory) for s in seen)
         for connector, profile in _connectors(seen).items():
             connectors[connector] = _busier(connectors.get(connector), profile)
-    return Measured(
+    return MeasuredUsage(
         cpu=cpu,
         rest=rest,
         members=members,
