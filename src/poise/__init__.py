@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from poise.runtime.component.ports import subscribed as subscribed
     from poise.session.calibration.calibrate import Calibration as Calibration
     from poise.session.calibration.calibrate import calibrate as calibrate
+    from poise.session.emulated import emulated as emulated
     from poise.session.placement import Placement as Placement
     from poise.session.placement import place as place
     from poise.session.profiling.profile import Profiling as Profiling
@@ -77,6 +78,7 @@ else:
         "calibrate": "session.calibration.calibrate",
         "check": "session.robot_file",
         "connect": "session.running",
+        "emulated": "session.emulated",
         "every": "runtime.component.ports",
         "load": "session.robot_file",
         "loan": "wire.connections.blocks",

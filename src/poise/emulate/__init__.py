@@ -1,7 +1,9 @@
 """One Linux machine as a robot's several computers (docs/emulation.md)."""
 
 from poise.emulate.computer import EmulatedComputer
+from poise.emulate.emulated_set import EmulatedSet, all_sets, find_set, set_for
 from poise.emulate.emulation import Emulation
+from poise.emulate.injected_fault import InjectedFault
 from poise.emulate.probe import Probe, look
 from poise.emulate.registry import sweep
 from poise.emulate.starvation import StarvationWatch
@@ -9,11 +11,16 @@ from poise.emulate.usage import Usage, is_starved
 
 __all__ = [
     "EmulatedComputer",
+    "EmulatedSet",
     "Emulation",
+    "InjectedFault",
     "Probe",
     "StarvationWatch",
     "Usage",
+    "all_sets",
+    "find_set",
     "is_starved",
     "look",
+    "set_for",
     "sweep",
 ]

@@ -10,10 +10,11 @@ from typing import IO
 
 import msgspec
 
+from poise.emulate.cgroup.files import Files
 from poise.emulate.cgroup.groups import Group
 from poise.emulate.layout import ComputerLayout
 from poise.emulate.network.namespaces import NAMESPACES
-from poise.emulate.processes import MARK
+from poise.emulate.processes import MARK, stop
 from poise.emulate.usage import Usage, is_starved, stolen_time
 
 Stream = int | IO[bytes] | None
@@ -54,18 +55,17 @@ class EmulatedComputer:
         How many times faster than the robot's it is, without a quota; else 1.
     """
 
-    def __init__(
-        self, layout: ComputerLayout, group: Group, *, pin: bool, has_quota: bool
-    ) -> None:
+    def __init__(self, layout: ComputerLayout) -> None:
         self.name = layout.name
         self.address = layout.address
         self.folder = Path(layout.folder)
         self.limits = layout.limits
-        self._group = group
+        homes = {which: Path(home) for which, home in layout.homes.items()}
+        self._group = Group(layout.mark, homes, len(layout.limits.cpus), Files())
         self._mark = layout.mark
-        self._prefix = _prefix(layout, pin=pin)
+        self._prefix = _prefix(layout)
         too_fast = len(layout.limits.cpus) / layout.limits.quota
-        self.slowdown = 1.0 if has_quota else max(1.0, too_fast)
+        self.slowdown = 1.0 if layout.has_quota else max(1.0, too_fast)
         self._stolen = stolen_time(layout.limits.cpus)
         self._children: list[subprocess.Popen[bytes]] = []
 
@@ -106,6 +106,10 @@ class EmulatedComputer:
         self._children.append(child)
         return child
 
+    def end_started(self) -> None:
+        """End what was started on it by this object, but nothing else there."""
+        stop(lambda: [child.pid for child in self._children if child.poll() is None])
+
     def running(self) -> list[int]:
         """Return the numbers of all processes on it."""
         # poll() reaps ended children. A new one may not have entered its group yet.
@@ -134,10 +138,10 @@ class EmulatedComputer:
         }
 
 
-def _prefix(layout: ComputerLayout, *, pin: bool) -> list[str]:
+def _prefix(layout: ComputerLayout) -> list[str]:
     """Return the command that enters namespace and CPU set, and becomes the program."""
     namespace = layout.namespace
     return [
         *(["nsenter", f"--net={NAMESPACES / namespace}"] if namespace else []),
-        *(["taskset", "--cpu-list", layout.limits.cpu_list] if pin else []),
+        *(["taskset", "--cpu-list", layout.limits.cpu_list] if layout.pin else []),
     ]

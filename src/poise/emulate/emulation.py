@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Mapping
 from itertools import count
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Self
 
+from msgspec.structs import replace
+
 from poise.emulate import processes
 from poise.emulate.cgroup import files as cgroup_files
 from poise.emulate.cgroup.groups import Groups
 from poise.emulate.computer import EmulatedComputer
-from poise.emulate.layout import EmulationLayout, lay_out
+from poise.emulate.layout import EmulationLayout, KeptSet, lay_out
 from poise.emulate.limits import shortages
 from poise.emulate.network import namespaces
 from poise.emulate.network.plan import NetworkPlan
@@ -37,13 +40,15 @@ class Emulation:
         The run's folder; each computer gets a private folder in it.
     probe
         What the machine allows; None: find out.
+    keep
+        Whether other processes may find and use it, as `poise.emulate.EmulatedSet`.
 
     Raises
     ------
     RobotError
         When a computer cannot be emulated.
     UsageError
-        `folder` belongs to another run.
+        `folder` belongs to another run, or the robot has a set that is kept.
     RunError
         The machine refuses what it seemed to allow; everything is cleaned up.
 
@@ -63,15 +68,30 @@ class Emulation:
     address: str
 
     def __init__(
-        self, robot: Robot, folder: Path, *, probe: Probe | None = None
+        self,
+        robot: Robot,
+        folder: Path,
+        *,
+        probe: Probe | None = None,
+        keep: bool = False,
     ) -> None:
         sweep()
-        host = probe or look()
-        self._layout = lay_out(robot, folder, host, next(_numbers))
+        host, number = probe or look(), next(_numbers)
+        kept = KeptSet.of(robot) if keep else None
+        self._layout = lay_out(robot, folder, host, number, kept)
         self.computers = {}
         register(self._layout)
         try:
-            self._make(self._layout, host)
+            groups, refused = _prepared(host.groups, self._layout.run)
+            if refused:
+                host, aside = replace(host, groups=groups), self._layout.aside
+                again = lay_out(robot, folder, host, number, kept)
+                self._layout = replace(again, aside=aside)
+            self._make(self._layout, groups, host, refused)
+            if kept is not None:
+                kept = replace(kept, since=time.time(), without=self.without)
+                self._layout = replace(self._layout, kept=kept)
+            register(self._layout)
         except BaseException as error:
             self.close()
             if isinstance(error, OSError):
@@ -111,22 +131,20 @@ class Emulation:
     ) -> None:
         self.close()
 
-    def _make(self, layout: EmulationLayout, host: Probe) -> None:
-        groups, refused = _prepared(host.groups, layout.run)
-        pin = "cpuset" not in groups.controls and "taskset" in host.tools
+    def _make(
+        self, layout: EmulationLayout, groups: Groups, host: Probe, refused: list[str]
+    ) -> None:
         computers = {}
         for each in layout.computers:
             Path(each.folder).mkdir(parents=True)
-            group = groups.make(each.mark, each.limits)
-            computers[each.name] = EmulatedComputer(
-                each, group, pin=pin, has_quota="cpu" in groups.controls
-            )
+            groups.make(each.mark, each.limits)
+            computers[each.name] = EmulatedComputer(each)
         self.computers = MappingProxyType(computers)
         unshaped = _wire(layout.network, host) if layout.network else []
         self.address = layout.network.owner_address if layout.network else "127.0.0.1"
         self.without = (
             *(refused or host.without_groups()),
-            *([_PINNED] if pin else []),
+            *([_PINNED] if layout.computers[0].pin else []),
             *shortages({each.name: each.limits for each in layout.computers}),
             *([_BLIND] if _is_blind(computers.values()) else []),
             *host.without_network(),

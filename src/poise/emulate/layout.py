@@ -5,10 +5,12 @@ The registry keeps it on disk, so that another process can find or remove it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from msgspec import Struct
 
+from poise.emulate.injected_fault import InjectedFault
 from poise.emulate.limits import Limits, share_out
 from poise.emulate.network.plan import NetworkPlan, plan_network
 from poise.emulate.owner import Owner
@@ -28,10 +30,14 @@ class ComputerLayout(Struct, frozen=True, kw_only=True):
         The IP address at which its processes listen.
     folder
         Its private folder.
-    groups
-        Its cgroup folders.
+    homes
+        Cgroup controller -> its folder there.
     namespace
         Its network namespace; None: the owner's.
+    pin
+        Whether ``taskset`` gives its processes their CPUs.
+    has_quota
+        Whether its quota is enforced.
     """
 
     name: str
@@ -39,8 +45,44 @@ class ComputerLayout(Struct, frozen=True, kw_only=True):
     address: str
     folder: str
     limits: Limits
-    groups: tuple[str, ...] = ()
+    homes: Mapping[str, str] = {}
     namespace: str | None = None
+    pin: bool = False
+    has_quota: bool = False
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Its cgroup folders."""
+        return tuple(dict.fromkeys(self.homes.values()))
+
+
+class KeptSet(Struct, frozen=True, kw_only=True):
+    """What others must know of an emulation that is kept for them.
+
+    Parameters
+    ----------
+    robot
+        Its name.
+    hardware
+        The robot's computers and links, to compare with those of a robot file.
+    since
+        When it was up [s since 1970]; None: it is not yet.
+    without
+        `Emulation.without`.
+    faults
+        The injected ones that are in force.
+    """
+
+    robot: str
+    hardware: str
+    since: float | None = None
+    without: tuple[str, ...] = ()
+    faults: tuple[InjectedFault, ...] = ()
+
+    @classmethod
+    def of(cls, robot: Robot) -> KeptSet:
+        """Return what is known of a robot's emulation before it is up."""
+        return cls(robot=robot.name, hardware=repr((robot.computers, robot.links)))
 
 
 class EmulationLayout(Struct, frozen=True, kw_only=True):
@@ -54,6 +96,8 @@ class EmulationLayout(Struct, frozen=True, kw_only=True):
         None where there are no namespaces.
     aside
         Cgroup folders with processes that were in the way; they go back at the end.
+    kept
+        None: only the owner uses it.
     """
 
     owner: Owner
@@ -61,9 +105,16 @@ class EmulationLayout(Struct, frozen=True, kw_only=True):
     computers: tuple[ComputerLayout, ...] = ()
     network: NetworkPlan | None = None
     aside: tuple[str, ...] = ()
+    kept: KeptSet | None = None
 
 
-def lay_out(robot: Robot, folder: Path, host: Probe, number: int) -> EmulationLayout:
+def lay_out(
+    robot: Robot,
+    folder: Path,
+    host: Probe,
+    number: int,
+    kept: KeptSet | None = None,
+) -> EmulationLayout:
     """Return the layout of the computers of `robot` on `host`.
 
     Parameters
@@ -91,7 +142,7 @@ def lay_out(robot: Robot, folder: Path, host: Probe, number: int) -> EmulationLa
     for index, name in enumerate(names):
         mark = f"{run}-{index}"
         cable = network.cables[index] if network else None
-        groups = dict.fromkeys(map(str, host.groups.homes(mark).values()))
+        homes = host.groups.homes(mark)
         computers.append(
             ComputerLayout(
                 name=name,
@@ -101,8 +152,10 @@ def lay_out(robot: Robot, folder: Path, host: Probe, number: int) -> EmulationLa
                 else _loopback(owner.pid + number, index),
                 folder=_private(folder, name),
                 limits=limits[index],
-                groups=tuple(groups),
+                homes={which: str(home) for which, home in homes.items()},
                 namespace=cable.namespace if cable else None,
+                pin="cpuset" not in host.groups.controls and "taskset" in host.tools,
+                has_quota="cpu" in host.groups.controls,
             )
         )
     return EmulationLayout(
@@ -111,6 +164,7 @@ def lay_out(robot: Robot, folder: Path, host: Probe, number: int) -> EmulationLa
         computers=tuple(computers),
         network=network,
         aside=tuple(map(str, host.groups.aside(run))),
+        kept=kept,
     )
 
 

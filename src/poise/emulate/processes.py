@@ -43,6 +43,29 @@ def stop(processes: Callable[[], Sequence[int]], ask: float = ASK) -> None:
         raise RunError(message)
 
 
+def freeze(processes: Callable[[], Sequence[int]]) -> None:
+    """Stop all that `processes` returns, until `thaw`; also what they start meanwhile.
+
+    Raises
+    ------
+    RunError
+        They started others for `KILL` seconds.
+    """
+    end = time.monotonic() + KILL
+    frozen: set[int] = set()
+    while new := set(processes()) - frozen:
+        _send(sorted(new), signal.SIGSTOP)
+        frozen |= new
+        if time.monotonic() > end:
+            message = f"processes still start others, {KILL:g} s after being stopped"
+            raise RunError(message)
+
+
+def thaw(processes: Sequence[int]) -> None:
+    """Let frozen processes go on."""
+    _send(processes, signal.SIGCONT)
+
+
 def marked(mark: str) -> list[int]:
     """Return the processes whose environment contains `mark`."""
     sought = f"{MARK}={mark}".encode()

@@ -9,7 +9,9 @@ from __future__ import annotations
 import fcntl
 import os
 import shutil
+import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
@@ -19,7 +21,10 @@ from poise.emulate.layout import EmulationLayout
 from poise.emulate.network import namespaces
 from poise.emulate.owner import PREFIX, Owner
 from poise.emulate.processes import marked, stop
-from poise.errors import PoiseError, RunError
+from poise.errors import PoiseError, RunError, UsageError
+
+_LOCK_LIMIT = 30.0
+_LOOK = 0.01
 
 
 def registry() -> Path:
@@ -58,8 +63,61 @@ def registered() -> Iterator[EmulationLayout]:
             raise RunError(message) from error
 
 
+def kept_sets() -> list[EmulationLayout]:
+    """Return the emulations of living owners that are up and kept for others."""
+    return [
+        layout
+        for layout in registered()
+        if layout.kept and layout.kept.since and layout.owner.is_alive()
+    ]
+
+
+@contextmanager
+def locked() -> Iterator[None]:
+    """Let no other process of this user change kept sets meanwhile.
+
+    Raises
+    ------
+    RunError
+        Another one did for `_LOCK_LIMIT`.
+    """
+    handle = os.open(registry(), os.O_RDONLY)
+    try:
+        deadline = time.monotonic() + _LOCK_LIMIT
+        while not _is_locked(handle):
+            if time.monotonic() > deadline:
+                message = (
+                    "another command has been changing emulated computers for "
+                    f"{_LOCK_LIMIT:g} s: `lsof {registry()}` names its process"
+                )
+                raise RunError(message)
+            time.sleep(_LOOK)
+        yield
+    finally:
+        os.close(handle)
+
+
 def register(layout: EmulationLayout) -> None:
-    """Write an emulation down, so that `sweep` can find it."""
+    """Write an emulation down, so that `sweep` can find it.
+
+    Raises
+    ------
+    UsageError
+        It is to be kept, and another one is for a robot of this name.
+    """
+    with locked():
+        if layout.kept is not None:
+            _raise_if_kept(layout.kept.robot, layout.run)
+        write(layout)
+
+
+def read(run: str) -> EmulationLayout | None:
+    """Return an emulation by its name; None when it has ended."""
+    return next((layout for layout in registered() if layout.run == run), None)
+
+
+def write(layout: EmulationLayout) -> None:
+    """Write an entry, or what has changed in it."""
     # Atomic: a partial entry would hide the rest for ever.
     draft = _entry(layout.run).with_suffix(".draft")
     draft.write_bytes(msgspec.json.encode(layout))
@@ -93,7 +151,8 @@ def remove(layout: EmulationLayout) -> None:
     if problems:
         message = "an emulation could not remove: " + "; ".join(problems)
         raise RunError(message)
-    _entry(layout.run).unlink(missing_ok=True)
+    with locked():  # or a command that changes the entry would bring it back
+        _entry(layout.run).unlink(missing_ok=True)
 
 
 def sweep() -> list[Owner]:
@@ -106,6 +165,25 @@ def sweep() -> list[Owner]:
     """
     dead = [layout for layout in registered() if not layout.owner.is_alive()]
     return [layout.owner for layout in dead if _sweep(layout)]
+
+
+def _raise_if_kept(robot: str, run: str) -> None:
+    for other in registered():
+        is_kept = other.kept is not None and other.kept.robot == robot
+        if is_kept and other.run != run and other.owner.is_alive():
+            message = (
+                f"robot '{robot}' has emulated computers already, of process "
+                f"{other.owner.pid}: `poise emulate stop {robot}` ends them"
+            )
+            raise UsageError(message)
+
+
+def _is_locked(handle: int) -> bool:
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 def _sweep(layout: EmulationLayout) -> bool:

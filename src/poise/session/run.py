@@ -76,7 +76,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         kept = stack.enter_context(keeping(robot, placed.where, record, say))
         sampling = Sampling(kept.samples.add) if record else None
         up = stack.enter_context(
-            started(kept.robot, placed.where, book, say, sampling, check)
+            started(kept.robot, placed.where, book, say, sampling, check, use_kept=True)
         )
         say(f"running task '{chosen}' for up to {seconds:g} s")
         seen = _measure(up, seconds, meanwhile)

@@ -200,7 +200,15 @@ def up(  # noqa: PLR0913 - each is a choice of the user
             )
         waiting = Recording()
         it = stack.enter_context(
-            started(robot, placed.where, book, say, Sampling(waiting.add), check)
+            started(
+                robot,
+                placed.where,
+                book,
+                say,
+                Sampling(waiting.add),
+                check,
+                use_kept=True,
+            )
         )
         agents = it.run.agents
         if metrics is not None:

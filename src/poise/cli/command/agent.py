@@ -18,7 +18,7 @@ from poise.errors import UsageError
 from poise.runtime.agent.agent import Agent, AgentSetup, ignore
 from poise.session.launch.temporary_folders import scratch_folder
 from poise.units import SECONDS
-from poise.wire.control_session import locator
+from poise.wire.control_session import LEASE, locator
 
 _PORTS = 1 << 16
 
@@ -47,6 +47,9 @@ def agent_command(
     lifeline: Annotated[
         int | None, typer.Option(hidden=True, help="End at this descriptor's end.")
     ] = None,
+    lease: Annotated[
+        float, typer.Option(hidden=True, help="Who is silent so long [s] is lost.")
+    ] = LEASE,
 ) -> None:
     """Run the containers of this computer until Ctrl-C.
 
@@ -76,6 +79,7 @@ def agent_command(
                 peers=tuple(locator(_endpoint("--peer", each)) for each in peer or ()),
                 folder=str(place),
                 lifeline=lifeline,
+                lease=lease,
                 sample_every=parse_option("--sample-every", sample_every, SECONDS),
             ),
             say=_say if lifeline is None else ignore,

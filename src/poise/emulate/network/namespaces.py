@@ -17,6 +17,8 @@ _LIMIT = 10.0
 """Time limit of `ip` and `tc` for a whole batch [s]."""
 _LONGEST_QUEUE = 0.04
 """What waits longer than this before a link is dropped [s]."""
+_NOBODY = "02:00:00:00:00:00"
+"""A hardware address that no interface has."""
 _UNLIMITED = 1.25e10
 """The bandwidth of a link without a limit [bytes/s]."""
 _PACKET = 1514
@@ -97,6 +99,31 @@ def shape(network: NetworkPlan, *, delays: bool) -> None:
     """Give the links their bandwidth and latency; RunError when `tc` refuses."""
     for namespace, commands in shaping(network, delays=delays):
         _run("tc", namespace, commands)
+
+
+def detach(network: NetworkPlan, index: int) -> None:
+    """Pull the other end of a computer's cable: packets vanish, and nobody is told."""
+    _run("ip", network.switch, [f"link set port{index} nomaster"])
+
+
+def attach(network: NetworkPlan, index: int) -> None:
+    """Put the cable in again."""
+    _run("ip", network.switch, [f"link set port{index} master bridge"])
+
+
+def cut(network: NetworkPlan, one: int, other: int) -> None:
+    """Let packets between two computers vanish: their hardware addresses are wrong."""
+    for source, target in ((one, other), (other, one)):
+        address = network.cables[target].address
+        command = f"neigh replace {address} lladdr {_NOBODY} nud permanent dev eth0"
+        _run("ip", network.cables[source].namespace, [command])
+
+
+def join(network: NetworkPlan, one: int, other: int) -> None:
+    """End a cut between two computers."""
+    for source, target in ((one, other), (other, one)):
+        command = f"neigh del {network.cables[target].address} dev eth0"
+        _run("ip", network.cables[source].namespace, [command])
 
 
 def can_delay(namespace: str) -> bool:

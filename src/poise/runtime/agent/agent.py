@@ -79,6 +79,8 @@ class AgentSetup(Struct, frozen=True, kw_only=True):
         A folder of its own for sockets.
     lifeline
         A file descriptor at whose end of file the agent ends; None: it runs on.
+    lease
+        Who is silent for this time [s] is lost.
     sample_every
         How often it tells what its containers count [s]; 0: never.
     """
@@ -91,6 +93,7 @@ class AgentSetup(Struct, frozen=True, kw_only=True):
     peers: tuple[str, ...] = ()
     folder: str
     lifeline: int | None = None
+    lease: float = LEASE
     sample_every: float = SAMPLE_EVERY
 
 
@@ -162,14 +165,12 @@ class Agent:
 
     def _run_in(self, setup: AgentSetup) -> None:
         prefix = f"poise/{setup.robot}"
-        # beside its manager it is never cut off, but may have to wait for its turn
-        lease = LEASE if setup.lifeline is None else 10.0
         with (
             Gateway(Path(setup.folder), setup.address, setup.gateway) as gateway,
             open_session(
                 listen=[self._locator],
                 connect=setup.peers,
-                lease=lease,
+                lease=setup.lease,
             ) as session,
         ):
             self._gateway, self._trouble = str(gateway), gateway.warning.trouble

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import subprocess
-import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from poise.clock import SystemClock
-from poise.emulate import EmulatedComputer, Emulation, StarvationWatch
-from poise.endpoint import AGENT_PORT, Endpoint
+from poise.emulate import EmulatedComputer, EmulatedSet, StarvationWatch, set_for
+from poise.endpoint import Endpoint
 from poise.errors import RunError
 from poise.model.robot import Robot
-from poise.session.launch.printer import STDERR, Printer, relay
+from poise.session.launch.emulated_agents import (
+    UNCUT_LEASE,
+    agent_of,
+    emulated_agents,
+)
 from poise.session.say import Say
-from poise.units import counted
 from poise.wire.control_session import LEASE, locator
 from poise.wire.records.samples import SAMPLE_EVERY
 
@@ -33,12 +34,8 @@ class Computers:
         Computer -> zenoh endpoint of its agent.
     without
         What the emulation does without.
-    watch
-        Returns a watch for starvation by the host; None: the computers are real.
     agents
         Computer -> the process of its agent, where it was started here.
-    faster
-        Computer -> how many times more CPU it has than the robot file says.
     emulated
         The emulated computers, by name; none of a real robot.
 
@@ -52,22 +49,22 @@ class Computers:
         self,
         endpoints: Mapping[str, str],
         without: tuple[str, ...] = (),
-        watch: Callable[[], StarvationWatch] | None = None,
         agents: Mapping[str, subprocess.Popen[bytes]] | None = None,
-        faster: Mapping[str, float] | None = None,
         emulated: Mapping[str, EmulatedComputer] | None = None,
     ) -> None:
         self.endpoints = endpoints
-        self.faster = faster or {}
         self.emulated = emulated or {}
         self._agents = agents or {}
-        # nothing can cut off agents that were started here, but they may be starved
-        self.lease = 10.0 if agents else LEASE
+        self.lease = UNCUT_LEASE if agents else LEASE
         self.without = without
-        self._make_watch = watch
         self._watch: StarvationWatch | None = None
         self._clock = SystemClock()
         self._began = 0.0
+
+    @property
+    def faster(self) -> Mapping[str, float]:
+        """Computer -> how many times more CPU it has than the robot file says."""
+        return {name: computer.slowdown for name, computer in self.emulated.items()}
 
     def raise_if_ended(self) -> None:
         """Raise RunError when the process of an agent ended."""
@@ -78,7 +75,8 @@ class Computers:
     def begin(self) -> None:
         """Judge from now on whether the host gives what the emulation promised."""
         self._began = self._clock.now()
-        self._watch = self._make_watch() if self._make_watch else None
+        if self.emulated:
+            self._watch = StarvationWatch(self.emulated, self._clock)
 
     def look(self) -> None:
         """Judge the moment; call it a few times a second."""
@@ -108,7 +106,12 @@ class Computers:
 
 @contextlib.contextmanager
 def computers_of(
-    robot: Robot, folder: Path, say: Say, sample_every: float = SAMPLE_EVERY
+    robot: Robot,
+    folder: Path,
+    say: Say,
+    sample_every: float = SAMPLE_EVERY,
+    *,
+    use_kept: bool = False,
 ) -> Iterator[Computers]:
     """Give the robot's real computers, or emulate all of them on this one.
 
@@ -117,69 +120,47 @@ def computers_of(
     sample_every
         How often emulated computers tell what they use [s]; real ones were told by
         ``poise agent``.
+    use_kept
+        Whether emulated ones that ``poise emulate`` keeps are used, if there are.
+
+    Raises
+    ------
+    UsageError
+        ``poise emulate`` keeps other computers of a robot of this name.
     """
     addresses = {c.name: c.address for c in robot.computers if c.address}
-    if not addresses:
-        with _emulated(robot, folder, say, sample_every) as computers:
+    if addresses:
+        yield Computers({n: locator(Endpoint.parse(a)) for n, a in addresses.items()})
+        return
+    kept = set_for(robot) if use_kept else None
+    if kept is not None:
+        with _kept(kept, say) as computers:
             yield computers
         return
-    yield Computers({n: locator(Endpoint.parse(a)) for n, a in addresses.items()})
+    with emulated_agents(robot, folder, say, sample_every=sample_every) as agents:
+        yield Computers(
+            _endpoints(agents.emulation.computers),
+            agents.emulation.without,
+            agents.processes,
+            agents.emulation.computers,
+        )
 
 
 @contextlib.contextmanager
-def _emulated(
-    robot: Robot, folder: Path, say: Say, sample_every: float
-) -> Iterator[Computers]:
-    say(f"emulating {counted(len(robot.computers), 'computer')} on this one")
-    # an agent ends at the end of its lifeline, so even a killed manager leaves none
-    lifeline, held = os.pipe()
+def _kept(kept: EmulatedSet, say: Say) -> Iterator[Computers]:
+    """Use computers that another process keeps, and leave them up."""
+    state, keeper = kept.state(), kept.layout.owner.pid
+    say(f"using the emulated computers that process {keeper} keeps")
+    for fault in state.faults:
+        say(f"  {fault}")
     try:
-        with (
-            # what components print must not get into a JSON report
-            Printer(STDERR) as printer,
-            relay(printer) as output,
-            Emulation(robot, folder) as emulation,
-        ):
-            for sentence in emulation.without:
-                say(f"  without {sentence}")
-            computers = emulation.computers
-            agents_at = {
-                name: Endpoint(computer.address, AGENT_PORT)
-                for name, computer in computers.items()
-            }
-            agents = {}
-            for name in computers:
-                argv = _agent(robot.name, emulation, name, agents_at)
-                argv += ["--lifeline", str(lifeline)]
-                argv += ["--sample-every", str(sample_every)]
-                agents[name] = computers[name].popen(
-                    argv,
-                    stdin=subprocess.DEVNULL,
-                    stdout=output,
-                    stderr=output,
-                    pass_fds=[lifeline],
-                )
-            yield Computers(
-                {name: locator(agent) for name, agent in agents_at.items()},
-                emulation.without,
-                lambda: StarvationWatch(computers, SystemClock()),
-                agents,
-                {name: computer.slowdown for name, computer in computers.items()},
-                computers,
-            )
+        yield Computers(
+            _endpoints(kept.computers), state.without, emulated=kept.computers
+        )
     finally:
-        os.close(lifeline)
-        os.close(held)
+        for computer in kept.computers.values():
+            computer.end_started()
 
 
-def _agent(
-    robot: str, emulation: Emulation, name: str, agents_at: Mapping[str, Endpoint]
-) -> list[str]:
-    """Return the command line of a computer's agent."""
-    computer = emulation.computers[name]
-    argv = [sys.executable, "-m", "poise", "agent", name, "--robot", robot]
-    argv += ["--address", computer.address, "--folder", str(computer.folder)]
-    for other, agent in agents_at.items():
-        if other != name:
-            argv += ["--peer", str(agent)]
-    return argv
+def _endpoints(computers: Mapping[str, EmulatedComputer]) -> dict[str, str]:
+    return {name: locator(agent_of(computer)) for name, computer in computers.items()}

@@ -85,6 +85,8 @@ def started(
     say: Say,
     sampling: Sampling | None = None,
     check: Check = nothing,
+    *,
+    use_kept: bool = False,
 ) -> Iterator[Started]:
     """Start a robot's components on its computers; stop and remove all afterwards.
 
@@ -95,6 +97,8 @@ def started(
     check
         Called several times a second while all starts and is watched; may raise to end
         that.
+    use_kept
+        Whether computers that ``poise emulate`` keeps are used, if there are.
 
     Raises
     ------
@@ -112,7 +116,9 @@ def started(
                 look.take(sample)
 
         computers = stack.enter_context(
-            computers_of(robot, folder / "computers", say, look.every)
+            computers_of(
+                robot, folder / "computers", say, look.every, use_kept=use_kept
+            )
         )
         world = stack.enter_context(world_of(robot, folder, check))
         agents = stack.enter_context(
