@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 NATIVE := $(shell find src CMakeLists.txt -name '*.cpp' -o -name '*.h' -o -name CMakeLists.txt)
 
-.PHONY: setup demo quick test soak coverage lint stubs sanitize clean
+.PHONY: setup demo quick test exhaustive soak coverage lint stubs sanitize clean
 setup: .venv/.ready
 
 .venv/.ready: pyproject.toml $(NATIVE)
@@ -19,7 +19,11 @@ demo: setup
 # what takes long comes first (tests/order.py), so that both workers end together
 PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadgroup --no-loadscope-reorder
 test: setup
-	@$(PYTEST)
+	@$(PYTEST) -m "not exhaustive"
+
+# what explores for long
+exhaustive: setup
+	@$(PYTEST) -m exhaustive
 
 # no process, no socket, no sleep
 quick: setup

@@ -19,8 +19,13 @@ SMALL = [
     Bounds(messages=1, kills=1, killed="S"),
     Bounds(messages=1, kills=1, killed="on", speaks=True),
     Bounds(messages=0, callers="r", kills=1, killed="on"),
-    Bounds(messages=0, movers=2, callers="u"),
-    Bounds(messages=0, movers=2, callers="d"),
+    *(
+        pytest.param(bounds, marks=pytest.mark.exhaustive)
+        for bounds in (
+            Bounds(messages=0, movers=2, callers="u"),
+            Bounds(messages=0, movers=2, callers="d"),
+        )
+    ),
 ]
 
 

@@ -29,9 +29,14 @@ BOUNDS = [
     Bounds(messages=0, movers=2, kills=1, killed="o"),
     Bounds(messages=0, movers=2, callers="d"),
     Bounds(messages=0, movers=2, callers="u"),
-    Bounds(messages=0, movers=2, callers="du", gives_up=1, late=False),
-    Bounds(messages=0, movers=2, callers="d", kills=1, killed="n"),
-    Bounds(messages=0, movers=2, callers="u", kills=1, killed="N"),
+    *(
+        pytest.param(bounds, marks=pytest.mark.exhaustive)
+        for bounds in (
+            Bounds(messages=0, movers=2, callers="du", gives_up=1, late=False),
+            Bounds(messages=0, movers=2, callers="d", kills=1, killed="n"),
+            Bounds(messages=0, movers=2, callers="u", kills=1, killed="N"),
+        )
+    ),
 ]
 BUGS = [
     ("no drain", Bounds(messages=0, callers="r"), "a chain is inside"),
