@@ -96,8 +96,8 @@ def break_by(up: Path, harm: Callable[[int], object]) -> list[Entry]:
 def test_a_kill_is_one_line_and_its_end_another(up: Path) -> None:
     wrong, right = break_by(up, lambda pid: os.kill(pid, signal.SIGKILL))
     assert wrong.what == (
-        "container 'working' on 'small' was killed by SIGKILL; the state of 'worker', "
-        "'other' is gone: they restart"
+        "container 'working' on 'small' was killed by SIGKILL; the state of 'other', "
+        "'worker' is gone: they restart"
     )
     assert right.what == "container 'working' on 'small' runs as it should again"
     done = run_poise("status", "--robot", NAME)

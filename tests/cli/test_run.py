@@ -12,10 +12,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 from poise.cli.command.run import run_command
-from poise.cli.command_table import build
 from poise.emulate import sweep
 from poise.errors import PoiseError
 from poise.runtime.waker import wait_readable
@@ -214,8 +212,7 @@ def test_used_wrongly_it_says_so_and_starts_nothing(
     "arguments", [["--task", "greet", "--placement", "lucky"], ["--tsak", "greet"]]
 )
 def test_options_that_are_wrong_end_with_code_2(arguments: list[str]) -> None:
-    result = CliRunner().invoke(build(["run"]), ["run", str(HELLO), *arguments])
-    assert result.exit_code == 2
+    assert run_poise("run", HELLO, *arguments).returncode == 2
 
 
 @pytest.mark.parametrize("command", ["run", "up"])

@@ -312,7 +312,8 @@ from poise.model.robot import Robot
 robot = msgspec.json.decode(sys.stdin.buffer.read(), type=Robot)
 with Emulation(robot, Path(sys.argv[1]) / "run") as emulation:
     for computer in emulation.computers.values():
-        child = computer.popen(["tc", "qdisc"], stdout=subprocess.PIPE)
+        argv = ["tc", "class", "show", "dev", "eth0"]
+        child = computer.popen(argv, stdout=subprocess.PIPE)
         print(child.communicate(timeout=20)[0].decode())
     print(*emulation.without, sep="\\n")
 """

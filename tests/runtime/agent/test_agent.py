@@ -11,6 +11,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
+from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
@@ -591,9 +592,10 @@ def test_a_step_in_a_container_whose_interpreter_is_held_fails_at_once(
 
 def limit_descriptors(pid: int, more: int | None) -> None:
     """Let a process open only `more` descriptors besides those that it has."""
-    used = 1 + max(int(file.name) for file in _descriptors(pid))
+    used = {int(file.name) for file in _descriptors(pid)}
     _, hard = resource.prlimit(pid, resource.RLIMIT_NOFILE)
-    limit = hard if more is None else used + more
+    free = (number for number in count() if number not in used)
+    limit = hard if more is None else next(islice(free, more, None))
     resource.prlimit(pid, resource.RLIMIT_NOFILE, (limit, hard))
 
 

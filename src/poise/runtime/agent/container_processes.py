@@ -201,11 +201,12 @@ class ContainerProcess:
 
     def loss(self) -> str:
         """Return which components lost their state with it, in words."""
-        names = [f"'{c.name}'" for c in self._components() if c.state == "active"]
-        if not names:
+        lost = sorted(c.name for c in self._components() if c.state == "active")
+        if not lost:
             return ""
-        restart = "it restarts" if len(names) == 1 else "they restart"
-        return f"the state of {', '.join(names)} is gone: {restart}"
+        names = ", ".join(f"'{name}'" for name in lost)
+        restart = "it restarts" if len(lost) == 1 else "they restart"
+        return f"the state of {names} is gone: {restart}"
 
     def may_be_oom(self, how: ProcessEnd | str) -> bool:
         """Return whether the kernel may have ended it, or one of its commands."""
