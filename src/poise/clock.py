@@ -67,7 +67,7 @@ class ComponentClock(Clock, Protocol):
     def since(self, stamp: Stamp) -> Elapsed | None:
         """Return how long ago `stamp` was, whatever computer's clock it was read on.
 
-        None: no round trip to that computer was made yet, so nobody knows.
+        None: not known, because no round trip to that computer was made yet.
         """
         ...
 

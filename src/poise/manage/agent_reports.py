@@ -101,7 +101,7 @@ class AgentReports:
             raise RunError("; ".join(others))
 
     def take_refused(self) -> list[str]:
-        """Return why records were refused that nobody was told of; each reason once."""
+        """Return new reasons why records were refused, each once."""
         with self._changed:
             new = self._refused[self._num_taken :]
             self._num_taken = len(self._refused)

@@ -29,7 +29,7 @@ FILLS_INTERPRETER = 0.5
 one Python process share one core."""
 
 _STRANGERS = {"stay", "inactive"}
-"""Who goes and who comes in an exchange are not joined."""
+"""The source and the target of a migration are not connected with each other."""
 
 Placement = Mapping[str, str]
 

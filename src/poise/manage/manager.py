@@ -96,7 +96,7 @@ class Manager:
 
     @property
     def is_stopping(self) -> bool:
-        """Whether somebody asked for the robot's stop."""
+        """Whether a client asked for the robot's stop."""
         return self._stopping.is_set()
 
     def submit(self, command: Command) -> Results:

@@ -9,7 +9,7 @@ Say = Callable[[str], object]
 """Takes a sentence."""
 
 log = logging.getLogger("poise")
-"""Takes sentences where nobody else does."""
+"""Takes sentences by default."""
 
 Check = Callable[[], object]
 """Called several times a second while a function waits; may raise to end that."""

@@ -51,7 +51,7 @@ def replace_architecture(
     ------
     UsageError
         It does not run, the other is no alternative, one of them is not in the
-        sequencing layer, somebody calls what the other does not offer, or state would
+        sequencing layer, a caller needs what the other does not offer, or state would
         be lost; nothing was touched.
     """
     old, new = _checked(run, architecture, by)
@@ -115,7 +115,7 @@ def _checked(run: Run, name: str, by: str) -> tuple[Architecture, Architecture]:
 
 
 def _check_stateless(run: Run, old: Architecture) -> None:
-    """Raise UsageError when a component has a state that nobody would take."""
+    """Raise UsageError when a component's state would be lost."""
     placed = {run.placed[c.name].computer for c in old.components}
     names = {c.name for c in old.components}
     statuses = run.agents.statuses()
@@ -129,7 +129,7 @@ def _check_stateless(run: Run, old: Architecture) -> None:
 
 
 def _check_callers(run: Run, old: Architecture, new: Architecture) -> None:
-    """Raise UsageError when somebody calls `old` and could not call `new` then."""
+    """Raise UsageError when a caller of `old` could not call `new`."""
     layout = run.layout
     olds, news = ({c.name for c in each.components} for each in (old, new))
     others = run.placed.keys() - olds

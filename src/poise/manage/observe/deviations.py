@@ -16,7 +16,7 @@ from poise.wire.records.deployment import (
 )
 
 _CRASH_LOOP = 3
-"""A container is in a crash loop after so many restarts within a minute."""
+"""Restarts within a minute that make a crash loop."""
 
 
 class Deviation(Struct, frozen=True, kw_only=True):

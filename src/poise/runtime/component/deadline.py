@@ -1,4 +1,4 @@
-"""How long somebody waits for what a component does, and how to wait no longer.
+"""Deadlines: how long a caller still waits, and how to limit the calls of a block.
 
 A call's limit holds for all that is done in it: a call that the callee makes meanwhile
 has what is left of that, in whatever container. The code is native

@@ -16,7 +16,7 @@ class RemoteClock:
     Parameters
     ----------
     ask
-        Returns how far it is ahead, None as long as nobody knows. Not given: it is
+        Returns how far it is ahead, None while it is not known. Not given: it is
         this computer's clock.
     """
 
@@ -36,4 +36,4 @@ class RemoteClock:
 
 
 def nobody_knows(_: str) -> None:
-    """Return None: nobody knows how far any computer's clock is ahead."""
+    """Return None: no computer's clock is known."""

@@ -31,7 +31,7 @@ class ComputerClock(SystemClock):
         return Elapsed(self.now() + ahead.value - stamp.at, ahead.error)
 
     def ahead(self, computer: str) -> Elapsed | None:
-        """Return how far another computer's clock is ahead [s]; None: nobody knows."""
+        """Return how far another computer's clock is ahead [s]; None: not known."""
         known = self.others.get(computer)
         if known is None:
             return None

@@ -1,4 +1,4 @@
-"""Prints on a thread of its own: a pipe that nobody reads holds up nobody else."""
+"""Prints on a thread of its own, so that a full pipe blocks no other thread."""
 
 from __future__ import annotations
 

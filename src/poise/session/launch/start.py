@@ -93,7 +93,7 @@ def started(
     Parameters
     ----------
     sampling
-        Who takes the agents' samples; None: nobody.
+        What takes the agents' samples; None: they are not taken.
     check
         Called several times a second while all starts and is watched; may raise to end
         that.

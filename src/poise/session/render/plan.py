@@ -16,7 +16,7 @@ BAR = 10
 MOST_NAMES = 25
 """How many components of one computer are named; `--json` names all."""
 _MOST_BARS = 3
-"""Bars of so many placements fit side by side."""
+"""The most placements whose bars fit side by side."""
 
 
 def plan_parts(result: plan.Result) -> tuple[RenderableType, ...]:
