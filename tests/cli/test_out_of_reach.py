@@ -20,7 +20,9 @@ from poise.manage.control_socket.records import (
     RobotStatus,
     StatusCommand,
 )
+from poise.manage.statuses import connectors_of
 from poise.model.robot import Computer, Robot
+from poise.wire.records.deployment import ConnectorStatus
 from tests.command import POISE, run_poise
 from tests.waiting import LONG, wait_long
 
@@ -30,10 +32,16 @@ NAMES = ("left", "right", "third")
 MORE = {"right": ", resources: {lift: 1}"}
 """What only one of them has."""
 CODE = """
+import os
 from poise import Component, Message, Published, every, subscribed
 
 class Number(Message):
     value: int
+
+def tell(what, number):
+    path = os.path.join(os.path.dirname(__file__), what)
+    with open(path, "w") as file:
+        file.write(str(number))
 
 class Source(Component):
     numbers: Published[Number]
@@ -41,13 +49,19 @@ class Source(Component):
 
     @every(0.05)
     def tick(self):
+        if os.path.exists(os.path.join(os.path.dirname(__file__), "halt")):
+            return
         self.count += 1
+        tell("sent", self.count)
         self.numbers.publish(Number(self.count))
 
 class Sink(Component):
+    count = 0
+
     @subscribed(keep=10)
     def numbers(self, message: Number):
-        pass
+        self.count += 1
+        tell("came", self.count)
 
 class Alone(Component):
     pass
@@ -222,6 +236,30 @@ def test_components_of_a_lost_computer_go_on_elsewhere(field: Field, up: Up) -> 
         if component.name == "source" and component.state == "active"
     ]
     assert active == [there]
+
+
+def test_what_a_cut_loses_is_counted(field: Field, up: Up) -> None:
+    """At the source, where it could not go out; at the target, what did not come."""
+    field.set_cable("right", "down")
+    up.wait_for("computer 'right' is out of reach since")
+    wait_long(lambda: ends(field)["source"].drops > 0)
+    field.set_cable("right", "up")
+    up.wait_for("computer 'right' is reached again")
+    (field.folder / "halt").touch()
+
+    def is_all_counted() -> bool:
+        source, target = (ends(field)[end] for end in ("source", "target"))
+        return source.messages == target.messages + target.drops
+
+    wait_long(is_all_counted)
+    lost = ends(field)["source"].drops + ends(field)["target"].drops
+    sent, came = (int((field.folder / name).read_text()) for name in ("sent", "came"))
+    assert sent == came + lost
+
+
+def ends(field: Field) -> dict[str, ConnectorStatus]:
+    """Return what the two ends of the connector counted."""
+    return {each.end: each for each in connectors_of(field.status().computers)}
 
 
 def test_what_must_stay_on_a_lost_computer_is_missing(field: Field, up: Up) -> None:

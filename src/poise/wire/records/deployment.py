@@ -228,7 +228,10 @@ class TimerStatus(Struct, frozen=True, kw_only=True):
 
 
 class ConnectorStatus(Struct, frozen=True, kw_only=True):
-    """What one end of a connector counted.
+    """What one end of a connector counted, since its component began to run there.
+
+    So after a move or a replacement of the target alone, its end counts from 0, and the
+    source's goes on.
 
     Parameters
     ----------
