@@ -51,7 +51,10 @@ def _needs_namespaces() -> None:
 
 
 def hello(folder: Path, name: str) -> Path:
-    """Return the file of a robot with the computers left and right."""
+    """Return the file of a robot with the computers left and right.
+
+    The sets of a user are found by name: other tests that run now have others.
+    """
     shutil.copy(HELLO / "hello.py", folder)
     text = (HELLO / "robot.yaml").read_text().replace("robot: hello", f"robot: {name}")
     (folder / "robot.yaml").write_text(text)
@@ -60,13 +63,18 @@ def hello(folder: Path, name: str) -> Path:
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return hello(tmp_path_factory.mktemp("kept"), "kept")
+    return hello(tmp_path_factory.mktemp("kept"), f"kept-{os.getpid()}")
 
 
 @pytest.fixture(scope="module")
 def kept(file: Path) -> Iterator[EmulatedSet]:
     with poise.emulated(poise.load(file), say=print) as emulated:
         yield emulated
+
+
+def emulate(kept: EmulatedSet, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run a command on a set."""
+    return run_poise("emulate", *words, "--robot", kept.robot)
 
 
 def agent_of(kept: EmulatedSet, computer: str) -> int:
@@ -93,6 +101,16 @@ def test_a_run_uses_them_and_leaves_them_up(kept: EmulatedSet, file: Path) -> No
     assert [agent_of(kept, name) for name in kept.computers] == agents
 
 
+def test_what_a_manager_started_on_them_ends_with_it(
+    kept: EmulatedSet, file: Path
+) -> None:
+    with poise.up(poise.load(file)) as running:
+        child = running.emulated["left"].popen(["sleep", "600"])
+        wait_until(lambda: child.pid in kept.computers["left"].running())
+    assert child.returncode is not None
+    assert agent_of(kept, "left")
+
+
 def test_a_robot_with_other_computers_is_refused(
     kept: EmulatedSet, tmp_path: Path
 ) -> None:
@@ -100,7 +118,7 @@ def test_a_robot_with_other_computers_is_refused(
     other.write_text(other.read_text().replace("right: {cpu: 0.5", "right: {cpu: 0.4"))
     done = run_poise("run", other, "--for", "1s")
     assert done.returncode == 2
-    assert "`poise emulate stop kept` ends them" in done.stderr
+    assert f"`poise emulate stop {kept.robot}` ends them" in done.stderr
     done = run_poise("emulate", other)
     assert done.returncode == 2
     assert "has emulated computers already" in done.stderr
@@ -124,12 +142,12 @@ def test_a_cut_is_silent_and_heals(kept: EmulatedSet) -> None:
 
     assert ask(20) == "x"
     for on in (("left", "right"), ("right",)):
-        assert run_poise("emulate", "cut", *on).returncode == 0
+        assert emulate(kept, "cut", *on).returncode == 0
         assert ask(0.5) == "silence"
-        again = run_poise("emulate", "cut", *on)
+        again = emulate(kept, "cut", *on)
         assert again.returncode == 2
         assert f"`poise emulate heal {' '.join(on)}` ends it" in again.stderr
-        assert run_poise("emulate", "heal", *on).returncode == 0
+        assert emulate(kept, "heal", *on).returncode == 0
         assert ask(20).startswith("x")
     assert kept.state().faults == ()
     for process in (client, server):
@@ -142,16 +160,16 @@ def test_a_manager_loses_a_broken_computer_until_it_is_booted(
 ) -> None:
     with robot_up(file):
         robot = poise.connect(kept.robot)
-        assert run_poise("emulate", break_, "right").returncode == 0
+        assert emulate(kept, break_, "right").returncode == 0
         wait_long(lambda: "right" in robot.status().out_of_reach)
-        (fault,) = json.loads(run_poise("emulate", "list", "--json").stdout)[0][
-            "faults"
-        ]
+        listed = json.loads(run_poise("emulate", "list", "--json").stdout)
+        (faults,) = (each["faults"] for each in listed if each["robot"] == kept.robot)
+        (fault,) = faults
         assert fault["on"] == ["right"]
-        assert run_poise("emulate", break_, "right").returncode == 2
-        assert run_poise("emulate", "boot", "right").returncode == 0
+        assert emulate(kept, break_, "right").returncode == 2
+        assert emulate(kept, "boot", "right").returncode == 0
         wait_long(lambda: not robot.status().out_of_reach)
-    assert run_poise("emulate", "boot", "right").returncode == 2
+    assert emulate(kept, "boot", "right").returncode == 2
 
 
 def test_a_killed_agent_is_started_again(kept: EmulatedSet, file: Path) -> None:
@@ -171,7 +189,7 @@ def test_a_load_takes_what_it_is_to_take(kept: EmulatedSet) -> None:
     wait_until(lambda: left.usage().used - before > 0.25)
     assert load.cpu == 0.25
     (pid,) = load.processes
-    assert pid in left.running()
+    wait_until(lambda: pid in left.running())
     kept.load("left", 0.0)
     assert pid not in left.running()
     with pytest.raises(poise.UsageError, match="'left' has no load"):
@@ -192,7 +210,7 @@ def test_a_slow_link_carries_less(kept: EmulatedSet) -> None:
         ]
 
     assert rates() == ["100Mbit", "100Mbit"]
-    done = run_poise("emulate", "slow", "left", "right", "--bandwidth", "1Mbit/s")
+    done = emulate(kept, "slow", "left", "right", "--bandwidth", "1Mbit/s")
     assert done.returncode == 0, done.stderr
     assert rates() == ["1Mbit", "1Mbit"]
     kept.heal("right", "left")
@@ -201,10 +219,10 @@ def test_a_slow_link_carries_less(kept: EmulatedSet) -> None:
 
 def test_wrong_names_are_refused(kept: EmulatedSet) -> None:
     for words in (["cut", "left", "lift"], ["cut", "left", "left"], ["boot", "lift"]):
-        done = run_poise("emulate", *words)
+        done = emulate(kept, *words)
         assert done.returncode == 2
         assert f"'{words[-1]}'" in done.stderr
-    done = run_poise("emulate", "crash", "left", "--robot", "other")
+    done = run_poise("emulate", "crash", "left", "--robot", "nobody")
     assert done.returncode == 2
     assert "`poise emulate FILE` brings them up" in done.stderr
     with pytest.raises(poise.UsageError, match="give a bandwidth or a latency"):
@@ -212,17 +230,19 @@ def test_wrong_names_are_refused(kept: EmulatedSet) -> None:
 
 
 def test_what_a_killed_keeper_left_is_swept(kept: EmulatedSet, tmp_path: Path) -> None:
-    file = hello(tmp_path, "second")
+    name = f"second-{os.getpid()}"
+    file = hello(tmp_path, name)
     argv = [*POISE, "emulate", str(file)]
     with subprocess.Popen(argv, stdout=subprocess.PIPE, text=True) as keeper:
         assert keeper.stdout
         assert any("are up" in line for line in keeper.stdout)
-        second = find_set("second")
+        second = find_set(name)
         done = run_poise("emulate", "freeze", "left")
         assert done.returncode == 2  # which robot's?
-        assert "kept, second" in done.stderr
+        assert kept.robot in done.stderr
+        assert name in done.stderr
         agent_of(second, "left")
-        done = run_poise("emulate", "freeze", "left", "--robot", "second")
+        done = emulate(second, "freeze", "left")
         assert done.returncode == 0, done.stderr
         keeper.kill()
     assert second.layout.owner in sweep()
@@ -232,18 +252,18 @@ def test_what_a_killed_keeper_left_is_swept(kept: EmulatedSet, tmp_path: Path) -
         for c in second.layout.computers
         for each in (*c.groups, c.folder, f"/run/netns/{c.namespace}")
     )
-    assert find_set() is not None
     assert kept.state().since
 
 
 def test_stop_ends_them(tmp_path: Path) -> None:
-    file = hello(tmp_path, "ending")
+    name = f"ending-{os.getpid()}"
+    file = hello(tmp_path, name)
     argv = [*POISE, "emulate", str(file)]
     with subprocess.Popen(argv, stdout=subprocess.PIPE, text=True) as keeper:
         assert keeper.stdout
         assert any("are up" in line for line in keeper.stdout)
-        ending = find_set("ending")
-        assert run_poise("emulate", "stop", "ending").returncode == 0
+        ending = find_set(name)
+        assert run_poise("emulate", "stop", name).returncode == 0
         assert keeper.wait(timeout=LONG) == 128 + signal.SIGTERM
     assert read(ending.layout.run) is None
     with pytest.raises(poise.UsageError, match="have ended"):

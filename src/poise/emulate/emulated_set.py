@@ -206,7 +206,7 @@ class EmulatedSet:
                 _add(faults, "load", on, cpu=cpu, processes=pids)
 
     def stop(self) -> None:
-        """End the set, and wait until it is gone.
+        """End the process that keeps the set, and wait until both are gone.
 
         Raises
         ------
