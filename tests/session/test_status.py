@@ -67,6 +67,14 @@ def test_says_what_is_needed_how_sure_that_is_and_what_was_expected() -> None:
     assert list(remarks(answer)) == [f"{NAME}: 12 errors, starved 40%"]
 
 
+def test_the_state_on_a_computer_that_is_out_of_reach_is_unknown() -> None:
+    answer = status(Estimate(mean=0.1, p95=0.1, error=0.012))
+    assert "active" in lines(answer)[0]
+    (row,) = lines(replace(answer, out_of_reach={"vision": 0.0}))
+    assert "unknown" in row
+    assert "active" not in row
+
+
 def test_says_what_was_raised_last_whatever_it_holds() -> None:
     error = "Traceback (most recent call last):\n  somewhere\nKeyError: '[/red]'"
     answer = status(Estimate(mean=0.1, p95=0.1, error=0.01))

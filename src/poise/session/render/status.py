@@ -47,7 +47,9 @@ def component_table(answer: RobotStatus) -> Table:
     """Return where components are and what they need, by computer."""
     rows = table("component", "computer", "state", "CPU", "profile", folds=1)
     for computer, component, standing in _each(answer):
-        rows.add_row(component.name, computer, component.state, *_needs(standing))
+        is_known = computer not in answer.out_of_reach
+        state = component.state if is_known else "unknown"
+        rows.add_row(component.name, computer, state, *_needs(standing))
     return rows
 
 
