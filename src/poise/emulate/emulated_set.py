@@ -25,7 +25,6 @@ from poise.emulate.layout import EmulationLayout, KeptSet
 from poise.emulate.network import namespaces
 from poise.emulate.network.plan import NetworkPlan, Shape
 from poise.errors import RunError, UsageError
-from poise.model.robot import Robot
 
 BOOT_LIMIT = 10.0
 """A computer's agent is started again within this time [s]."""
@@ -287,62 +286,6 @@ class EmulatedSet:
     def _end(self, computer: str, pids: tuple[int, ...]) -> None:
         running = self.computers[computer].running  # or their numbers are others'
         processes.stop(lambda: sorted(set(pids) & set(running())), ask=0.0)
-
-
-def find_set(robot: str | None = None) -> EmulatedSet:
-    """Return the emulated computers that a process of this user keeps.
-
-    Parameters
-    ----------
-    robot
-        Whose; None: of the only robot that has some.
-
-    Raises
-    ------
-    UsageError
-        There are none, or of several robots and none is named.
-    """
-    found = {each.robot: each for each in all_sets()}
-    if robot is None and len(found) == 1:
-        return next(iter(found.values()))
-    if robot in found:
-        return found[robot]
-    names = ", ".join(found) or "none"
-    if robot is None and found:
-        raise UsageError(f"several robots have some ({names}): name one with --robot")
-    whose = f"robot '{robot}' has" if robot else "there are"
-    raise UsageError(
-        f"{whose} no emulated computers that are kept (up: {names}); "
-        "`poise emulate FILE` brings them up"
-    )
-
-
-def set_for(robot: Robot) -> EmulatedSet | None:
-    """Return the set that a robot is to use; None when none is kept for it.
-
-    Raises
-    ------
-    UsageError
-        There is one for a robot of this name with other computers or links.
-    """
-    for each in all_sets():
-        if each.robot != robot.name:
-            continue
-        if each.state().hardware == KeptSet.of(robot).hardware:
-            return each
-        raise UsageError(
-            f"process {each.layout.owner.pid} keeps emulated computers of robot "
-            f"'{robot.name}' ({', '.join(each.computers)}) that are not those of this "
-            f"robot file: `poise emulate stop {robot.name}` ends them, and then "
-            "`poise emulate FILE` brings these up"
-        )
-    return None
-
-
-def all_sets() -> list[EmulatedSet]:
-    """Return all sets that processes of this user keep."""
-    layouts = registry.kept_sets()
-    return [EmulatedSet(layout, layout.kept) for layout in layouts if layout.kept]
 
 
 def _find(
