@@ -118,7 +118,7 @@ def test_a_robot_with_other_computers_is_refused(
     other.write_text(other.read_text().replace("right: {cpu: 0.5", "right: {cpu: 0.4"))
     done = run_poise("run", other, "--for", "1s")
     assert done.returncode == 2
-    assert f"`poise emulate stop {kept.robot}` ends them" in done.stderr
+    assert f"`poise emulate stop --robot {kept.robot}` ends them" in done.stderr
     done = run_poise("emulate", other)
     assert done.returncode == 2
     assert "has emulated computers already" in done.stderr
@@ -263,7 +263,7 @@ def test_stop_ends_them(tmp_path: Path) -> None:
         assert keeper.stdout
         assert any("are up" in line for line in keeper.stdout)
         ending = find_set(name)
-        assert run_poise("emulate", "stop", name).returncode == 0
+        assert run_poise("emulate", "stop", "--robot", name).returncode == 0
         assert keeper.wait(timeout=LONG) == 128 + signal.SIGTERM
     assert read(ending.layout.run) is None
     with pytest.raises(poise.UsageError, match="have ended"):

@@ -53,8 +53,8 @@ def set_for(robot: Robot) -> EmulatedSet | None:
         raise UsageError(
             f"process {each.layout.owner.pid} keeps emulated computers of robot "
             f"'{robot.name}' ({', '.join(each.computers)}) that are not those of this "
-            f"robot file: `poise emulate stop {robot.name}` ends them, and then "
-            "`poise emulate FILE` brings these up"
+            f"robot file: `poise emulate stop --robot {robot.name}` ends them; "
+            "then `poise emulate FILE` brings these up"
         )
     return None
 

@@ -173,7 +173,7 @@ def _raise_if_kept(robot: str, run: str) -> None:
         if is_kept and other.run != run and other.owner.is_alive():
             message = (
                 f"robot '{robot}' has emulated computers already, of process "
-                f"{other.owner.pid}: `poise emulate stop {robot}` ends them"
+                f"{other.owner.pid}: `poise emulate stop --robot {robot}` ends them"
             )
             raise UsageError(message)
 

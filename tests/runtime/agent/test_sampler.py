@@ -117,7 +117,10 @@ def test_memory_is_weighed_again_when_there_is_more_or_less_of_it(
         assert told() == 500
     assert weighed == [1000]
     held[0] = 3000
-    assert [told() for _ in range(10)][-1] == 1500
+    assert told() == 1500  # what has grown by much does not wait
+    held[0] = 3100
+    assert told() == 1500
+    held[0] = 3000
     for _ in range(110):
         told()
     assert weighed == [1000, 3000, 3000]

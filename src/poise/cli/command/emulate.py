@@ -171,11 +171,7 @@ def load_command(
     find_set(robot).load(computer, parse_option("--cpu", cpu, CORES))
 
 
-def stop_command(
-    robot: Annotated[
-        str | None, typer.Argument(help="The robot's name, when several have some.")
-    ] = None,
-) -> None:
+def stop_command(robot: Robot = None) -> None:
     """End the emulated computers of a robot, with all that runs on them.
 
     Example: poise emulate stop

@@ -26,6 +26,8 @@ millisecond or two, more than all the rest. It is skipped while the container's 
 memory stays the same, but not more than `_ANYWAY` times: what it shares with others may
 have changed."""
 _ANYWAY = 10
+_GROWN = 1.1
+"""One container whose resident memory grew by this factor is read at every sample."""
 
 
 USAGE_EVERY = 1.0
@@ -135,13 +137,16 @@ class Sampler:
                 log.exception("a sample could not be published")
 
     def _weigh(self, containers: Sequence[tuple[str, int, PageSampler]]) -> None:
-        """Read the memory of new containers, and of the others one after the other."""
+        """Read the memory of new and grown containers; of others one after another."""
         self._count = (self._count + 1) % max(1, len(containers) * _SELDOM)
         before, self._memory = self._memory, {}
+        one_grew = False
         for place, (_, pid, page) in enumerate(containers):
-            known = before.get(pid)
-            if known is None or self._count == place * _SELDOM:
-                known = _weigh([pid, *page.commands()], known)
+            known, processes = before.get(pid), [pid, *page.commands()]
+            has_grown = known and not one_grew and _has_grown(processes, known)
+            one_grew = one_grew or bool(has_grown)
+            if known is None or has_grown or self._count == place * _SELDOM:
+                known = _weigh(processes, known)
             self._memory[pid] = known
 
 
@@ -169,6 +174,10 @@ class _Weight(Struct, frozen=True):
     resident: int
     proportional: int
     age: int = 0
+
+
+def _has_grown(processes: Sequence[int], known: _Weight) -> bool:
+    return sum(map(resident_memory, processes)) > _GROWN * known.resident
 
 
 def _weigh(processes: Sequence[int], known: _Weight | None) -> _Weight:
