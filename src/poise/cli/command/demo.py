@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
+import msgspec
 import typer
 from msgspec import Struct
 from rich.console import Console
@@ -19,6 +20,7 @@ from poise.manage.migration.move import MoveReport, move
 from poise.manage.run import Run
 from poise.manage.statuses import components_of
 from poise.model.robot import Robot
+from poise.session.launch.printer import STDERR, Printer
 from poise.session.placement import Placement, place
 from poise.session.render.moves import outcome_sentence
 from poise.session.render.progress import progress
@@ -27,6 +29,7 @@ from poise.session.report import RunReport
 from poise.session.robot_file import load
 from poise.session.run import Meanwhile, run
 from poise.session.say import Check, nothing
+from poise.session.scenes import SCENES
 from poise.units import format_seconds
 from poise.wire.records.deployment import Summary, TimerStatus
 
@@ -81,6 +84,10 @@ class DemoReport(Struct, frozen=True, kw_only=True):
 
 def demo_command(
     as_json: AsJson = False,
+    scene: Annotated[
+        Literal["overload", "lost-computer"] | None,
+        typer.Option(help="Show instead how a running robot adapts."),
+    ] = None,
     examples: Annotated[
         Path, typer.Option(help="The folder with the examples trot and calls.")
     ] = EXAMPLES,
@@ -90,8 +97,18 @@ def demo_command(
     24 components on two emulated computers, as in the paper's case study: first all on
     the main computer, then where Poise puts them. Takes about a minute.
 
-    Example: poise demo
+    With --scene, a small robot adapts by itself: another program overloads one of its
+    computers, or a computer loses power.
+
+    Examples
+    --------
+    poise demo
+
+    poise demo --scene overload
     """
+    if scene is not None:
+        _play(scene, examples, as_json=as_json)
+        return
     if not (examples / "trot" / "robot.yaml").is_file():
         raise RobotError(
             f"the demo's robot is not at {examples}: run it in a clone of Poise, or "
@@ -109,6 +126,19 @@ def demo_command(
     trouble = find_trouble(report.runs)
     if trouble:
         Console(stderr=True).print(trouble)
+        raise typer.Exit(1)
+
+
+def _play(scene: str, examples: Path, *, as_json: bool) -> None:
+    with Printer(STDERR) as printer, Interrupts() as interrupts:
+        robot = load(examples / "adapt" / "robot.yaml", say=printer.print)
+        report = SCENES[scene](robot, printer.print, interrupts.check)
+    if as_json:
+        print_json(report)
+    else:
+        for key, value in msgspec.structs.asdict(report).items():
+            Console(highlight=False).print(f"{key:16}{value}")
+    if not report.ok:
         raise typer.Exit(1)
 
 

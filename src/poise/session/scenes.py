@@ -1,0 +1,184 @@
+"""Scenes that show how a running robot adapts, and measure it from outside."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Mapping
+
+from msgspec import Struct
+
+from poise.errors import RunError
+from poise.model.robot import Robot
+from poise.session.emulated import emulated
+from poise.session.placement import place
+from poise.session.running import Running
+from poise.session.say import Check, Say
+from poise.session.up import up
+
+_WARM_UP = 4.0
+_WATCH = 15.0
+"""How long a robot is watched after something happened to it [s]."""
+_LOOK_EVERY = 0.1
+_LOAD = 0.45
+"""What the other program takes [cores]."""
+_LIMIT = 30.0
+
+
+class OverloadScene(Struct, frozen=True, kw_only=True):
+    """Another program takes CPU on the computer where all components run.
+
+    Parameters
+    ----------
+    met_again_s
+        From the start of the load until deadlines were met for good [s].
+    moves_after
+        Components that moved after that.
+    missed, missed_without
+        Share of the deadlines that were missed while the load lasted: with adaptation,
+        and of the same robot without it; in [0, 1].
+    """
+
+    scene: str = "overload"
+    ok: bool
+    met_again_s: float
+    moves_after: int
+    missed: float
+    missed_without: float
+
+
+class LostComputerScene(Struct, frozen=True, kw_only=True):
+    """A computer loses power.
+
+    Parameters
+    ----------
+    detected_s
+        Until the manager said so [s].
+    active_s
+        Until all its components were active on the other one [s].
+    """
+
+    scene: str = "lost-computer"
+    ok: bool
+    detected_s: float
+    active_s: float
+
+
+def overload(robot: Robot, say: Say, check: Check) -> OverloadScene:
+    """Load the computer on which all components run, with and without adaptation."""
+    without, *_ = _under_load(robot, say, check, adapt=False)
+    missed, met_again, moves_after = _under_load(robot, say, check, adapt=True)
+    return OverloadScene(
+        ok=missed < without and moves_after == 0 and met_again < _WATCH,
+        met_again_s=met_again,
+        moves_after=moves_after,
+        missed=missed,
+        missed_without=without,
+    )
+
+
+def _under_load(
+    robot: Robot, say: Say, check: Check, *, adapt: bool
+) -> tuple[float, float, int]:
+    """Return the share missed, when deadlines were met again [s], and later moves."""
+    say("with adaptation" if adapt else "without adaptation")
+    placed = place(robot, method="static")
+    with up(robot, placement=placed, adapt=adapt, say=say, check=check) as running:
+        _wait(_WARM_UP, check)
+        count = _Deadlines(running)
+        loaded = next(iter(placed.where.values()))
+        say(f"another program takes {_LOAD:g} cores on '{loaded}'")
+        program = [sys.executable, "-m", "poise.emulate.background_load", f"{_LOAD:g}"]
+        hog, began = running.emulated[loaded].popen(program), time.monotonic()
+        met_again, places = 0.0, running.status().placement
+        moves: list[float] = []
+        while (now := time.monotonic() - began) < _WATCH:
+            _wait(_LOOK_EVERY, check)
+            if count.look():
+                met_again = now
+            where = running.status().placement
+            moves += [now for name, at in where.items() if places[name] != at]
+            places = where
+        hog.kill()
+    say(f"{count.missed} of {count.released} deadlines missed under the load")
+    return count.share(), met_again, sum(at > met_again for at in moves)
+
+
+def lose_computer(robot: Robot, say: Say, check: Check) -> LostComputerScene:
+    """Crash the computer on which all components run."""
+    placed = place(robot, method="static")
+    lost = next(iter(placed.where.values()))
+    with (
+        emulated(robot, say=say) as computers,
+        up(robot, placement=placed, say=say, check=check) as running,
+    ):
+        _wait(_WARM_UP, check)
+        say(f"'{lost}' loses power")
+        computers.crash(lost)
+        began = time.monotonic()
+        detected = _until(lambda: lost in running.status().out_of_reach, began, check)
+        active = _until(lambda: _all_active(running, lost), began, check)
+    return LostComputerScene(ok=True, detected_s=detected, active_s=active)
+
+
+class _Deadlines:
+    """Counts deadlines, and those missed, over all incarnations of the components."""
+
+    def __init__(self, running: Running) -> None:
+        self._running = running
+        self._before: dict[tuple[str, int, str], tuple[int, int]] = {}
+        self.released = self.missed = 0
+        self.look()
+        self.released = self.missed = 0
+
+    def look(self) -> bool:
+        """Count what came since the last look; return whether a deadline was missed."""
+        missed = 0
+        for status in self._running.status().computers.values():
+            for container in status.containers:
+                for component in container.components:
+                    for timer in component.timers:
+                        key = component.name, component.epoch, timer.name
+                        released, late = self._before.get(key, (0, 0))
+                        self.released += timer.releases - released
+                        missed += timer.missed - late
+                        self._before[key] = timer.releases, timer.missed
+        self.missed += missed
+        return missed > 0
+
+    def share(self) -> float:
+        """Return the share that was missed; in [0, 1]."""
+        return self.missed / self.released if self.released else 1.0
+
+
+def _all_active(running: Running, lost: str) -> bool:
+    status = running.status()
+    active = {
+        component.name
+        for computer, report in status.computers.items()
+        if computer != lost
+        for container in report.containers
+        for component in container.components
+        if component.state == "active"
+    }
+    return lost not in status.placement.values() and active >= status.placement.keys()
+
+
+def _until(holds: Callable[[], bool], began: float, check: Check) -> float:
+    """Return how long after `began` something held [s]; RunError when it never did."""
+    while not holds():
+        _wait(_LOOK_EVERY / 5, check)
+        if time.monotonic() - began > _LIMIT:
+            raise RunError(f"the robot did not adapt within {_LIMIT:g} s")
+    return time.monotonic() - began
+
+
+def _wait(seconds: float, check: Check) -> None:
+    end = time.monotonic() + seconds
+    while (left := end - time.monotonic()) > 0:
+        check()
+        time.sleep(min(left, _LOOK_EVERY))
+
+
+SCENES: Mapping[str, Callable[[Robot, Say, Check], OverloadScene | LostComputerScene]]
+SCENES = {"overload": overload, "lost-computer": lose_computer}
