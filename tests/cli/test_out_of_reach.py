@@ -245,6 +245,9 @@ def test_what_a_cut_loses_is_counted(field: Field, up: Up) -> None:
     wait_long(lambda: ends(field)["source"].drops > 0)
     field.set_cable("right", "up")
     up.wait_for("computer 'right' is reached again")
+    before = ends(field)["target"].messages
+    # what was lost is known by the number of the next message that comes
+    wait_long(lambda: ends(field)["target"].messages > before)
     (field.folder / "halt").touch()
 
     def is_all_counted() -> bool:

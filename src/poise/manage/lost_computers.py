@@ -20,6 +20,7 @@ class LostComputers:
         self._reached = set(run.computers())
         self._retry_at: dict[str, float] = {}
         self._refusals: dict[str, Deviation] = {}
+        self._lost_at: dict[str, float] = {}
 
     def note(self) -> None:
         """Journal which computers were lost, and go on without them."""
@@ -28,18 +29,34 @@ class LostComputers:
         for computer in self._reached - obeying:
             self._reached.discard(computer)
             run.excused.add(computer)
+            self._lost_at[computer] = time.time()
             back = f"computer '{computer}' was cut off, or its agent was restarted"
             run.journal.note("wrong", run.unreached().get(computer, back))
 
     def deviations(self) -> list[Deviation]:
         """Return what is known of each; from any thread."""
         since = self._run.agents.out_of_reach()
-        refusals = [r for c, r in list(self._refusals.items()) if c not in since]
-        return refusals + [
-            Deviation(what=what, computer=computer, since=since[computer])
-            for computer, what in self._run.unreached().items()
-            if computer in since
+        refusals = {c: r for c, r in self._refusals.copy().items() if c not in since}
+        returning = (
+            self._lost_at.keys() - self._reached - refusals.keys() - since.keys()
+        )
+        found = [
+            Deviation(
+                what=f"computer '{computer}' is back, but not yet managed again",
+                computer=computer,
+                since=self._lost_at[computer],
+            )
+            for computer in sorted(returning)
         ]
+        return (
+            found
+            + [*refusals.values()]
+            + [
+                Deviation(what=what, computer=computer, since=since[computer])
+                for computer, what in self._run.unreached().items()
+                if computer in since
+            ]
+        )
 
     def bring_back(self) -> None:
         """Let those that returned run what they should run now."""

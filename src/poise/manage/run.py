@@ -131,6 +131,7 @@ class Run:
         with contextlib.suppress(RunError):  # it is only for quiet
             deactivate_callers(self)
         reached = self.computers()
+        self._reclaim({name for name in reached if not self.agents.obey(name)})
         self.end_all(reached)
         away = {computer.name for computer in self.robot.computers} - reached
         if away:

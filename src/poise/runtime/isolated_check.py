@@ -78,8 +78,9 @@ def serve(check: Callable[..., list[Finding]]) -> None:
         def answer(item: str | list[Finding]) -> None:
             answers.write(msgspec.json.encode(item) + b"\n")
 
-        answer(check(robot, frozenset(skipped), answer))
-    sys.stdout.flush()
+        found = check(robot, frozenset(skipped), answer)
+        sys.stdout.flush()  # with the answer this process is ended
+        answer(found)
     os._exit(0)  # the robot's code may have left threads that never end
 
 

@@ -118,6 +118,9 @@ def lose_computer(robot: Robot, say: Say, check: Check) -> LostComputerScene:
         began = time.monotonic()
         detected = _until(lambda: lost in running.status().out_of_reach, began, check)
         active = _until(lambda: _all_active(running, lost), began, check)
+        say("the power is back")
+        computers.boot(lost)
+        _until(lambda: not running.status().deviations, time.monotonic(), check)
     return LostComputerScene(ok=True, detected_s=detected, active_s=active)
 
 

@@ -13,14 +13,14 @@ from tests.manage.adaptation.conftest import Make
 def test_what_a_background_load_takes_away_makes_a_component_move(
     facts: Make,
 ) -> None:
-    """0.4 of 0.3 cores are needed on `left`; one component is enough."""
+    """Other programs get 0.2 of 0.5 cores, and want half as much again."""
     found = decide(facts(background={"left": 0.2}), {}, {})
     assert found.acts
     assert found.proposal is not None
     assert len(found.proposal.steps) == 1
-    assert found.gain == pytest.approx(0.1 * 30)
+    assert found.gain == pytest.approx(0.2 * 30)
     assert found.cost == pytest.approx(0.3 + 0.2 * 0.05)
-    assert found.why == ("1 moves cost 0.31 core-seconds and gain 3.00 within 30 s")
+    assert found.why == ("1 moves cost 0.31 core-seconds and gain 6.00 within 30 s")
 
 
 def test_a_move_that_paused_its_component_for_long_is_not_worth_it(

@@ -12,6 +12,9 @@ from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.observe.loads import Load
 from poise.model.robot import Computer, Robot
 
+_WANTS_MORE = 1.5
+"""What other programs want on a full computer, as a multiple of what they get there."""
+
 
 class Facts(Struct, frozen=True, kw_only=True):
     """One moment of a running robot.
@@ -51,5 +54,7 @@ class Facts(Struct, frozen=True, kw_only=True):
 def _less_background(computer: Computer, load: Load | None) -> Computer:
     if load is None or not load.background:
         return computer
-    cores = computer.capacity.get("cpu", 0.0) - load.background / computer.speed
+    # on a full computer other programs get less than they want
+    wanted = load.background * (_WANTS_MORE if load.is_full else 1.0)
+    cores = computer.capacity.get("cpu", 0.0) - wanted / computer.speed
     return replace(computer, capacity={**computer.capacity, "cpu": max(0.0, cores)})

@@ -11,12 +11,8 @@ from msgspec import Struct
 
 from poise.manage.adaptation.facts import Facts
 
-FULL = 0.95
-"""A computer that uses this share of its CPU or more has none left."""
 STARVED = 0.1
 """A component is starved when this share of its jobs is not done."""
-MISSED = 0.1
-"""A timer that misses this share of its deadlines does not keep its rate."""
 LASTS = 0.5
 """A symptom counts when it has lasted for this time [s]."""
 
@@ -57,9 +53,9 @@ def overload(facts: Facts) -> Iterator[Symptom]:
         for each in facts.demand_estimates
         if each.estimate.starved >= STARVED
     }
-    late = {each.computer for each in facts.misses if each.share >= MISSED}
+    late = {each.computer for each in facts.misses if each.is_late}
     for name, load in facts.loads.items():
-        if load.share >= FULL and name in starved | late:
+        if load.is_full and name in starved | late:
             others = ""
             if load.background:
                 others = f", {load.background:.2f} of them by other programs"
@@ -75,7 +71,7 @@ def overload(facts: Facts) -> Iterator[Symptom]:
 def deadlines(facts: Facts) -> Iterator[Symptom]:
     """Find timers that miss their deadlines."""
     for each in facts.misses:
-        if each.share >= MISSED:
+        if each.is_late:
             yield Symptom(
                 "deadlines",
                 f"{each.component}.{each.timer}",

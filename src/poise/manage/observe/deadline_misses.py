@@ -9,6 +9,8 @@ from msgspec import Struct
 
 from poise.wire.records.deployment import AgentStatus, TimerStatus
 
+_SEVERAL, _MISSED = 2, 0.2
+"""A timer that misses so many deadlines, and this share of them, is late."""
 OVER = 1.0
 """Misses are counted over this time [s], or over the last release of a slow timer."""
 
@@ -32,6 +34,12 @@ class Misses(Struct, frozen=True, kw_only=True):
     def share(self) -> float:
         """The share that missed; in [0, 1]."""
         return self.missed / self.released if self.released else 0.0
+
+    @property
+    def is_late(self) -> bool:
+        """Whether it does not keep its rate: a single miss among others is no sign."""
+        several = self.missed >= _SEVERAL and self.share >= _MISSED
+        return several or 0 < self.released == self.missed
 
 
 class DeadlineMisses:

@@ -11,6 +11,8 @@ from msgspec import Struct
 from poise.model.robot import Robot
 from poise.wire.records.samples import AgentSample, ContainerSample
 
+FULL = 0.95
+"""A computer that uses this share of its CPU or more has none left."""
 OVER = 1.0
 """A load is the mean over this time [s]."""
 _NOTICEABLE = 0.02
@@ -38,6 +40,11 @@ class Load(Struct, frozen=True, kw_only=True):
     def share(self) -> float:
         """What is used of the capacity; in [0, 1], or somewhat above."""
         return self.used / self.capacity if self.capacity else 0.0
+
+    @property
+    def is_full(self) -> bool:
+        """Whether no CPU is left."""
+        return self.share >= FULL
 
 
 class _Total(Struct, frozen=True):
