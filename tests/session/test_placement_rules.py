@@ -73,7 +73,7 @@ def test_all_that_is_wrong_with_a_file_is_said_at_once(
     with pytest.raises(UsageError) as said:
         poise.place(robot, method=str(file))
     assert str(said.value) == (
-        f"placement {file}: it has no component 'd'; 'b' may not run on 'nowhere', "
+        f"placement {file}: 'b' may not run on 'nowhere', "
         "only on left or right; 'held' may not run on 'left', only on right; the task "
         "needs no component 'other'"
     )
@@ -100,3 +100,18 @@ def test_a_rule_may_overfill_a_computer_and_says_so(robot: Robot) -> None:
     placed = poise.place(small, method="round-robin")
     assert not placed.feasible
     assert "right: cpu needs 0.3" in placed.reason
+
+
+def test_a_file_may_place_another_alternative(robot: Robot, tmp_path: Path) -> None:
+    (first,) = robot.architectures
+    lesser = Architecture(
+        name="lesser",
+        function="all",
+        home="left",
+        quality=0.5,
+        components=(ComponentEntry(name="only_one", demand={"cpu": 0.1}),),
+    )
+    both = replace(robot, architectures=(first, lesser))
+    (tmp_path / "placement.yaml").write_text("only_one: right\n")
+    placed = poise.place(both, method=str(tmp_path / "placement.yaml"))
+    assert placed.where == {"only_one": "right"}

@@ -13,7 +13,7 @@ FaultKind = Literal["cut", "slow", "crashed", "frozen", "load"]
 
 
 class InjectedFault(Struct, frozen=True, kw_only=True):
-    """A fault that is in force until it is healed, whoever injected it.
+    """A fault that any process injected, in force until it is healed.
 
     Parameters
     ----------

@@ -48,15 +48,12 @@ class LostComputers:
             )
             for computer in sorted(returning)
         ]
-        return (
-            found
-            + [*refusals.values()]
-            + [
-                Deviation(what=what, computer=computer, since=since[computer])
-                for computer, what in self._run.unreached().items()
-                if computer in since
-            ]
-        )
+        away = [
+            Deviation(what=what, computer=computer, since=since[computer])
+            for computer, what in self._run.unreached().items()
+            if computer in since
+        ]
+        return [*found, *refusals.values(), *away]
 
     def bring_back(self) -> None:
         """Let those that returned run what they should run now."""

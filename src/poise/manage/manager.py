@@ -224,7 +224,7 @@ class Manager:
             robot=run.robot,
             task=self._task,
             placement=run.placement(),
-            lost=frozenset(run.excused),
+            lost=frozenset(run.excused & run.agents.out_of_reach().keys()),
             loads=self._estimates.loads.loads(),
             misses=self._misses.look(run.current(), time.monotonic()),
             demand_estimates=tuple(self._estimates.demand_estimates()),

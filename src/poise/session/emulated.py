@@ -17,7 +17,7 @@ from poise.session.say import Say, log
 
 _LOOK_EVERY = 0.1
 _MOST_DELAY = 5.0
-"""An agent that ends again and again is started anew after this time at most [s]."""
+"""An agent that keeps ending is started again after this time at most [s]."""
 _STEADY = 10.0
 """An agent that ran for this time [s] is started at once when it ends."""
 

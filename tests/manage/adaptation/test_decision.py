@@ -20,7 +20,7 @@ def test_what_a_background_load_takes_away_makes_a_component_move(
     assert len(found.proposal.steps) == 1
     assert found.gain == pytest.approx(0.2 * 30)
     assert found.cost == pytest.approx(0.3 + 0.2 * 0.05)
-    assert found.why == ("1 moves cost 0.31 core-seconds and gain 6.00 within 30 s")
+    assert found.why == ("1 step: cost 0.31 core-seconds, gain 6.00 within 30 s")
 
 
 def test_a_move_that_paused_its_component_for_long_is_not_worth_it(

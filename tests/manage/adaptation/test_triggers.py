@@ -31,8 +31,7 @@ def test_a_late_component_on_an_idle_computer_is_no_overload(facts: Make) -> Non
 def test_a_timer_that_misses_deadlines_is_named(facts: Make) -> None:
     (found,) = deadlines(facts(missed=("b",)))
     assert found.what == (
-        "timer 'tick' of component 'b' on 'left' missed 5 of 10 deadlines within a "
-        "second"
+        "timer 'tick' of component 'b' on 'left' missed 5 of 10 deadlines within 1 s"
     )
 
 

@@ -152,7 +152,7 @@ def freeze_command(computer: Computer, robot: Robot = None) -> None:
 
 
 def boot_command(computer: Computer, robot: Robot = None) -> None:
-    """Bring a crashed or frozen computer back; after a crash its agent begins anew.
+    """Bring a crashed or frozen computer back; after a crash its agent starts.
 
     Example: poise emulate boot vision
     """

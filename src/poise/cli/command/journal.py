@@ -29,7 +29,7 @@ def journal_command(
         str | None, typer.Option(help="Only entries that name this, such as 'vision'.")
     ] = None,
     last: Annotated[
-        int | None, typer.Option(min=1, help="Only the last entries.")
+        int | None, typer.Option(min=1, help="Only the last N entries.")
     ] = None,
     facts: Annotated[
         bool, typer.Option("--facts", help="With the facts of each: demands, costs.")

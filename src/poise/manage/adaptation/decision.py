@@ -19,13 +19,14 @@ from poise.manage.adaptation.replan import Proposal, propose, with_present_deman
 from poise.manage.migration.transition import TransitionStep
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Computer, Robot
+from poise.units import counted
 
 HORIZON = 30.0
-"""A load is expected to last for so long as it is now [s]."""
+"""The present load is expected to last for this time [s]."""
 DOWNTIME = 0.05
-"""A move that was never measured pauses its component for so long [s]."""
+"""The downtime of a component that was not moved yet is taken to be this [s]."""
 START = 0.3
-"""CPU time of starting a component elsewhere, if it was never measured [s]."""
+"""The CPU time to start a component elsewhere is taken to be this [s]."""
 MOVE = 0.001
 """What F grows by for each move: of placements that mend the same, few moves win."""
 
@@ -91,8 +92,8 @@ def decide(
     gain = (short - left) * HORIZON
     cost = _cost(robot_now, proposal.steps, downtimes)
     what = (
-        f"{len(proposal.steps)} moves cost {cost:.2f} core-seconds and gain {gain:.2f} "
-        f"within {HORIZON:g} s"
+        f"{counted(len(proposal.steps), 'step')}: cost {cost:.2f} core-seconds, gain "
+        f"{gain:.2f} within {HORIZON:g} s"
     )
     if not proposal.steps or gain <= cost:
         return Decision(

@@ -30,7 +30,7 @@ class Facts(Struct, frozen=True, kw_only=True):
     loads
         Computer -> its CPU use over the last second, where it is known.
     misses
-        The timers that were due within the last second.
+        The timers that were due within the last seconds.
     demand_estimates
         What the components need.
     """

@@ -101,7 +101,7 @@ class Adaptation:
         steps = decision.proposal.steps if decision.proposal else ()
         why = decision.why
         if decision.acts and not self._move_limits.may_move(len(steps), now):
-            why = f"{len(steps)} moves are over the budget of a minute"
+            why = f"the {len(steps)} moves it takes are over the budget of a minute"
         elif decision.acts:
             note = self._run.journal.note
             note("decided", why, decision=decision, loads=facts.loads)

@@ -78,7 +78,7 @@ def deadlines(facts: Facts) -> Iterator[Symptom]:
                 each.computer,
                 f"timer '{each.timer}' of component '{each.component}' on "
                 f"'{each.computer}' missed {each.missed} of {each.released} deadlines "
-                "within a second",
+                f"within {each.seconds:g} s",
             )
 
 

@@ -12,6 +12,7 @@ from poise.manage.deployment import Incarnation
 from poise.manage.migration.move import MoveReport, move
 from poise.manage.migration.transition import TransitionStep
 from poise.manage.run import ACTIVE_LIMIT, READY_LIMIT, Run
+from poise.units import counted
 
 
 class TransitionReport(Struct, frozen=True, kw_only=True):
@@ -61,7 +62,9 @@ def restart_elsewhere(run: Run, placement: Mapping[str, str]) -> bool:
 
 def transit(run: Run, steps: tuple[TransitionStep, ...]) -> TransitionReport:
     """Take the steps of a planned transition; roll all back when one fails."""
-    run.journal.note("decided", f"transition of {len(steps)} steps", steps=steps)
+    run.journal.note(
+        "decided", f"transition of {counted(len(steps), 'step')}", steps=steps
+    )
     transition = _Transition(run)
     for number, step in enumerate(steps):
         reason = transition.take(step)

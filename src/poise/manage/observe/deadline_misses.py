@@ -10,9 +10,9 @@ from msgspec import Struct
 from poise.wire.records.deployment import AgentStatus, TimerStatus
 
 _SEVERAL, _MISSED = 2, 0.2
-"""A timer that misses so many deadlines, and this share of them, is late."""
+"""A timer is late that misses as many deadlines, and this share of them."""
 OVER = 1.0
-"""Misses are counted over this time [s], or over the last release of a slow timer."""
+"""Misses are counted over this time [s], or over two periods of a slow timer."""
 
 
 class Misses(Struct, frozen=True, kw_only=True):
@@ -21,7 +21,9 @@ class Misses(Struct, frozen=True, kw_only=True):
     Parameters
     ----------
     released, missed
-        Releases in the last second, and how many of these missed the deadline.
+        Releases in the last seconds, and how many of these missed the deadline.
+    seconds
+        How many seconds these are.
     """
 
     component: str
@@ -29,6 +31,7 @@ class Misses(Struct, frozen=True, kw_only=True):
     timer: str
     released: int
     missed: int
+    seconds: float = OVER
 
     @property
     def share(self) -> float:
@@ -43,7 +46,7 @@ class Misses(Struct, frozen=True, kw_only=True):
 
 
 class DeadlineMisses:
-    """Compares the totals of statuses over the last second."""
+    """Compares the totals of statuses over the last seconds."""
 
     def __init__(self) -> None:
         self._totals: dict[tuple[str, int, str], deque[tuple[float, int, int]]] = {}
@@ -51,7 +54,7 @@ class DeadlineMisses:
     def look(
         self, statuses: Mapping[str, AgentStatus], now: float
     ) -> tuple[Misses, ...]:
-        """Return the timers with a deadline that were due within the last second.
+        """Return the timers with a deadline that were due lately.
 
         Parameters
         ----------
@@ -69,7 +72,8 @@ class DeadlineMisses:
                         key = component.name, component.epoch, timer.name
                         totals = before.get(key, deque())
                         self._totals[key] = totals
-                        released, missed = _count(totals, timer, now)
+                        seconds = max(OVER, 2 * timer.period)
+                        released, missed = _count(totals, timer, now, seconds)
                         if released:
                             found.append(
                                 Misses(
@@ -78,18 +82,19 @@ class DeadlineMisses:
                                     timer=timer.name,
                                     released=released,
                                     missed=missed,
+                                    seconds=seconds,
                                 )
                             )
         return tuple(found)
 
 
 def _count(
-    totals: deque[tuple[float, int, int]], timer: TimerStatus, now: float
+    totals: deque[tuple[float, int, int]], timer: TimerStatus, now: float, over: float
 ) -> tuple[int, int]:
-    """Add a timer's totals; return what was released and missed since a second ago."""
+    """Add a timer's totals; return what was released and missed in the time [s]."""
     if not totals or totals[-1][1:] != (timer.releases, timer.missed):
         totals.append((now, timer.releases, timer.missed))
-    while len(totals) > 1 and now - totals[1][0] >= OVER:
+    while len(totals) > 1 and now - totals[1][0] >= over:
         totals.popleft()
     _, releases, missed = totals[0]
     return timer.releases - releases, timer.missed - missed

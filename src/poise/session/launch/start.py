@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from msgspec import Struct
 
 from poise.clock import SystemClock
-from poise.errors import RobotError
+from poise.errors import RobotError, RunError
 from poise.manage.agents import Agents
 from poise.manage.journal import Journal
 from poise.manage.run import Run
@@ -22,7 +22,7 @@ from poise.model.robot import Robot
 from poise.session.launch.computers import Computers, computers_of
 from poise.session.launch.simulator import SimulatorProcess, world_of
 from poise.session.launch.temporary_folders import scratch_folder
-from poise.session.say import Check, Say, nothing
+from poise.session.say import Check, Say, log, nothing
 from poise.units import counted
 from poise.wire.records.samples import SAMPLE_EVERY, AgentSample
 
@@ -167,8 +167,10 @@ def _running(run: Run, check: Check) -> Iterator[None]:
         run.start()
         yield
     except BaseException:
-        # what is left is ended with its computer; the first error is the one to tell
-        with contextlib.suppress(Exception):
+        # the first error is the one to raise; what it leaves on real computers is said
+        try:
             run.stop()
+        except RunError as left:
+            log.warning("%s", left)
         raise
     run.stop()

@@ -1,0 +1,57 @@
+"""Which timers miss their deadlines, seen over time."""
+
+from __future__ import annotations
+
+from poise.manage.observe.deadline_misses import DeadlineMisses, Misses
+from poise.wire.records.deployment import (
+    AgentStatus,
+    ComponentStatus,
+    ContainerStatus,
+    Summary,
+    TimerStatus,
+)
+
+
+def status(period: float, releases: int, missed: int) -> dict[str, AgentStatus]:
+    timer = TimerStatus(
+        name="tick",
+        period=period,
+        deadline=period,
+        releases=releases,
+        missed=missed,
+        lateness=Summary(),
+        duration=Summary(),
+    )
+    component = ComponentStatus(name="a", state="active", timers=(timer,))
+    container = ContainerStatus(name="c", pid=1, components=(component,))
+    return {
+        "left": AgentStatus(
+            computer="left", generation=1, uptime=1.0, cpu=0.0, containers=(container,)
+        )
+    }
+
+
+def test_a_slow_timer_stays_late_between_its_releases() -> None:
+    """It is due every 2 s, and always late; there is a look every 0.2 s."""
+    misses, late = DeadlineMisses(), []
+    for tick in range(100):
+        now = tick * 0.2
+        count = int(now / 2)
+        found = misses.look(status(2.0, count, count), now)
+        late.append(any(each.is_late for each in found))
+    assert not any(late[:10])
+    assert all(late[10:])
+
+
+def test_what_was_missed_long_ago_does_not_count() -> None:
+    misses = DeadlineMisses()
+    misses.look(status(0.1, 10, 0), 0.0)
+    (found,) = misses.look(status(0.1, 20, 9), 1.0)
+    assert (found.released, found.missed, found.seconds) == (10, 9, 1.0)
+    (found,) = misses.look(status(0.1, 30, 9), 2.0)
+    assert (found.released, found.missed) == (10, 0)
+
+
+def test_a_single_miss_among_others_is_no_sign() -> None:
+    one = Misses(component="a", computer="left", timer="t", released=5, missed=1)
+    assert not one.is_late
