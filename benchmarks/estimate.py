@@ -47,8 +47,8 @@ from poise.session.profiling.measurement import measure_alone
 from poise.session.profiling.rig import EMPTY, rig_of
 from poise.session.profiling.usage import measure
 from poise.session.robot_file import load
-from poise.wire.records.deployment import AgentStatus
 from poise.wire.records.samples import SAMPLE_EVERY, AgentSample
+from poise.wire.records.status import AgentStatus
 
 TROT = Path(__file__).parents[1] / "examples" / "trot" / "robot.yaml"
 GOALS = {

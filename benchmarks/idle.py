@@ -27,7 +27,7 @@ from poise.manage.run import Run
 from poise.model.robot import Robot
 from poise.runtime.agent.sampler import proportional_memory
 from poise.session.launch.computers import computers_of
-from poise.wire.records.deployment import AgentStatus
+from poise.wire.records.status import AgentStatus
 
 CONTAINERS = 4
 SETTLE = 1.0

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from poise.cli.command import demo as demo_command
 from poise.session.report import ComponentReport, RunReport
-from poise.wire.records.deployment import Summary, TimerStatus
+from poise.wire.records.status import Summary, TimerStatus
 from tests.waiting import LONG
 
 SHORT = """

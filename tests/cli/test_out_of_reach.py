@@ -22,7 +22,7 @@ from poise.manage.control_socket.records import (
 )
 from poise.manage.statuses import connectors_of
 from poise.model.robot import Computer, Robot
-from poise.wire.records.deployment import ConnectorStatus
+from poise.wire.records.status import ConnectorStatus
 from tests.command import POISE, run_poise
 from tests.waiting import LONG, wait_long
 

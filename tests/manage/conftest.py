@@ -17,13 +17,13 @@ from poise.model.robot import (
     Device,
     Robot,
 )
-from poise.wire.records.deployment import (
+from poise.wire.records.deployment import Deployment
+from poise.wire.records.requests import ManagerId
+from poise.wire.records.status import (
     AgentStatus,
     ComponentStatus,
     ContainerStatus,
-    Deployment,
     Fault,
-    ManagerId,
 )
 
 

@@ -10,7 +10,7 @@ import pytest
 from poise.clock import SystemClock
 from poise.manage.agent_messages import reading
 from poise.manage.agent_reports import MOST_REFUSED, AgentReports
-from poise.wire.records.deployment import AgentStatus
+from poise.wire.records.status import AgentStatus
 
 
 class Payload:

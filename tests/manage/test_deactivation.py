@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from poise.manage.deactivation import _left
-from poise.wire.records.deployment import ConnectorStatus, Summary
+from poise.wire.records.status import ConnectorStatus, Summary
 
 
 def ends(processed: int, errors: int) -> list[ConnectorStatus]:

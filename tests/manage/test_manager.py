@@ -19,7 +19,7 @@ from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.recording import Recording
 from poise.manage.run import Run
 from poise.model.robot import Robot
-from poise.wire.records.deployment import ComponentStatus, Fault
+from poise.wire.records.status import ComponentStatus, Fault
 from tests.manage.conftest import FakeAgents
 
 PLACEMENT = {"grabber": "left", "thinker": "right"}

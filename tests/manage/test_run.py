@@ -11,7 +11,7 @@ from poise.manage.agents import Agents
 from poise.manage.journal import Journal
 from poise.manage.run import Run
 from poise.model.robot import Robot
-from poise.wire.records.deployment import ComponentStatus, Fault
+from poise.wire.records.status import ComponentStatus, Fault
 
 from .conftest import FakeAgents
 

@@ -23,7 +23,8 @@ from poise.session.launch.start import Sampling, started
 from poise.wire import record_channel
 from poise.wire.control_session import open_session
 from poise.wire.records.clocks import Clocks, ClockStatus
-from poise.wire.records.deployment import ContainerSpec, ToContainer
+from poise.wire.records.container import ToContainer
+from poise.wire.records.deployment import ContainerSpec
 from tests.waiting import LIMIT, wait_until
 
 from .conftest import free_port

@@ -11,7 +11,7 @@ import pytest
 import poise
 from poise.model import Architecture, ComponentEntry, Computer, Robot
 from poise.session.report import ComponentReport, RunReport
-from poise.wire.records.deployment import Summary, TimerStatus
+from poise.wire.records.status import Summary, TimerStatus
 from tests.waiting import LONG
 
 

@@ -13,7 +13,7 @@ from poise.session.report import (
     cpu_shares,
 )
 from poise.session.run_errors import ComponentError, HungHandler
-from poise.wire.records.deployment import (
+from poise.wire.records.status import (
     AgentStatus,
     ComponentStatus,
     ConnectorStatus,

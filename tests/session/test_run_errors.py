@@ -16,7 +16,7 @@ from poise.session.run_errors import (
     refused_messages,
     silent_ports,
 )
-from poise.wire.records.deployment import (
+from poise.wire.records.status import (
     AgentStatus,
     ComponentStatus,
     ConnectorStatus,

@@ -20,13 +20,13 @@ from poise.session.render.status import (
     status_parts,
 )
 from poise.session.render.tables import table
-from poise.wire.records.deployment import (
+from poise.wire.records.requests import ManagerId
+from poise.wire.records.status import (
     AgentStatus,
     ComponentStatus,
     ContainerHealth,
     ContainerStatus,
     Fault,
-    ManagerId,
 )
 
 NAME = "recommendation_presenter"

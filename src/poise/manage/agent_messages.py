@@ -14,8 +14,8 @@ from typing import TypeVar
 import msgspec
 import zenoh
 
-from poise.wire.records.deployment import Accepted, Answer, ManagerId, Refused
 from poise.wire.records.migration import StepsDone, StepsFailed
+from poise.wire.records.requests import Accepted, Answer, ManagerId, Refused
 
 S = TypeVar("S")
 K = TypeVar("K")

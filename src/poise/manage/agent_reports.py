@@ -15,7 +15,7 @@ import zenoh
 from poise.clock import Clock
 from poise.errors import RunError
 from poise.wire.control_session import parse_identity
-from poise.wire.records.deployment import AgentStatus
+from poise.wire.records.status import AgentStatus
 
 MOST_REFUSED = 100
 """At most this many different sentences about refused records are kept."""

@@ -27,22 +27,22 @@ from poise.wire.control_session import (
     LEASE,
     open_session,
 )
-from poise.wire.records.deployment import (
-    Accepted,
-    AgentStatus,
-    Claim,
-    Deployment,
-    ManagerRequest,
-    Refused,
-    Request,
-)
+from poise.wire.records.deployment import Deployment
 from poise.wire.records.migration import (
     MigrationSteps,
     StepsDone,
     StepsFailed,
     StepsOutcome,
 )
+from poise.wire.records.requests import (
+    Accepted,
+    Claim,
+    ManagerRequest,
+    Refused,
+    Request,
+)
 from poise.wire.records.samples import AgentSample
+from poise.wire.records.status import AgentStatus
 
 K = TypeVar("K")
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from poise.manage.deployment import name_of
 from poise.manage.statuses import calling_ports, components_of, connectors_of
 from poise.manage.topological_order import levels
-from poise.wire.records.deployment import ConnectorStatus
+from poise.wire.records.status import ConnectorStatus
 
 if TYPE_CHECKING:
     from poise.manage.run import Run

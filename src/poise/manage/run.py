@@ -28,11 +28,8 @@ from poise.manage.statuses import (
     unreached,
 )
 from poise.model.robot import Robot
-from poise.wire.records.deployment import (
-    AgentStatus,
-    Deployment,
-    Goal,
-)
+from poise.wire.records.deployment import Deployment, Goal
+from poise.wire.records.status import AgentStatus
 
 READY_LIMIT = 20.0
 """All components are configured and all connectors joined within this time [s]."""

@@ -6,11 +6,7 @@ import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from poise.manage.deployment import Incarnation
-from poise.wire.records.deployment import (
-    AgentStatus,
-    ComponentStatus,
-    ConnectorStatus,
-)
+from poise.wire.records.status import AgentStatus, ComponentStatus, ConnectorStatus
 
 Statuses = Mapping[str, AgentStatus]
 """Computer -> what its agent reported last."""

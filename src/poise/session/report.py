@@ -28,7 +28,7 @@ from poise.session.run_errors import (
     silent_ports,
 )
 from poise.wire.records.clocks import ClockStatus
-from poise.wire.records.deployment import (
+from poise.wire.records.status import (
     AgentStatus,
     ComponentStatus,
     ConnectorStatus,

@@ -10,7 +10,7 @@ from msgspec import Struct
 from poise.manage.deployment import name_of
 from poise.manage.statuses import Statuses, components_of, connectors_of
 from poise.model.robot import Connector, Robot
-from poise.wire.records.deployment import ErrorCount
+from poise.wire.records.status import ErrorCount
 
 
 class ComponentError(ErrorCount, frozen=True, kw_only=True):

@@ -13,7 +13,8 @@ from poise.manage.migration.transition import TransitionStep
 from poise.manage.migration.transition_run import transit
 from poise.manage.run import Run
 from poise.model.robot import Robot
-from poise.wire.records.deployment import ComponentStatus, Deployment
+from poise.wire.records.deployment import Deployment
+from poise.wire.records.status import ComponentStatus
 from tests.manage.conftest import FakeAgents
 
 PLACEMENT = {"grabber": "left", "filter": "left"}

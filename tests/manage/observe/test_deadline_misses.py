@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from poise.manage.observe.deadline_misses import DeadlineMisses, Misses
-from poise.wire.records.deployment import (
+from poise.wire.records.status import (
     AgentStatus,
     ComponentStatus,
     ContainerStatus,

@@ -12,7 +12,7 @@ from poise.manage.observe.deviations import (
     find_unjoined,
 )
 from poise.model.robot import Connector, ConnectorEnd, Robot
-from poise.wire.records.deployment import (
+from poise.wire.records.status import (
     AgentStatus,
     ComponentStatus,
     ConnectorStatus,

@@ -13,14 +13,14 @@ from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.prometheus import MetricsServer, to_prometheus
 from poise.manage.observe.recording import Recording, load, save
 from poise.model.robot import Robot
-from poise.wire.records.deployment import (
+from poise.wire.records.recorded import Recorded
+from poise.wire.records.samples import AgentSample
+from poise.wire.records.status import (
     AgentStatus,
     ConnectorStatus,
     ContainerStatus,
     Summary,
 )
-from poise.wire.records.recorded import Recorded
-from poise.wire.records.samples import AgentSample
 from tests.manage.observe.conftest import Sampler
 
 

@@ -11,7 +11,7 @@ from poise.manage.observe.faults import (
     faults_after,
     last_numbers,
 )
-from poise.wire.records.deployment import AgentStatus, Fault
+from poise.wire.records.status import AgentStatus, Fault
 
 
 def status(*numbers: int) -> dict[str, AgentStatus]:

@@ -12,7 +12,7 @@ import pytest
 
 from poise.manage.observe.estimates import Estimates
 from poise.model.robot import Robot
-from poise.wire.records.deployment import (
+from poise.wire.records.status import (
     AgentStatus,
     ConnectorStatus,
     ContainerStatus,

@@ -23,26 +23,30 @@ from msgspec import structs
 from poise.runtime.waker import wait_readable
 from poise.wire.control_session import open_session
 from poise.wire.records.deployment import (
+    ComponentSpec,
+    ConnectorSpec,
+    ContainerSpec,
+    Deployment,
+    Goal,
+)
+from poise.wire.records.migration import MigrationSteps, Step, StepsFailed
+from poise.wire.records.requests import (
     PROTOCOL,
     Accepted,
-    AgentStatus,
     Answer,
     Claim,
-    ComponentSpec,
-    ComponentStatus,
-    ConnectorSpec,
-    ContainerHealth,
-    ContainerSpec,
-    ContainerStatus,
-    Deployment,
-    Fault,
-    Goal,
     ManagerId,
     ManagerRequest,
     Refused,
     Request,
 )
-from poise.wire.records.migration import MigrationSteps, Step, StepsFailed
+from poise.wire.records.status import (
+    AgentStatus,
+    ComponentStatus,
+    ContainerHealth,
+    ContainerStatus,
+    Fault,
+)
 from tests.runtime.conftest import free_port
 from tests.waiting import LIMIT, wait_until
 

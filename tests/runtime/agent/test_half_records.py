@@ -14,12 +14,9 @@ from poise.runtime.agent.watchdog import Silence
 from poise.runtime.hosting.stats_page import new_memory
 from poise.runtime.hosting.wiring import Place
 from poise.wire import record_channel
-from poise.wire.records.deployment import (
-    ContainerSpec,
-    ContainerStatus,
-    Deployment,
-    FromContainer,
-)
+from poise.wire.records.container import FromContainer
+from poise.wire.records.deployment import ContainerSpec, Deployment
+from poise.wire.records.status import ContainerStatus
 
 pytestmark = pytest.mark.slow
 

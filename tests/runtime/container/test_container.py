@@ -14,12 +14,8 @@ from poise.runtime.hosting.stats_page import new_memory
 from poise.runtime.hosting.wiring import Place
 from poise.runtime.waker import wait_readable
 from poise.wire import record_channel
-from poise.wire.records.deployment import (
-    ContainerFailure,
-    ContainerSpec,
-    FromContainer,
-    ToContainer,
-)
+from poise.wire.records.container import ContainerFailure, FromContainer, ToContainer
+from poise.wire.records.deployment import ContainerSpec
 from tests.waiting import LIMIT
 
 pytestmark = pytest.mark.slow

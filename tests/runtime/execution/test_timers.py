@@ -6,7 +6,7 @@ import pytest
 
 from poise.runtime.component.ports import Timer
 from poise.runtime.execution.timers import Releases
-from poise.wire.records.deployment import TimerStatus
+from poise.wire.records.status import TimerStatus
 
 START = 10.0
 

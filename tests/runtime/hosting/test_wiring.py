@@ -17,7 +17,7 @@ from poise.runtime.connectors.interface import methods
 from poise.runtime.execution.exclusion import new_chain
 from poise.wire.codec import WireError
 from poise.wire.frame import FAILURE, Frame, Kind, segments
-from poise.wire.records.deployment import ConnectorStatus
+from poise.wire.records.status import ConnectorStatus
 from tests.runtime.conftest import Pair, every_kind
 from tests.waiting import LIMIT, wait_until
 

@@ -18,7 +18,7 @@ from poise.session.profiling.figures import (
     figures,
 )
 from poise.session.profiling.usage import MeasuredUsage
-from poise.wire.records.deployment import AgentStatus, ComponentStatus, ContainerStatus
+from poise.wire.records.status import AgentStatus, ComponentStatus, ContainerStatus
 
 NAMES = ("eye", "mind")
 ROBOT = Robot(

@@ -31,7 +31,7 @@ from poise.session.run import Meanwhile, run
 from poise.session.say import Check, nothing
 from poise.session.scenes import SCENES
 from poise.units import format_seconds
-from poise.wire.records.deployment import Summary, TimerStatus
+from poise.wire.records.status import Summary, TimerStatus
 
 EXAMPLES = Path(__file__).parents[4] / "examples"
 _NAVIGATOR = "motion_controller"

@@ -14,7 +14,8 @@ from poise.manage.migration.replacement import ReplaceReport
 from poise.manage.migration.transition_run import TransitionReport
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import DemandEstimate
-from poise.wire.records.deployment import AgentStatus, ManagerId
+from poise.wire.records.requests import ManagerId
+from poise.wire.records.status import AgentStatus
 
 
 class StatusCommand(Struct, frozen=True, tag=True):

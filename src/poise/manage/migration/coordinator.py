@@ -25,13 +25,13 @@ from poise.manage.statuses import calling_ports, components_of
 from poise.priority import first
 from poise.wire.address import LOST_AFTER
 from poise.wire.migration_phases import MigrationPhases
-from poise.wire.records.deployment import ComponentStatus
 from poise.wire.records.migration import (
     MigrationSteps,
     StepsDone,
     StepsOutcome,
     StepTaken,
 )
+from poise.wire.records.status import ComponentStatus
 
 PREPARE_LIMIT = 30.0
 """The targets are configured, and have a large state, within this time [s]."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from msgspec import Struct
 
-from poise.wire.records.deployment import AgentStatus, TimerStatus
+from poise.wire.records.status import AgentStatus, TimerStatus
 
 _SEVERAL, _MISSED = 2, 0.2
 """A timer is late that misses as many deadlines, and this share of them."""

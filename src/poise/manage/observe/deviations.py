@@ -9,11 +9,7 @@ from msgspec import Struct
 
 from poise.manage.deployment import DeploymentPlan, Incarnation, name_of
 from poise.manage.statuses import Statuses, components_of, connectors_of
-from poise.wire.records.deployment import (
-    AgentStatus,
-    ComponentStatus,
-    ContainerHealth,
-)
+from poise.wire.records.status import AgentStatus, ComponentStatus, ContainerHealth
 
 _CRASH_LOOP = 3
 """Restarts within a minute that make a crash loop."""

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from msgspec import Struct
 
 from poise.manage.statuses import Statuses
-from poise.wire.records.deployment import Fault
+from poise.wire.records.status import Fault
 
 Numbers = Mapping[str, int]
 """Computer -> the number of its agent's last fault."""

@@ -7,7 +7,7 @@ from typing import Literal
 
 from poise.manage.observe.estimates import Estimates
 from poise.manage.statuses import Statuses
-from poise.wire.records.deployment import ConnectorStatus, Summary
+from poise.wire.records.status import ConnectorStatus, Summary
 
 Sample = tuple[str, Mapping[str, str], float]
 """A metric's name, its labels and its value."""

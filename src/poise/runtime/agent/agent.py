@@ -40,17 +40,17 @@ from poise.wire.connections.gateway import Gateway
 from poise.wire.connections.socket_path import socket_path
 from poise.wire.control_session import LEASE, identity_key, locator, open_session
 from poise.wire.records.clocks import ClockStatus
-from poise.wire.records.deployment import (
+from poise.wire.records.migration import MigrationSteps, StepsFailed
+from poise.wire.records.requests import (
     PROTOCOL,
     Accepted,
-    AgentStatus,
     Claim,
     ManagerId,
     ManagerRequest,
     Refused,
 )
-from poise.wire.records.migration import MigrationSteps, StepsFailed
 from poise.wire.records.samples import SAMPLE_EVERY
+from poise.wire.records.status import AgentStatus
 
 REPORT_EVERY = 0.5
 """A status goes out at least this often [s]."""

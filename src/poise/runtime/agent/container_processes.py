@@ -18,15 +18,10 @@ from poise.runtime.agent.watchdog import Silence
 from poise.wire import record_channel
 from poise.wire.codec import WireError
 from poise.wire.records.clocks import Clocks, ClockStatus
-from poise.wire.records.deployment import (
-    ComponentStatus,
-    ContainerFailure,
-    ContainerSpec,
-    ContainerStatus,
-    FromContainer,
-    ToContainer,
-)
+from poise.wire.records.container import ContainerFailure, FromContainer, ToContainer
+from poise.wire.records.deployment import ContainerSpec
 from poise.wire.records.migration import MigrationSteps, StepsOutcome
+from poise.wire.records.status import ComponentStatus, ContainerStatus
 
 STOP_LIMIT = 2.0
 """A container that was asked to end is killed after this time [s]."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zenoh
 
-from poise.wire.records.deployment import Accepted, Claim, ManagerId, Refused
+from poise.wire.records.requests import Accepted, Claim, ManagerId, Refused
 
 
 class Fence:

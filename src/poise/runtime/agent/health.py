@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 
 from msgspec import structs
 
-from poise.wire.records.deployment import ContainerHealth, ContainerState, Fault
+from poise.wire.records.status import ContainerHealth, ContainerState, Fault
 
 _MOST_FAULTS = 100
 _MOST_RESTARTS = 100

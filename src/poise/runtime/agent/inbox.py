@@ -12,7 +12,7 @@ import msgspec
 import zenoh
 from msgspec import Struct
 
-from poise.wire.records.deployment import PROTOCOL, Answer, ManagerRequest, Refused
+from poise.wire.records.requests import PROTOCOL, Answer, ManagerRequest, Refused
 
 _MOST = 100
 

@@ -28,13 +28,9 @@ from poise.runtime.agent.watchdog import Silence
 from poise.runtime.container import zygote
 from poise.runtime.hosting.stats_page import new_memory
 from poise.runtime.hosting.wiring import Place
-from poise.wire.records.deployment import (
-    ContainerHealth,
-    ContainerSpec,
-    ContainerStatus,
-    Deployment,
-)
+from poise.wire.records.deployment import ContainerSpec, Deployment
 from poise.wire.records.migration import StepsOutcome
+from poise.wire.records.status import ContainerHealth, ContainerStatus
 
 log = logging.getLogger(__name__)
 

@@ -19,7 +19,7 @@ from msgspec.structs import replace
 
 import poise
 from poise.errors import PoiseError
-from poise.wire.records.deployment import ErrorCount
+from poise.wire.records.status import ErrorCount
 
 _OURS = (
     *(

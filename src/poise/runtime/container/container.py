@@ -37,21 +37,15 @@ from poise.wire import record_channel
 from poise.wire.codec import WireError
 from poise.wire.connections.fork import keep_private
 from poise.wire.records.clocks import Clocks
-from poise.wire.records.deployment import (
-    ComponentSpec,
-    ComponentStatus,
-    ContainerFailure,
-    ContainerSpec,
-    ContainerStatus,
-    FromContainer,
-    ToContainer,
-)
+from poise.wire.records.container import ContainerFailure, FromContainer, ToContainer
+from poise.wire.records.deployment import ComponentSpec, ContainerSpec
 from poise.wire.records.migration import (
     MigrationSteps,
     StepsDone,
     StepsFailed,
     StepsOutcome,
 )
+from poise.wire.records.status import ComponentStatus, ContainerStatus
 
 log = logging.getLogger(__name__)
 

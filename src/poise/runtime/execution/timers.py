@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from poise.runtime._calls import Histogram
 from poise.runtime.component.ports import Timer
-from poise.wire.records.deployment import TimerStatus
+from poise.wire.records.status import TimerStatus
 
 
 class Releases:

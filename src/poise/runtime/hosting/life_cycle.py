@@ -5,7 +5,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Set as AbstractSet
 
-from poise.wire.records.deployment import Aim, State
+from poise.wire.records.deployment import Aim
+from poise.wire.records.status import State
 
 ENDED: AbstractSet[State] = {"finalized", "failed"}
 

@@ -28,7 +28,8 @@ from poise.runtime.execution.timers import Releases, Timers
 from poise.runtime.hosting.execution_gate import ExecutionGate
 from poise.runtime.hosting.life_cycle import ENDED, LifeCycle
 from poise.wire.codec import codec
-from poise.wire.records.deployment import Aim, ComponentSpec, ComponentStatus, State
+from poise.wire.records.deployment import Aim, ComponentSpec
+from poise.wire.records.status import ComponentStatus, State
 
 log = logging.getLogger(__name__)
 

@@ -29,7 +29,8 @@ from poise.wire.connections.channel import Channel
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.connections.opening import CALLS, MESSAGES
 from poise.wire.frame import Frame
-from poise.wire.records.deployment import ConnectorSpec, ConnectorStatus, Side
+from poise.wire.records.deployment import ConnectorSpec
+from poise.wire.records.status import ConnectorStatus, Side
 
 SENDING: AbstractSet[Kind] = {"publishes", "requires"}
 TAKING: AbstractSet[Kind] = {"subscribes", "provides"}

@@ -20,7 +20,7 @@ from poise.session.calibration.robots import pairs, yardsticks
 from poise.session.launch.start import Sampling, started
 from poise.session.profiles import check_keepable, read_profile, store_of
 from poise.session.say import Check, nothing
-from poise.wire.records.deployment import AgentStatus
+from poise.wire.records.status import AgentStatus
 
 _WARM_UP = 1.0
 _SPREAD = 0.05

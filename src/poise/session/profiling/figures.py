@@ -17,7 +17,7 @@ from poise.manage.deployment import name_of
 from poise.manage.statuses import Statuses, components_of, connectors_of
 from poise.model.robot import Connector, Robot
 from poise.session.profiling.usage import MeasuredUsage
-from poise.wire.records.deployment import ComponentStatus, Summary
+from poise.wire.records.status import ComponentStatus, Summary
 
 AGREE_SHARE = 0.05
 AGREE_CORES = 0.01

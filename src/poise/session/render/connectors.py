@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 
 from poise.session.render.tables import NamedRows
 from poise.units import format_bytes, format_seconds
-from poise.wire.records.deployment import ConnectorStatus, Summary
+from poise.wire.records.status import ConnectorStatus, Summary
 
 _OF = "connector"
 _Ends = list[ConnectorStatus]

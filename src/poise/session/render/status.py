@@ -17,7 +17,7 @@ from poise.session.render.clocks import clock_table
 from poise.session.render.connectors import connector_tables
 from poise.session.render.tables import table
 from poise.units import counted, format_bytes
-from poise.wire.records.deployment import ComponentStatus
+from poise.wire.records.status import ComponentStatus
 
 
 def status_parts(status: RobotStatus) -> Iterator[RenderableType]:

@@ -1,0 +1,28 @@
+"""What an agent and its containers tell each other."""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+from poise.wire.records.clocks import Clocks
+from poise.wire.records.deployment import ContainerSpec
+from poise.wire.records.migration import MigrationSteps, StepsDone, StepsFailed
+from poise.wire.records.status import ContainerStatus
+
+
+class ContainerFailure(Struct, frozen=True, tag=True):
+    """The last words of a container that cannot go on."""
+
+    reason: str
+
+
+class ToContainer(Struct, frozen=True):
+    """What an agent tells a container."""
+
+    what: ContainerSpec | MigrationSteps | Clocks
+
+
+class FromContainer(Struct, frozen=True):
+    """What a container tells its agent."""
+
+    what: ContainerStatus | ContainerFailure | StepsDone | StepsFailed

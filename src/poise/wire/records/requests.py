@@ -1,0 +1,76 @@
+"""What a manager asks of agents, with the answers.
+
+The steps of migrations stand in `poise.wire.records.migration`.
+"""
+
+from __future__ import annotations
+
+import time
+
+from msgspec import Struct
+
+from poise.wire.records.deployment import Deployment
+from poise.wire.records.migration import MigrationSteps, StepsDone, StepsFailed
+
+PROTOCOL = 6
+"""Manager, agents and containers of different protocol versions refuse each other."""
+
+
+class ManagerId(Struct, frozen=True, kw_only=True):
+    """One start of a manager.
+
+    Parameters
+    ----------
+    key
+        Unique; its liveliness token is ``poise/ROBOT/manager/KEY``.
+    user, host, pid
+        Where it runs, for people.
+    since
+        When it started [s since 1970].
+    """
+
+    key: str
+    user: str
+    host: str
+    pid: int
+    since: float
+
+    def __str__(self) -> str:
+        """Return who it is, for people."""
+        began = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(self.since))
+        return f"user {self.user} on {self.host} (process {self.pid}) since {began}"
+
+
+class Claim(Struct, frozen=True, tag=True):
+    """Obey this manager from now on."""
+
+    manager: ManagerId
+
+
+class Accepted(Struct, frozen=True, tag=True):
+    """An agent's answer: it obeys the manager, or works towards its deployment."""
+
+
+class Refused(Struct, frozen=True, tag=True):
+    """An agent's answer: it changed nothing, and why."""
+
+    reason: str
+
+
+Answer = Accepted | Refused | StepsDone | StepsFailed
+
+Request = Claim | Deployment | MigrationSteps
+"""What a manager asks of an agent."""
+
+
+class ManagerRequest(Struct, frozen=True, kw_only=True):
+    """A request with its manager's fencing token.
+
+    Each manager claims its agents with a token above all that they have seen. An agent
+    refuses deployments and steps with any other token than that of the manager which
+    it obeys: what a replaced manager still sends has no effect.
+    """
+
+    protocol: int = PROTOCOL
+    token: int
+    request: Request

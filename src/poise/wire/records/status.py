@@ -1,0 +1,283 @@
+"""What agents and containers report: what runs, how it does, and what went wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from msgspec import Struct
+
+from poise.wire.records.clocks import ClockStatus
+from poise.wire.records.deployment import ConnectorKind
+from poise.wire.records.requests import PROTOCOL, ManagerId
+
+State = Literal[
+    "unconfigured", "inactive", "active", "finalized", "failed", "unresponsive"
+]
+"""Where a component is. `unresponsive`: its agent says so, because its container does
+not respond."""
+
+ContainerState = Literal["starting", "running", "unresponsive", "restarting", "stopped"]
+
+Side = Literal["source", "target", "both"]
+
+
+class Summary(Struct, frozen=True):
+    """Many values of one measurement, in its own unit."""
+
+    count: int = 0
+    mean: float = 0.0
+    median: float = 0.0
+    p99: float = 0.0
+    maximum: float = 0.0
+
+
+class TimerStatus(Struct, frozen=True, kw_only=True):
+    """How a timer kept its rate.
+
+    Parameters
+    ----------
+    releases
+        How often it was due since activation.
+    missed
+        How many of these ended after their deadline, or never began.
+    lateness, duration
+        From release to start, and from start to end [s].
+    """
+
+    name: str
+    period: float
+    deadline: float | None
+    releases: int
+    missed: int
+    lateness: Summary
+    duration: Summary
+
+
+class ConnectorStatus(Struct, frozen=True, kw_only=True):
+    """What one end of a connector counted, since its component began to run there.
+
+    So after a move or a replacement of the target alone, its end counts from 0, and the
+    source's goes on.
+
+    Parameters
+    ----------
+    end
+        Where calls and messages begin (``source``), where they end (``target``), or
+        ``both`` in one container: then all is counted once.
+    bytes_out, bytes_in
+        What left this end over a wire, and what came to it [bytes]: at the source
+        requests and messages go out and answers come in, at the target the other way
+        round. None within a container.
+    errors
+        Calls that failed, and what came and was refused.
+    drops
+        Messages that this end gave up: they could not go out, found no room, or made
+        room for newer ones.
+    delay
+        Of calls [s]: at the source there and back, at the target until the answer.
+    wait
+        Of messages [s]: at the source until they went out, elsewhere from their arrival
+        until the component took them.
+    size
+        Of calls, both ways, and of messages, over a wire [bytes].
+    latency
+        From the other end to this one [s]: at the target how long calls and messages
+        were under way, at the source answers. Over a wire only.
+    latency_error
+        How far that is off at most, in the mean [s]: nobody knows better how far other
+        computers' clocks are ahead. 0 on one computer.
+    """
+
+    name: str
+    kind: ConnectorKind
+    end: Side
+    ready: bool
+    calls: int = 0
+    messages: int = 0
+    bytes_out: int = 0
+    bytes_in: int = 0
+    errors: int = 0
+    drops: int = 0
+    delay: Summary = Summary()
+    wait: Summary = Summary()
+    size: Summary = Summary()
+    latency: Summary = Summary()
+    latency_error: float = 0.0
+
+
+class ErrorCount(Struct, frozen=True, kw_only=True):
+    """Errors of one type that one line of a component's code raised.
+
+    Parameters
+    ----------
+    where
+        The hook, timer or port whose code raised them.
+    text
+        The first one's traceback.
+    first
+        When that was [s since 1970].
+    """
+
+    where: str
+    text: str
+    first: float
+    count: int
+
+
+class ComponentStatus(Struct, frozen=True, kw_only=True):
+    """A component as its container sees it.
+
+    Parameters
+    ----------
+    error
+        The last traceback, or empty.
+    error_counts
+        The errors by line and type, in the order in which they first came.
+    handler, handler_seconds
+        The timer or port whose code its thread runs now, and for how long already [s].
+    cpu
+        CPU time of its own code, on any thread [s].
+    start
+        How long it took to import, make and configure it [s].
+    snapshot
+        Size of its snapshot, if that was taken [bytes].
+    requires, subscribes
+        Its ports over which it calls others, and those to which messages come.
+    """
+
+    name: str
+    epoch: int = 0
+    state: State
+    error: str = ""
+    errors: int = 0
+    error_counts: tuple[ErrorCount, ...] = ()
+    handler: str = ""
+    handler_seconds: float = 0.0
+    cpu: float = 0.0
+    start: float = 0.0
+    snapshot: int = 0
+    has_state: bool = False
+    requires: tuple[str, ...] = ()
+    subscribes: tuple[str, ...] = ()
+    timers: tuple[TimerStatus, ...] = ()
+    measures: Mapping[str, Summary] = {}
+
+
+class ContainerStatus(Struct, frozen=True, kw_only=True, tag=True):
+    """A container as it sees itself.
+
+    Parameters
+    ----------
+    cpu
+        Its process's CPU time so far [s].
+    trouble
+        Why it accepts no connection now, and what to do; empty: it does.
+    """
+
+    name: str
+    pid: int
+    cpu: float = 0.0
+    trouble: str = ""
+    components: tuple[ComponentStatus, ...] = ()
+    connectors: tuple[ConnectorStatus, ...] = ()
+
+
+class Fault(Struct, frozen=True, kw_only=True):
+    """Something that went wrong on a computer: a container that ended, say.
+
+    Parameters
+    ----------
+    message
+        What happened, what was lost, and what to do.
+    number
+        Counts the faults of one agent, from 1.
+    at
+        When [s since the epoch], by that computer's clock.
+    restarts
+        How often the container was started again before.
+    is_over
+        Whether it says that the fault before is over.
+    """
+
+    container: str
+    message: str
+    number: int = 0
+    at: float = 0.0
+    restarts: int = 0
+    is_over: bool = False
+
+
+class ContainerHealth(Struct, frozen=True, kw_only=True):
+    """A container as its agent sees it; kept for as long as the agent lives.
+
+    Parameters
+    ----------
+    state
+        ``starting`` until it first reports; ``restarting`` while it waits to be
+        started again.
+    since
+        When that state began [s since the epoch].
+    reason
+        Why it does not respond; else empty.
+    restarts
+        How often it was started again since the agent started.
+    restarts_lately
+        How often in the last minute.
+    last_fault
+        What went wrong last.
+    cpu, memory
+        CPU use [cores] and memory use [bytes] of its processes.
+    """
+
+    name: str
+    state: ContainerState
+    since: float
+    reason: str = ""
+    restarts: int = 0
+    restarts_lately: int = 0
+    last_fault: Fault | None = None
+    cpu: float = 0.0
+    memory: int = 0
+
+
+class AgentStatus(Struct, frozen=True, kw_only=True):
+    """A computer as its agent sees it.
+
+    Parameters
+    ----------
+    manager, token
+        The manager that it obeys, or obeyed last, with that one's fencing token.
+    cpu
+        CPU time of the agent and all its containers, ended ones too [s].
+    uptime
+        Time since the agent started [s].
+    load, memory
+        CPU use [cores] and memory use [bytes] of the agent and its containers.
+    faults
+        The latest faults, oldest first.
+    health
+        The containers of this deployment, and those that had faults before.
+    clocks
+        What is known of other computers' clocks, by name.
+    gateway
+        IP address and TCP port of its gateway.
+    trouble
+        Why that accepts no connection now, and what to do; empty: it does.
+    """
+
+    protocol: int = PROTOCOL
+    computer: str
+    generation: int
+    token: int = 0
+    manager: ManagerId | None = None
+    uptime: float
+    cpu: float
+    load: float = 0.0
+    memory: int = 0
+    gateway: str = ""
+    trouble: str = ""
+    containers: tuple[ContainerStatus, ...] = ()
+    faults: tuple[Fault, ...] = ()
+    health: tuple[ContainerHealth, ...] = ()
+    clocks: Mapping[str, ClockStatus] = {}
