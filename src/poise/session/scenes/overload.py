@@ -1,31 +1,25 @@
-"""Scenes that show how a running robot adapts, and measure it from outside."""
+"""Another program overloads a computer of a running robot."""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Mapping
 
 from msgspec import Struct
 
-from poise.errors import RunError
 from poise.model.robot import Robot
-from poise.session.emulated import emulated
 from poise.session.placement import place
 from poise.session.running import Running
 from poise.session.say import Check, Say
+from poise.session.scenes.waiting import LOOK_EVERY, WARM_UP, wait
 from poise.session.up import up
 
-_WARM_UP = 4.0
 _WATCH = 15.0
 """How long a robot is watched after something happened to it [s]."""
-_LOOK_EVERY = 0.1
 _LOAD = 0.45
 """What the other program takes [cores]."""
 _SETTLES = 2.0
 """The moves of one transition are made within this time [s]."""
-_LIMIT = 30.0
-"""A scene fails when the robot has not adapted within this time [s]."""
 
 
 class OverloadScene(Struct, frozen=True, kw_only=True):
@@ -50,25 +44,6 @@ class OverloadScene(Struct, frozen=True, kw_only=True):
     missed_without: float
 
 
-class LostComputerScene(Struct, frozen=True, kw_only=True):
-    """A computer loses power.
-
-    Parameters
-    ----------
-    ok
-        Whether each component is active once after the computer is back.
-    detected_s
-        Until the manager said so [s].
-    active_s
-        Until all its components were active on the other one [s].
-    """
-
-    scene: str = "lost-computer"
-    ok: bool
-    detected_s: float
-    active_s: float
-
-
 def overload(robot: Robot, say: Say, check: Check) -> OverloadScene:
     """Load the computer on which all components run, with and without adaptation."""
     without, *_ = _under_load(robot, say, check, adapt=False)
@@ -89,7 +64,7 @@ def _under_load(
     say("with adaptation" if adapt else "without adaptation")
     placed = place(robot, method="static")
     with up(robot, placement=placed, adapt=adapt, say=say, check=check) as running:
-        _wait(_WARM_UP, check)
+        wait(WARM_UP, check)
         count = _Deadlines(running)
         loaded = next(iter(placed.where.values()))
         say(f"another program takes {_LOAD:g} cores on '{loaded}'")
@@ -98,7 +73,7 @@ def _under_load(
         met_again, places = 0.0, running.status().placement
         moves: list[float] = []
         while (now := time.monotonic() - began) < _WATCH:
-            _wait(_LOOK_EVERY, check)
+            wait(LOOK_EVERY, check)
             if count.look():
                 met_again = now
             where = running.status().placement
@@ -108,27 +83,6 @@ def _under_load(
     say(f"{count.missed} of {count.released} deadlines missed under the load")
     settled = max([met_again, *(at + _SETTLES for at in moves[:1])])
     return count.share(), met_again, sum(at > settled for at in moves)
-
-
-def lose_computer(robot: Robot, say: Say, check: Check) -> LostComputerScene:
-    """Crash the computer on which all components run; RunError if none restarts."""
-    placed = place(robot, method="static")
-    lost = next(iter(placed.where.values()))
-    with (
-        emulated(robot, say=say) as computers,
-        up(robot, placement=placed, say=say, check=check) as running,
-    ):
-        _wait(_WARM_UP, check)
-        say(f"'{lost}' loses power")
-        computers.crash(lost)
-        began = time.monotonic()
-        detected = _until(lambda: lost in running.status().out_of_reach, began, check)
-        active = _until(lambda: _all_active(running, lost), began, check)
-        say("the power is back")
-        computers.boot(lost)
-        _until(lambda: not running.status().deviations, time.monotonic(), check)
-        once = sorted(_active(running)) == sorted(running.status().placement)
-    return LostComputerScene(ok=once, detected_s=detected, active_s=active)
 
 
 class _Deadlines:
@@ -159,41 +113,3 @@ class _Deadlines:
     def share(self) -> float:
         """Return the share that was missed; in [0, 1]."""
         return self.missed / self.released if self.released else 1.0
-
-
-def _all_active(running: Running, lost: str) -> bool:
-    placement = running.status().placement
-    is_elsewhere = lost not in placement.values()
-    return is_elsewhere and set(_active(running, lost)) >= placement.keys()
-
-
-def _active(running: Running, lost: str = "") -> list[str]:
-    """Return the active components of all computers but a lost one."""
-    return [
-        component.name
-        for computer, report in running.status().computers.items()
-        if computer != lost
-        for container in report.containers
-        for component in container.components
-        if component.state == "active"
-    ]
-
-
-def _until(holds: Callable[[], bool], began: float, check: Check) -> float:
-    """Return how long after `began` something held [s]; RunError when it never did."""
-    while not holds():
-        _wait(_LOOK_EVERY / 5, check)
-        if time.monotonic() - began > _LIMIT:
-            raise RunError(f"the robot did not adapt within {_LIMIT:g} s")
-    return time.monotonic() - began
-
-
-def _wait(seconds: float, check: Check) -> None:
-    end = time.monotonic() + seconds
-    while (left := end - time.monotonic()) > 0:
-        check()
-        time.sleep(min(left, _LOOK_EVERY))
-
-
-SCENES: Mapping[str, Callable[[Robot, Say, Check], OverloadScene | LostComputerScene]]
-SCENES = {"overload": overload, "lost-computer": lose_computer}
