@@ -6,10 +6,11 @@ Names are unique within their kind; names of components are unique in the whole 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Literal, Protocol, TypeVar
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from poise.model.file_forms import COMMAND, PortKind, by_name, by_port
 from poise.model.file_keys import (
@@ -256,6 +257,24 @@ class Robot(Struct, frozen=True, kw_only=True):
         """Yield every component of every architecture."""
         for architecture in self.architectures:
             yield from architecture.components
+
+    def with_components(
+        self, change: Callable[[ComponentEntry], ComponentEntry | None]
+    ) -> Robot:
+        """Return the robot with every component as `change` returns it; None: without.
+
+        An architecture that keeps no component is left out, too.
+        """
+        architectures = []
+        for architecture in self.architectures:
+            changed = tuple(
+                component
+                for component in map(change, architecture.components)
+                if component is not None
+            )
+            if changed:
+                architectures.append(replace(architecture, components=changed))
+        return replace(self, architectures=tuple(architectures))
 
     def all_connectors(self) -> Iterator[Connector]:
         """Yield every connector, inside architectures first, then between them."""

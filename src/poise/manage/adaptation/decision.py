@@ -142,16 +142,6 @@ def _barring(
         )
         for name, computers in barred.items()
     }
-    return replace(
-        robot,
-        architectures=tuple(
-            replace(
-                architecture,
-                components=tuple(
-                    replace(c, only=only[c.name]) if only.get(c.name) else c
-                    for c in architecture.components
-                ),
-            )
-            for architecture in robot.architectures
-        ),
+    return robot.with_components(
+        lambda c: replace(c, only=only[c.name]) if only.get(c.name) else c
     )

@@ -11,7 +11,7 @@ from poise import plan
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.replan import SOLVE_FOR, with_present_demands
 from poise.model.check.allowed_computers import allowed_computers
-from poise.model.robot import Architecture, Robot
+from poise.model.robot import ComponentEntry, Robot
 
 
 class Failover(Struct, frozen=True, kw_only=True):
@@ -70,25 +70,22 @@ def _what_is_left(facts: Facts, homes: Mapping[str, tuple[str, ...]]) -> Robot:
     used = {computer for choices in homes.values() for computer in choices}
     computers = tuple(c for c in facts.computers_left() if c.name in used)
     names = {computer.name for computer in computers}
-    architectures = (_part(each, homes) for each in robot.architectures)
+    left = robot.with_components(lambda component: _homed(component, homes))
     return replace(
-        robot,
+        left,
         computers=computers,
         links=tuple(k for k in robot.links if names.issuperset(k.between)),
-        architectures=tuple(each for each in architectures if each.components),
+        architectures=tuple(
+            replace(each, layer="sequencing") for each in left.architectures
+        ),
         tasks=(),
     )
 
 
-def _part(
-    architecture: Architecture, homes: Mapping[str, tuple[str, ...]]
-) -> Architecture:
-    return replace(
-        architecture,
-        components=tuple(
-            replace(component, only=homes[component.name], devices=(), movable=True)
-            for component in architecture.components
-            if component.name in homes
-        ),
-        layer="sequencing",
-    )
+def _homed(
+    component: ComponentEntry, homes: Mapping[str, tuple[str, ...]]
+) -> ComponentEntry | None:
+    """Return a component held to its homes; None when it has none."""
+    if component.name not in homes:
+        return None
+    return replace(component, only=homes[component.name], devices=(), movable=True)

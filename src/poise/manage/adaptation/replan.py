@@ -169,18 +169,10 @@ def _most(component: ComponentEntry, computer: Computer) -> float:
 
 def _with_cpu(robot: Robot, demands: Mapping[str, float]) -> Robot:
     """Return the robot with other CPU demands [cores]."""
-    return replace(
-        robot,
-        architectures=tuple(
-            replace(
-                architecture,
-                components=tuple(
-                    replace(c, demand={**c.demand, "cpu": demands[c.name]})
-                    if c.name in demands
-                    else c
-                    for c in architecture.components
-                ),
-            )
-            for architecture in robot.architectures
-        ),
+    return robot.with_components(
+        lambda c: (
+            replace(c, demand={**c.demand, "cpu": demands[c.name]})
+            if c.name in demands
+            else c
+        )
     )
