@@ -10,6 +10,8 @@ import pytest
 from poise.errors import FileProblem
 from poise.model import robot
 from poise.model.file_keys import keys_of
+from poise.model.policy.policy import ACTIONS, Policy
+from poise.model.policy.values import SUBJECTS, Subject
 
 Find = Callable[[str], tuple[FileProblem, ...]]
 
@@ -43,3 +45,18 @@ def test_the_example_is_a_right_robot_file(find: Find) -> None:
 def test_every_key_is_described(record: type[msgspec.Struct], heading: str) -> None:
     text = REFERENCE.split(f"\n## {heading}\n")[1].split("\n## ")[0]
     assert [key for key in keys_of(record) if f"`{key}`" not in text] == []
+
+
+@pytest.mark.parametrize("subject", SUBJECTS)
+def test_every_value_of_policies_is_described(subject: Subject) -> None:
+    text = (Path(__file__).parents[2] / "docs/policies.md").read_text()
+    section = text.split(f"\n### {subject}\n")[1].split("\n### ")[0]
+    assert [
+        name for name in keys_of(SUBJECTS[subject]) if f"`{name}`" not in section
+    ] == []
+
+
+def test_every_key_and_action_of_policies_is_described() -> None:
+    text = (Path(__file__).parents[2] / "docs/policies.md").read_text()
+    names = [*keys_of(Policy), *ACTIONS]
+    assert [name for name in names if f"| `{name}` |" not in text] == []

@@ -17,6 +17,7 @@ COMMANDS = {
     "profile show": ("profile:show_command", "Show the last profile."),
     "calibrate": ("calibrate:calibrate_command", "Measure computers and connectors."),
     "recording": ("recording:recording_command", "Export or replay a recording."),
+    "policy": ("policy:policy_command", "Show what a robot does by itself, and when."),
     "run": ("run:run_command", "Run a task for a while and report."),
     "demo": ("demo:demo_command", "Drive a robot, placed by hand and by Poise."),
     "emulate": ("emulate:emulate_command", "Keep a robot's emulated computers up."),

@@ -228,6 +228,8 @@ class Manager:
             loads=self._estimates.loads.loads(),
             misses=self._misses.look(run.current(), time.monotonic()),
             demand_estimates=tuple(self._estimates.demand_estimates()),
+            statuses=run.current(),
+            traffic=self._estimates.traffic(),
         )
 
     def _look(self) -> None:

@@ -26,6 +26,7 @@ from poise.model.file_keys import (
     written,
 )
 from poise.model.hardware import Computer, Device, Link
+from poise.model.policy.policy import POLICIES, Policy
 from poise.model.software import (
     Architecture,
     ComponentEntry,
@@ -50,6 +51,7 @@ __all__ = [
     "Layer",
     "Link",
     "Objective",
+    "Policy",
     "PortKind",
     "Robot",
     "Simulator",
@@ -235,6 +237,11 @@ class Robot(Struct, frozen=True, kw_only=True):
     ] = ()
     apart: Annotated[
         tuple[Set, ...], says("Sets of components that are on different computers.")
+    ] = ()
+    policies: Annotated[
+        tuple[Policy, ...],
+        POLICIES,
+        says("What is done when; `off` switches a shipped policy off."),
     ] = ()
     simulator: Annotated[
         Simulator | None, says("The simulated world of an emulated robot.")

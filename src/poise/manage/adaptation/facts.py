@@ -7,10 +7,12 @@ from collections.abc import Mapping
 from msgspec import Struct
 from msgspec.structs import replace
 
+from poise.estimate.profile import ConnectorProfile
 from poise.manage.observe.deadline_misses import Misses
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.observe.loads import Load
 from poise.model.robot import Computer, Robot
+from poise.wire.records.status import AgentStatus
 
 _WANTS_MORE = 1.5
 """What other programs want on a full computer, as a multiple of what they get there."""
@@ -33,6 +35,10 @@ class Facts(Struct, frozen=True, kw_only=True):
         The timers that were due within the last seconds.
     demand_estimates
         What the components need.
+    statuses
+        Computer -> what its agent reported last.
+    traffic
+        Connector -> what goes over it now.
     """
 
     robot: Robot
@@ -42,6 +48,8 @@ class Facts(Struct, frozen=True, kw_only=True):
     loads: Mapping[str, Load] = {}
     misses: tuple[Misses, ...] = ()
     demand_estimates: tuple[DemandEstimate, ...] = ()
+    statuses: Mapping[str, AgentStatus] = {}
+    traffic: Mapping[str, ConnectorProfile] = {}
 
     def computers_left(self) -> tuple[Computer, ...]:
         """Return the computers with what other programs leave of their CPU."""

@@ -1,13 +1,15 @@
 """The loop of adaptation: monitors, analyses, plans and executes.
 
-Carried out by the manager's one thread, between commands. Everything it sees, decides
-and does is in the journal.
+What it looks for, and what it does then, are the robot's policies. It is carried out by
+the manager's one thread, between commands. Everything it sees, decides and does is in
+the journal.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 
 from msgspec import Struct
 
@@ -15,10 +17,13 @@ from poise.manage.adaptation.decision import Decision, decide
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.failover import fail_over
 from poise.manage.adaptation.move_limits import MoveLimits
-from poise.manage.adaptation.triggers import TRIGGERS, LastingSymptoms, Symptom
+from poise.manage.adaptation.policies import Key, Policies, Symptom
+from poise.manage.adaptation.subjects import values_of
 from poise.manage.migration.transition_run import restart_elsewhere, transit
 from poise.manage.observe.deviations import Deviation
 from poise.manage.run import Run
+from poise.model.policy.policy import Do
+from poise.model.policy.shipped import policies_of
 
 
 class Adaptation:
@@ -51,39 +56,41 @@ class Adaptation:
         self._facts = facts
         self._acts = acts
         self._clock = clock
-        self._lasting = LastingSymptoms()
+        self._policies = Policies(policies_of(run.robot))
         self._move_limits = MoveLimits()
         self._failover_limits = MoveLimits()
         self._downtimes: dict[str, float] = {}
-        self._reported: dict[tuple[str, str], _Reported] = {}
+        self._reported: dict[Key, _Reported] = {}
         self._missing: set[str] = set()
         self.deviations: tuple[Deviation, ...] = ()
 
     def look(self) -> None:
         """Look at the robot once, and act if that is worth it."""
         now, facts = self._clock(), self._facts()
-        found = [symptom for trigger in TRIGGERS for symptom in trigger(facts)]
-        symptoms = self._lasting.select(found, now)
+        symptoms = self._policies.look(partial(values_of, facts), now)
         self._report(symptoms)
-        if (
-            self._acts
-            and not self._failover_limits.rests(now)
-            and self._fail_over(facts, now)
+        if not self._acts:
+            return
+        lost = _about(symptoms, "fail over")
+        if not self._failover_limits.rests(now) and self._fail_over(
+            facts, {each.values.name for each in lost}, now
         ):
             return
-        if not symptoms:
+        if not (bad := _about(symptoms, "replan")):
             self._move_limits.forget_nothing()
-        elif self._acts and not self._move_limits.rests(now):
+            return
+        due = self._policies.due(bad, now)
+        if due and not self._move_limits.rests(now):
             decision = decide(facts, self._move_limits.barred(now), self._downtimes)
-            self._carry_out(decision, facts, now)
+            self._carry_out(decision, due, facts, now)
 
-    def _fail_over(self, facts: Facts, now: float) -> bool:
+    def _fail_over(self, facts: Facts, lost: set[str], now: float) -> bool:
         """Restart the components of lost computers elsewhere, once."""
-        stranded = {n for n, c in facts.placement.items() if c in facts.lost}
+        stranded = {n for n, c in facts.placement.items() if c in lost}
         self._missing &= stranded
         if stranded <= self._missing:
             return False
-        found = fail_over(facts, facts.lost)
+        found = fail_over(facts, lost)
         self._missing = set(found.missing)
         note = self._run.journal.note
         for component, why in sorted(found.missing.items()):
@@ -97,14 +104,23 @@ class Adaptation:
                 self._failover_limits.note_nothing(now)
         return True
 
-    def _carry_out(self, decision: Decision, facts: Facts, now: float) -> None:
+    def _carry_out(
+        self, decision: Decision, due: tuple[Symptom, ...], facts: Facts, now: float
+    ) -> None:
         steps = decision.proposal.steps if decision.proposal else ()
         why = decision.why
         if decision.acts and not self._move_limits.may_move(len(steps), now):
             why = f"the {len(steps)} moves it takes are over the budget of a minute"
         elif decision.acts:
             note = self._run.journal.note
-            note("decided", why, decision=decision, loads=facts.loads)
+            note(
+                "decided",
+                why,
+                decision=decision,
+                policies=_seen(due),
+                loads=facts.loads,
+            )
+            self._policies.note_acted(due, now)
             self._move_limits.note(steps, now)
             report = transit(self._run, steps)
             self._downtimes |= {m.component: m.downtime for m in report.moves}
@@ -116,10 +132,11 @@ class Adaptation:
         """Journal each symptom when it has lasted, and when it has ended."""
         note = self._run.journal.note
         for symptom in symptoms:
-            if symptom.key not in self._reported:
+            # a computer that is out of reach is reported as such (`LostComputers`)
+            if symptom.key not in self._reported and symptom.policy.do != "fail over":
                 self._reported[symptom.key] = _Reported(symptom, time.time())
-                note("wrong", symptom.what)
-        for key in self._reported.keys() - self._lasting.since.keys():
+                note("wrong", symptom.what, policies=_seen([symptom]))
+        for key in self._reported.keys() - self._policies.since.keys():
             note("right", f"no more: {self._reported.pop(key).symptom.what}")
         self.deviations = tuple(
             Deviation(
@@ -136,6 +153,16 @@ class Adaptation:
             for reported in self._reported.values():
                 reported.why_not = why
             self._run.journal.note("seen", why, decision=decision)
+
+
+def _about(symptoms: Iterable[Symptom], do: Do) -> tuple[Symptom, ...]:
+    """Return the symptoms about which something is to be done."""
+    return tuple(each for each in symptoms if each.policy.do == do)
+
+
+def _seen(symptoms: Iterable[Symptom]) -> list[dict[str, object]]:
+    """Return policies and the values that they saw, for the journal."""
+    return [{"policy": each.policy.name, "saw": each.values} for each in symptoms]
 
 
 def _sentence(placement: Mapping[str, str]) -> str:

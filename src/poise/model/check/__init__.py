@@ -9,6 +9,7 @@ from poise.model.check.allowed_computers import check_allowed_computers
 from poise.model.check.connectors import check_chains, check_connectors
 from poise.model.check.demands import check_demands
 from poise.model.check.names import check_names
+from poise.model.check.policies import check_policies
 from poise.model.check.ports import check_ports, declared_ports
 from poise.model.check.together_apart import check_together_apart
 from poise.model.check.workload import check_workload
@@ -27,3 +28,4 @@ def check(robot: Robot) -> Iterator[Finding]:
     yield from check_chains(robot)
     yield from check_ports(robot, declared_ports(robot))
     yield from check_workload(robot)
+    yield from check_policies(robot)

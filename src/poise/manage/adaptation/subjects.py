@@ -1,0 +1,153 @@
+"""From what the loop knows to the values that policies ask of each subject. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+
+from poise.manage.adaptation.facts import Facts
+from poise.model.policy.values import (
+    ComponentValues,
+    ComputerValues,
+    ContainerValues,
+    LinkValues,
+    RobotValues,
+    Subject,
+    TimerValues,
+    Values,
+)
+
+
+def values_of(facts: Facts, subject: Subject) -> tuple[Values, ...]:
+    """Return the values of all subjects of a kind."""
+    return tuple(_READ[subject](facts))
+
+
+def _computers(facts: Facts) -> Iterator[Values]:
+    for computer in facts.robot.computers:
+        load = facts.loads.get(computer.name)
+        status = facts.statuses.get(computer.name)
+        here = [n for n, at in facts.placement.items() if at == computer.name]
+        yield ComputerValues(
+            name=computer.name,
+            lost=computer.name in facts.lost,
+            capacity=computer.capacity.get("cpu", 0.0) * computer.speed,
+            used=load.used if load else 0.0,
+            background=load.background if load else 0.0,
+            full=load is not None and load.is_full,
+            starved=max(
+                (
+                    each.estimate.starved
+                    for each in facts.demand_estimates
+                    if each.computer == computer.name
+                ),
+                default=0.0,
+            ),
+            late=sum(e.is_late for e in facts.misses if e.computer == computer.name),
+            memory=status.memory if status else 0.0,
+            components=len(here),
+        )
+
+
+def _links(facts: Facts) -> Iterator[Values]:
+    at = facts.placement
+    traffic: dict[frozenset[str | None], float] = {}
+    for connector in facts.robot.all_connectors():
+        ends = frozenset(at.get(end.component) for end in connector.between)
+        now = facts.traffic.get(f"{connector.between[0]}-{connector.between[1]}")
+        if now is not None:
+            carried = now.size * (now.calls + now.messages)
+            traffic[ends] = traffic.get(ends, 0.0) + carried
+    for link in facts.robot.links:
+        first, second = link.between
+        status = facts.statuses.get(first)
+        clock = status.clocks.get(second) if status else None
+        yield LinkValues(
+            name=f"{first}-{second}",
+            bandwidth=link.bandwidth,
+            traffic=traffic.get(frozenset(link.between), 0.0),
+            trip=clock.trip if clock else 0.0,
+        )
+
+
+def _components(facts: Facts) -> Iterator[Values]:
+    states = {
+        (computer, component.name): (component, container)
+        for computer, status in facts.statuses.items()
+        for container in status.containers
+        for component in container.components
+    }
+    memory = {
+        (computer, health.name): health.memory
+        for computer, status in facts.statuses.items()
+        for health in status.health
+    }
+    demands = {each.component: each.estimate for each in facts.demand_estimates}
+    for architecture in facts.robot.architectures:
+        for entry in architecture.components:
+            if (computer := facts.placement.get(entry.name)) is None:
+                continue
+            demand = demands.get(entry.name)
+            component, container = states.get((computer, entry.name), (None, None))
+            yield ComponentValues(
+                name=entry.name,
+                computer=computer,
+                architecture=architecture.name,
+                priority=architecture.priority,
+                state=component.state if component else "gone",
+                cpu=demand.mean if demand else 0.0,
+                expected=entry.demand.get("cpu", 0.0),
+                starved=demand.starved if demand else 0.0,
+                errors=component.errors if component else 0,
+                memory=memory.get((computer, container.name), 0.0)
+                if container
+                else 0.0,
+            )
+
+
+def _containers(facts: Facts) -> Iterator[Values]:
+    for computer, status in facts.statuses.items():
+        for health in status.health:
+            yield ContainerValues(
+                name=health.name,
+                computer=computer,
+                state=health.state,
+                restarts=health.restarts,
+                restarts_lately=health.restarts_lately,
+                cpu=health.cpu,
+                memory=health.memory,
+            )
+
+
+def _timers(facts: Facts) -> Iterator[Values]:
+    for each in facts.misses:
+        yield TimerValues(
+            name=f"{each.component}.{each.timer}",
+            timer=each.timer,
+            component=each.component,
+            computer=each.computer,
+            released=each.released,
+            missed=each.missed,
+            share=each.share,
+            over=each.seconds,
+            late=each.is_late,
+        )
+
+
+def _robots(facts: Facts) -> Iterator[Values]:
+    yield RobotValues(
+        name=facts.robot.name,
+        lost=len(facts.lost),
+        late=sum(each.is_late for each in facts.misses),
+        used=sum(load.used for load in facts.loads.values()),
+        calls=sum(each.calls + each.messages for each in facts.traffic.values()),
+    )
+
+
+_READ: Mapping[Subject, Callable[[Facts], Iterator[Values]]] = {
+    "computer": _computers,
+    "link": _links,
+    "component": _components,
+    "container": _containers,
+    "timer": _timers,
+    "robot": _robots,
+}

@@ -1,0 +1,327 @@
+"""Conditions: expressions over the values of one subject, as in `memory > 200 MiB`.
+
+Python's parser reads them. What is allowed beside names and quantities is `and`, `or`,
+`not`, comparisons and arithmetic, so a condition can neither fail at run time nor do
+anything.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import operator
+import re
+from collections.abc import Callable, Mapping
+from string import Formatter
+from typing import Any, TypeAlias
+
+from msgspec import Struct
+from msgspec import inspect as types
+
+from poise import units
+from poise.model.file_keys import keys_of
+from poise.model.suggest import did_you_mean, listed
+from poise.units import Dimension, quoted
+
+LONGEST = 500
+"""[characters] A longer condition is an error."""
+Value: TypeAlias = Any
+"""A truth value, a number or a text."""
+Names: TypeAlias = Mapping[str, "_Kind"]
+
+_WORDS = {"and", "or", "not"}
+_TOKEN = re.compile(
+    r"(?P<text>\"[^\"]*\"|'[^']*')"
+    r"|(?<![\w.])(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"
+    r"(?:\s*(?P<unit>%|[A-Za-zµ]\w*(?:/s)?))?"
+)
+_OF_UNIT = {
+    unit: frozenset(d.name for d in units.DIMENSIONS.values() if unit in d.units)
+    for d in units.DIMENSIONS.values()
+    for unit in d.units
+}
+
+
+class _Kind(Struct, frozen=True):
+    """What an expression yields.
+
+    Parameters
+    ----------
+    type
+        `truth value`, `number` or `text`.
+    dimensions
+        Of a number: what it may measure; None: anything.
+    choices
+        Of a text: what it may be; none: anything.
+    is_constant
+        Whether it is a text that stands in the condition.
+    """
+
+    type: str
+    dimensions: frozenset[str] | None = None
+    choices: tuple[str, ...] = ()
+    is_constant: bool = False
+
+
+_TRUTH, _NUMBER, _TEXT = _Kind("truth value"), _Kind("number"), _Kind("text")
+_Read: TypeAlias = Callable[[Any], Value]
+_Constant: TypeAlias = tuple[float, _Kind]
+
+
+class Condition(Struct, frozen=True):
+    """A condition that was checked; call it with a record of its subject's values."""
+
+    text: str
+    read: _Read
+
+    def __call__(self, values: Struct) -> bool:
+        """Return whether it holds."""
+        return bool(self.read(values))
+
+
+def parse_condition(
+    text: str, record: type[Struct], choices: Mapping[str, tuple[str, ...]] = {}
+) -> Condition:
+    """Return the condition in a text.
+
+    Parameters
+    ----------
+    record
+        Of the subject's values.
+    choices
+        What texts may be, by the name of the value.
+
+    Raises
+    ------
+    ValueError
+        It is none; the message says what is wrong, and what is there.
+    """
+    if len(text) > LONGEST:
+        raise ValueError(f"is longer than {LONGEST} characters")
+    constants: dict[str, _Constant] = {}
+
+    def place(match: re.Match[str]) -> str:
+        if match["text"] is not None:
+            return match[0]
+        name = f"_{len(constants)}"
+        constants[name] = _quantity(match)
+        return f"{name} {match['unit']}" if match["unit"] in _WORDS else name
+
+    python = _TOKEN.sub(place, text)
+    try:
+        tree = ast.parse(python.strip(), mode="eval").body
+    except (SyntaxError, MemoryError, RecursionError, ValueError):
+        raise ValueError(
+            f"{quoted(text)} is not a condition; write, for instance, "
+            "'used > 90% and starved >= 0.1'"
+        ) from None
+    compiler = _Compiler(_names(record, choices), constants)
+    return Condition(text, compiler.of("truth value", tree))
+
+
+def check_sentence(text: str, record: type[Struct]) -> None:
+    """Raise ValueError when a sentence names a value that a subject does not have."""
+    names = keys_of(record)
+    for _, name, form, conversion in Formatter().parse(text):
+        if name is not None and (name not in names or form or conversion):
+            raise ValueError(
+                f"{{{name}}} is no value{did_you_mean(name, names)}; "
+                f"values: {listed(names)}"
+            )
+
+
+def sentence(text: str, values: Struct) -> str:
+    """Return a checked sentence with the values of a subject."""
+    kinds = _names(type(values), {})
+    return text.format_map(
+        {name: _shown(getattr(values, name), kind) for name, kind in kinds.items()}
+    )
+
+
+def _shown(value: Value, kind: _Kind) -> str:
+    (dimension,) = kind.dimensions or ("",)
+    return _FORMATS[dimension](value) if dimension in _FORMATS else str(value)
+
+
+_FORMATS: Mapping[str, Callable[[float], str]] = {
+    units.CORES.name: units.format_cores,
+    units.BYTES.name: units.format_bytes,
+    units.SECONDS.name: units.format_seconds,
+    units.BANDWIDTH.name: units.format_bandwidth,
+    units.RATIO.name: lambda share: f"{share:.0%}",
+    units.RATE.name: lambda rate: f"{rate:.3g} Hz",
+}
+
+
+def _quantity(match: re.Match[str]) -> tuple[float, _Kind]:
+    number, unit = float(match["number"]), match["unit"] or ""
+    if not math.isfinite(number):
+        raise ValueError(f"{quoted(match[0])} is too large for a number")
+    if not unit or unit in _WORDS:
+        return number, _NUMBER
+    if unit not in _OF_UNIT:
+        raise ValueError(
+            f"{quoted(match[0])} has the unknown unit '{unit}'"
+            f"{did_you_mean(unit, _OF_UNIT)}; units: "
+            f"{', '.join(sorted(filter(None, _OF_UNIT)))}"
+        )
+    dimensions = _OF_UNIT[unit]
+    factors = (d.units for d in units.DIMENSIONS.values() if unit in d.units)
+    return number * next(factors)[unit], _Kind("number", dimensions)
+
+
+def _names(record: type[Struct], choices: Mapping[str, tuple[str, ...]]) -> Names:
+    found = {}
+    for name, key in keys_of(record).items():
+        kind: types.Type = key.kind
+        dimension: Dimension | None = None
+        while isinstance(kind, types.Metadata):
+            dimension = dimension or (kind.extra or {}).get("dimension")
+            kind = kind.type
+        if isinstance(kind, types.BoolType):
+            found[name] = _TRUTH
+        elif isinstance(kind, types.LiteralType):
+            found[name] = _Kind("text", choices=tuple(map(str, kind.values)))
+        elif isinstance(kind, types.StrType):
+            found[name] = _Kind("text", choices=choices.get(name, ()))
+        else:
+            of = dimension or units.NUMBER
+            found[name] = _Kind("number", frozenset((of.name,)))
+    return found
+
+
+class _Compiler:
+    """Checks an expression, and turns it into a function of a record."""
+
+    def __init__(self, names: Names, constants: Mapping[str, _Constant]) -> None:
+        self._names = names
+        self._constants = constants
+
+    def expression(self, node: ast.expr) -> tuple[_Kind, _Read]:
+        match node:
+            case ast.Name(id):
+                return self._name(id)
+            case ast.Constant(str() as text):
+                constant = _Kind("text", choices=(text,), is_constant=True)
+                return constant, lambda _: text
+            case ast.BoolOp() | ast.UnaryOp(ast.Not()) | ast.Compare():
+                return _TRUTH, self._logic(node)
+            case ast.UnaryOp(ast.USub(), inner):
+                kind, read = self._number(inner)
+                return kind, lambda record: -read(record)
+            case ast.BinOp(left, op, right) if type(op) in _ARITHMETIC:
+                return self._arithmetic(left, op, right)
+        raise ValueError(
+            "a condition has names of values, numbers with units, texts in quotes, "
+            "and, or, not, comparisons and + - * / only"
+        )
+
+    def _logic(self, node: ast.BoolOp | ast.UnaryOp | ast.Compare) -> _Read:
+        if isinstance(node, ast.Compare):
+            return self._comparisons(node.left, node.ops, node.comparators)
+        if isinstance(node, ast.UnaryOp):
+            is_so = self.of("truth value", node.operand)
+            return lambda record: not is_so(record)
+        reads = [self.of("truth value", part) for part in node.values]
+        every = all if isinstance(node.op, ast.And) else any
+        return lambda record: every(read(record) for read in reads)
+
+    def _name(self, name: str) -> tuple[_Kind, _Read]:
+        if name in self._constants:
+            value, kind = self._constants[name]
+            return kind, lambda _: value
+        if name not in self._names:
+            raise ValueError(
+                f"there is no value '{name}'{did_you_mean(name, self._names)}; "
+                f"values: {listed(self._names)}"
+            )
+        return self._names[name], operator.attrgetter(name)
+
+    def of(self, wanted: str, node: ast.expr) -> _Read:
+        """Return what reads an expression of the wanted type; ValueError for others."""
+        kind, read = self.expression(node)
+        if kind.type != wanted:
+            what = quoted(node.id) if isinstance(node, ast.Name) else "a part of it"
+            if what[1:-1] in self._constants:
+                what = f"{self._constants[what[1:-1]][0]:g}"
+            raise ValueError(f"{what} is a {kind.type}, not a {wanted}: compare it")
+        return read
+
+    def _number(self, node: ast.expr) -> tuple[_Kind, _Read]:
+        read = self.of("number", node)
+        return self.expression(node)[0], read
+
+    def _arithmetic(
+        self, left: ast.expr, op: ast.operator, right: ast.expr
+    ) -> tuple[_Kind, _Read]:
+        (kind, first), (other, second) = self._number(left), self._number(right)
+        kind = _common(kind, other) if isinstance(op, ast.Add | ast.Sub) else _NUMBER
+        compute = _ARITHMETIC[type(op)]
+        return kind, lambda record: compute(first(record), second(record))
+
+    def _comparisons(
+        self, left: ast.expr, ops: list[ast.cmpop], rights: list[ast.expr]
+    ) -> _Read:
+        steps = []
+        for op, right in zip(ops, rights, strict=True):
+            if type(op) not in _COMPARISONS:
+                raise ValueError("compare with < <= > >= == or !=")
+            (kind, first), (other, second) = map(self.expression, (left, right))
+            _check_alike(kind, other, op)
+            steps.append((first, _COMPARISONS[type(op)], second))
+            left = right
+        return lambda record: all(
+            compare(first(record), second(record)) for first, compare, second in steps
+        )
+
+
+def _check_alike(kind: _Kind, other: _Kind, op: ast.cmpop) -> None:
+    """Raise ValueError when two expressions cannot be compared."""
+    if kind.type != other.type:
+        raise ValueError(f"a {kind.type} cannot be compared with a {other.type}")
+    if kind.type == "number":
+        _common(kind, other)
+    elif not isinstance(op, ast.Eq | ast.NotEq):
+        raise ValueError(f"a {kind.type} is compared with == or != only")
+    elif kind.choices and other.choices and not {*kind.choices} & {*other.choices}:
+        if not kind.is_constant:
+            kind, other = other, kind
+        text, known = kind.choices[0], other.choices
+        raise ValueError(
+            f"'{text}' is none of {listed(known)}{did_you_mean(text, known)}"
+        )
+
+
+def _common(kind: _Kind, other: _Kind) -> _Kind:
+    """Return what two numbers may both measure; ValueError when there is nothing."""
+    if kind.dimensions is None:
+        return other
+    if other.dimensions is None:
+        return kind
+    if not (both := kind.dimensions & other.dimensions):
+        first, second = (" or ".join(sorted(k.dimensions or ())) for k in (kind, other))
+        raise ValueError(f"a {first} cannot be compared with a {second}")
+    return _Kind("number", both)
+
+
+def _divide(dividend: float, divisor: float) -> float:
+    """Divide; by 0, infinity or, 0 / 0, what no comparison holds for."""
+    if divisor:
+        return dividend / divisor
+    return math.inf * dividend if dividend else math.nan
+
+
+_ARITHMETIC: Mapping[type, Callable[[float, float], float]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: _divide,
+}
+_COMPARISONS: Mapping[type, Callable[[Value, Value], bool]] = {
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+}

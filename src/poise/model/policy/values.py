@@ -1,0 +1,125 @@
+"""What policies may ask of the parts of a running robot: one record for each kind.
+
+These are the names in conditions; `docs/policies.md` lists them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Literal, TypeAlias
+
+from msgspec import Struct
+
+from poise.model.file_keys import Bandwidth, Bytes, Cores, Rate, Seconds, Share, says
+
+Subject: TypeAlias = Literal[
+    "computer", "link", "component", "container", "timer", "robot"
+]
+ComponentState: TypeAlias = Literal[
+    "unconfigured", "inactive", "active", "finalized", "failed", "unresponsive", "gone"
+]
+ContainerState: TypeAlias = Literal[
+    "starting", "running", "unresponsive", "restarting", "stopped"
+]
+_NAME = says("Its name.")
+_COMPUTER = says("The computer on which it runs.")
+
+
+class ComputerValues(Struct, frozen=True, kw_only=True):
+    """A computer over the last second."""
+
+    name: Annotated[str, _NAME]
+    lost: Annotated[bool, says("Whether it is out of reach.")] = False
+    capacity: Annotated[Cores, says("The CPU that it has.")] = 0.0
+    used: Annotated[Cores, says("CPU use of all programs.")] = 0.0
+    background: Annotated[Cores, says("CPU use of programs that are not Poise's.")] = (
+        0.0
+    )
+    full: Annotated[bool, says("Whether at least 95% of its CPU is used.")] = False
+    starved: Annotated[
+        Share, says("The largest share of jobs that a component there did not do.")
+    ] = 0.0
+    late: Annotated[int, says("Timers there that do not keep their rate.")] = 0
+    memory: Annotated[Bytes, says("Memory use of the robot's programs.")] = 0.0
+    components: Annotated[int, says("Components that are placed there.")] = 0
+
+
+class LinkValues(Struct, frozen=True, kw_only=True):
+    """A link between two computers, in both directions together."""
+
+    name: Annotated[str, says("Its computers, as in main-vision.")]
+    bandwidth: Annotated[Bandwidth, says("Each way, by the robot file.")] = 0.0
+    traffic: Annotated[Bandwidth, says("What connectors carry over it now.")] = 0.0
+    trip: Annotated[Seconds, says("The quickest of the last round trips.")] = 0.0
+
+
+class ComponentValues(Struct, frozen=True, kw_only=True):
+    """A component and its present demand."""
+
+    name: Annotated[str, _NAME]
+    computer: Annotated[str, _COMPUTER]
+    architecture: Annotated[str, says("Its architecture.")]
+    priority: Annotated[int, says("Its architecture's priority.")] = 0
+    state: Annotated[ComponentState, says("`gone`: its computer does not report it.")]
+    cpu: Annotated[Cores, says("Its estimated demand.")] = 0.0
+    expected: Annotated[Cores, says("Its demand by the robot file or profile.")] = 0.0
+    starved: Annotated[Share, says("The share of its jobs that were not done.")] = 0.0
+    errors: Annotated[int, says("What its timers and handlers raised so far.")] = 0
+    memory: Annotated[Bytes, says("Memory use of its container.")] = 0.0
+
+
+class ContainerValues(Struct, frozen=True, kw_only=True):
+    """A container: the process of an architecture's components on a computer."""
+
+    name: Annotated[str, _NAME]
+    computer: Annotated[str, _COMPUTER]
+    state: Annotated[ContainerState, says("As its agent sees it.")]
+    restarts: Annotated[int, says("Restarts since the agent started.")] = 0
+    restarts_lately: Annotated[int, says("Restarts within the last minute.")] = 0
+    cpu: Annotated[Cores, says("CPU use.")] = 0.0
+    memory: Annotated[Bytes, says("Memory use.")] = 0.0
+
+
+class TimerValues(Struct, frozen=True, kw_only=True):
+    """A timer with a deadline, over the last second or two periods."""
+
+    name: Annotated[str, says("Component and timer, as in localiser.update.")]
+    timer: Annotated[str, says("The timer's own name.")]
+    component: Annotated[str, says("The component that has it.")]
+    computer: Annotated[str, _COMPUTER]
+    released: Annotated[int, says("How often it was due.")] = 0
+    missed: Annotated[int, says("How many of these missed the deadline.")] = 0
+    share: Annotated[Share, says("The same as a share.")] = 0.0
+    over: Annotated[Seconds, says("The time over which this was counted.")] = 0.0
+    late: Annotated[
+        bool,
+        says("Whether it missed two deadlines and 20% of all, or every one."),
+    ] = False
+
+
+class RobotValues(Struct, frozen=True, kw_only=True):
+    """The whole robot."""
+
+    name: Annotated[str, _NAME]
+    lost: Annotated[int, says("Computers that are out of reach.")] = 0
+    late: Annotated[int, says("Timers that do not keep their rate.")] = 0
+    used: Annotated[Cores, says("CPU use of all its computers.")] = 0.0
+    calls: Annotated[Rate, says("Calls and messages over all connectors.")] = 0.0
+
+
+Values: TypeAlias = (
+    ComputerValues
+    | LinkValues
+    | ComponentValues
+    | ContainerValues
+    | TimerValues
+    | RobotValues
+)
+SUBJECTS: Mapping[Subject, type[Values]] = {
+    "computer": ComputerValues,
+    "link": LinkValues,
+    "component": ComponentValues,
+    "container": ContainerValues,
+    "timer": TimerValues,
+    "robot": RobotValues,
+}

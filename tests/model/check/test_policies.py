@@ -1,0 +1,80 @@
+"""Policies of a robot file: what is wrong with them, and what they change."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from poise.model import load
+from poise.model.policy.shipped import policies_of, shipped
+from tests.model.conftest import Find, Refuse
+
+ROBOT = """
+robot: r
+computers: {left: {cpu: 1, memory: 1 GiB}}
+policies:
+  """
+
+
+def test_an_unknown_value_is_found(refuse: Refuse) -> None:
+    text = "mine: {for each: component, ▸when: memry > 3 MiB, do: notify}"
+    refuse(ROBOT + text, "there is no value 'memry' (did you mean 'memory'?)")
+
+
+def test_an_unknown_name_is_found(refuse: Refuse) -> None:
+    text = "mine: {for each: computer, ▸when: name == 'lefd', do: notify}"
+    refuse(ROBOT + text, "'lefd' is none of 'left' (did you mean 'left'?)")
+
+
+def test_an_unknown_subject_is_found(find: Find) -> None:
+    problems = find(ROBOT + "mine: {for each: componet, when: lost, do: notify}")
+    assert "did you mean 'component'?" in str(problems)
+
+
+def test_an_unknown_action_is_found(find: Find) -> None:
+    problems = find(ROBOT + "mine: {for each: computer, when: lost, do: notfy}")
+    assert "did you mean 'notify'?" in str(problems)
+
+
+def test_an_action_for_another_subject_is_found(refuse: Refuse) -> None:
+    text = "mine: {for each: timer, when: late, ▸do: fail over}"
+    refuse(ROBOT + text, "'fail over' is done for each 'computer', not for each")
+
+
+def test_a_sentence_with_an_unknown_value_is_found(refuse: Refuse) -> None:
+    refuse(ROBOT + "overload: {▸say: '{nam} is full'}", "{nam} is no value")
+
+
+def test_what_a_policy_lacks_is_found(refuse: Refuse) -> None:
+    text = "▸mine: {for each: timer, when: late}"
+    refuse(ROBOT + text, "a policy of your own needs 'do'")
+
+
+def test_only_shipped_policies_are_switched_off(refuse: Refuse) -> None:
+    refuse(ROBOT + "▸overlaod: off", "did you mean 'overload'?")
+
+
+def test_the_shipped_policies_are_right(find: Find) -> None:
+    as_own = "\n  ".join(
+        line
+        for line in (Path("src/poise/model/policy/shipped.yaml"))
+        .read_text(encoding="utf-8")
+        .splitlines()
+        if not line.startswith("#")
+    )
+    assert find(ROBOT + as_own) == ()
+
+
+def test_a_robot_file_changes_what_it_names(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text(
+        ROBOT + "overload: off\n  deadlines: {lasts: 2 s}\n"
+        "  mine: {for each: robot, when: late > 3, do: notify, cool down: 1 min}\n"
+    )
+    found = {policy.name: policy for policy in policies_of(load(path))}
+    assert found["overload"].off
+    assert found["deadlines"].lasts == 2.0
+    assert found["deadlines"].when == "late"
+    assert found["mine"].lasts == 0.5
+    assert found["mine"].cool_down == 60.0
+    assert found["mine"].say == "robot '{name}': late > 3"
+    assert list(found)[: len(shipped())] == [policy.name for policy in shipped()]
