@@ -119,6 +119,7 @@ def test_process_that_is_just_starting_is_ended_too(
     assert all(child.returncode is not None for child in children)
 
 
+@pytest.mark.slow  # a cgroup may take a moment to go
 def test_nothing_is_left_when_it_cannot_be_made(
     two_computers: Robot, tmp_path: Path
 ) -> None:
