@@ -6,6 +6,7 @@
       UsageError        you called it wrongly: correct the call
       RobotError        the robot file or a problem is wrong: correct the file
       RunError          the world broke: a process, a computer or a link
+        TakenOver       another manager has the robot now, which goes on
         CallError       a call through a connector did not bring back a result
           Unavailable   nobody answers at the other end
           Timeout       the answer did not come within the connector's limit
@@ -61,6 +62,10 @@ class RobotError(PoiseError):
 
 class RunError(PoiseError):
     """Something in the running world broke: a process, a computer, a link."""
+
+
+class TakenOver(RunError):
+    """Another manager has taken the robot over, which goes on."""
 
 
 class CallError(RunError):

@@ -89,6 +89,8 @@ class FakeAgents:
         self.gone: set[str] = set()
         self.returns = False
         self.claimed: list[str] = []
+        self.is_forced = False
+        self.later: ManagerId | None = None
         self.strangers: set[str] = set()
         self.refusing: set[str] = set()
         self.deaf: set[str] = set()
@@ -125,8 +127,15 @@ class FakeAgents:
     def out_of_reach(self) -> dict[str, float]:
         return dict.fromkeys(self.gone, 0.0)
 
-    def claim(self, computers: Collection[str]) -> None:
+    def claim(
+        self, computers: Collection[str], *, take_over: bool = False
+    ) -> dict[str, Deployment]:
         self.claimed += sorted(computers)
+        self.is_forced = take_over
+        return {c: d for c, d in self.deployed if c in computers}
+
+    def successor(self) -> ManagerId | None:
+        return self.later
 
     def take_refused(self) -> list[str]:
         refused, self.refused = self.refused, []

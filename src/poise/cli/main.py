@@ -19,7 +19,7 @@ def main() -> None:
     import typer
 
     from poise.cli.command_table import build
-    from poise.errors import PoiseError, RunError, UsageError
+    from poise.errors import PoiseError, RunError, TakenOver, UsageError
 
     words = sys.argv[1:]
     completed = os.environ.get("_TYPER_COMPLETE_ARGS", "").split()[1:]
@@ -32,6 +32,8 @@ def main() -> None:
         _fail(UsageError(error.format_message()), 2)
     except UsageError as error:
         _fail(error, 2)
+    except TakenOver as error:
+        _fail(error, 3)
     except PoiseError as error:
         _fail(error, 1)
     except BrokenPipeError:

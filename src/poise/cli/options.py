@@ -18,14 +18,14 @@ RobotFile = Annotated[
 RobotTask = Annotated[
     str | None, typer.Option("--task", help="The task; else the file's first.")
 ]
-Method = Annotated[
-    str,
-    typer.Option(
-        "--placement",
-        help="auto, greedy: Poise decides; static: home computers; round-robin; "
-        "random:SEED; or a file with `component: computer`.",
-    ),
-]
+_PLACEMENT = typer.Option(
+    "--placement",
+    help="auto, greedy: Poise decides; static: home computers; round-robin; "
+    "random:SEED; or a file with `component: computer`.",
+)
+Method = Annotated[str, _PLACEMENT]
+AnyMethod = Annotated[str | None, _PLACEMENT]
+"""None: what runs stays where it is, and Poise decides about the rest."""
 AsJson = Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")]
 
 

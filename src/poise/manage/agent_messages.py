@@ -15,11 +15,17 @@ import msgspec
 import zenoh
 
 from poise.wire.records.migration import StepsDone, StepsFailed
-from poise.wire.records.requests import Accepted, Answer, ManagerId, Refused
+from poise.wire.records.requests import (
+    Accepted,
+    Answer,
+    Claimed,
+    ManagerId,
+    Refused,
+)
 
 S = TypeVar("S")
 K = TypeVar("K")
-AgentAnswer = Accepted | Refused | StepsDone | StepsFailed
+AgentAnswer = Accepted | Claimed | Refused | StepsDone | StepsFailed
 
 
 def manager_id() -> ManagerId:

@@ -37,6 +37,8 @@ from poise.wire.records.migration import (
 from poise.wire.records.requests import (
     Accepted,
     Claim,
+    Claimed,
+    ManagerId,
     ManagerRequest,
     Refused,
     Request,
@@ -141,6 +143,15 @@ class Agents(AgentReports):
                 and status.token == token
             )
 
+    def successor(self) -> ManagerId | None:
+        """Return the manager that agents obey instead of this one; None: none."""
+        with self._changed:
+            for computer, token in self._tokens.items():
+                status = self._statuses.get(computer)
+                if status is not None and status.token > token:
+                    return status.manager
+        return None
+
     def wait_alive(
         self,
         computers: Iterable[str],
@@ -173,27 +184,44 @@ class Agents(AgentReports):
                 + "".join(f"\n{refusal}" for refusal in self.take_refused())
             )
 
-    def claim(self, computers: Collection[str]) -> None:
+    def claim(
+        self, computers: Collection[str], *, take_over: bool = False
+    ) -> dict[str, Deployment]:
         """Let the agents of `computers` obey this manager, and no other.
 
         One after the other in the order of their names: of two managers that start at
         the same time, one gets the first agent, and the other none.
+
+        Parameters
+        ----------
+        take_over
+            Whether they are to obey it even if they obey another that is alive.
+
+        Returns
+        -------
+        Computer -> what its agent works towards.
 
         Raises
         ------
         RunError
             One obeys another manager that is alive, or does not answer.
         """
+        deployments = {}
         for computer in sorted(computers):
             token = self._statuses[computer].token + 1
             self._tokens[computer] = token
-            refusals = self._refusals({computer: Claim(self.manager)})
+            claim = Claim(self.manager, take_over)
+            answers, refusals = self._sent({computer: claim})
             if refusals:
                 raise RunError(refusals[computer])
+            answer = answers[computer]
+            if isinstance(answer, Claimed) and answer.deployment is not None:
+                deployments[computer] = answer.deployment
             self.wait_news(
                 lambda c=computer: self.obey(c),  # type: ignore[misc]
                 ANSWER_LIMIT,
             )
+        return deployments
 
     def deploy(self, deployments: Mapping[str, Deployment]) -> dict[str, str]:
         """Send agents what should run, all at once; by computer.
@@ -203,7 +231,7 @@ class Agents(AgentReports):
         Computer -> why its agent did not accept it within `ANSWER_LIMIT`; empty when
         all did.
         """
-        return self._refusals(deployments)
+        return self._sent(deployments)[1]
 
     def take_steps(
         self,
@@ -237,11 +265,18 @@ class Agents(AgentReports):
                 why = self._why_silent(computer, limit, min(_LOSS_DELAY, left))
             yield StepsFailed(steps.number, f"the agent of '{computer}' {why}")
 
-    def _refusals(self, requests: Mapping[str, Request]) -> dict[str, str]:
-        """Send agents requests until they answer; return why they did not accept them.
+    def _sent(
+        self, requests: Mapping[str, Request]
+    ) -> tuple[dict[str, AgentAnswer], dict[str, str]]:
+        """Send agents requests until they answer.
 
         An agent that is cut off for a moment gets its request again.
+
+        Returns
+        -------
+        Their answers; and why others did not accept them.
         """
+        answers: dict[str, AgentAnswer] = {}
         refusals = {}
         pending = dict(requests)
         deadline = self._clock.now() + SEND_LIMIT
@@ -251,7 +286,8 @@ class Agents(AgentReports):
                 if answer is None:
                     continue
                 del pending[computer]
-                if not isinstance(answer, Accepted):
+                answers[computer] = answer
+                if not isinstance(answer, Accepted | Claimed):
                     why = answer.reason if isinstance(answer, Refused) else str(answer)
                     refusals[computer] = f"the agent of '{computer}' refused: {why}"
             if pending:
@@ -263,7 +299,7 @@ class Agents(AgentReports):
                     del pending[computer]
                     why = self._why_silent(computer, SEND_LIMIT, _LOSS_DELAY)
                     refusals[computer] = f"the agent of '{computer}' {why}"
-        return refusals
+        return answers, refusals
 
     def _answers(
         self,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import PurePath
 
 from msgspec import Struct, structs
@@ -75,10 +75,21 @@ class DeploymentPlan:
         The run's folder, to which devices' paths are relative.
     weigh
         Whether the sizes of snapshots are taken as components are deactivated.
+    code_version
+        Returns what tells versions of an implementation's code apart.
     """
 
-    def __init__(self, robot: Robot, folder: str, *, weigh: bool = False) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        folder: str,
+        *,
+        weigh: bool = False,
+        code_version: Callable[[str], str] = lambda _: "",
+    ) -> None:
         self._robot = robot
+        self._code_version = code_version
+        self._code: dict[tuple[str, int], str] = {}
         self._weigh = weigh
         self._folder = folder
         self._containers = {
@@ -138,7 +149,7 @@ class DeploymentPlan:
                 ContainerSpec(
                     name=container,
                     folder=self._robot.folder,
-                    components=tuple(map(self._component, inside)),
+                    components=tuple(map(self.component_spec, inside)),
                     connectors=tuple(self._connectors(inside, placed, gateways)),
                 )
             )
@@ -207,13 +218,21 @@ class DeploymentPlan:
             groups.setdefault(key, []).append(each)
         return groups
 
-    def _component(self, incarnation: Incarnation) -> ComponentSpec:
+    def component_spec(self, incarnation: Incarnation) -> ComponentSpec:
+        """Return what an agent is told of an incarnation."""
         component = self._components[incarnation.component]
+        implementation = incarnation.implementation or component.implementation
+        is_other = implementation != component.implementation
+        key = incarnation.component, incarnation.epoch
+        if key not in self._code:  # later it may be edited
+            self._code[key] = self._code_version(implementation)
         return ComponentSpec(
             name=component.name,
             epoch=incarnation.epoch,
             goal=incarnation.goal,
-            implementation=incarnation.implementation or component.implementation,
+            implementation=implementation,
+            instead_of=component.implementation if is_other else "",
+            code=self._code[key],
             command=component.command,
             adapt=incarnation.adapt,
             fresh=incarnation.fresh,

@@ -15,7 +15,7 @@ import traceback
 from collections.abc import Callable
 from concurrent.futures import Future
 
-from poise.errors import PoiseError, RunError
+from poise.errors import PoiseError, RunError, TakenOver
 from poise.manage.adaptation.admission import check_move
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.loop import Adaptation
@@ -88,6 +88,7 @@ class Manager:
         )
         self._stops: list[Results] = []
         self._stopping = threading.Event()
+        self._has_successor = False
         self._watch = Watch(run)
         self._lost = LostComputers(run)
         self._misses = DeadlineMisses()
@@ -138,7 +139,13 @@ class Manager:
         )
 
     def work(self, limit: float) -> None:
-        """Carry out a command if one comes within `limit` [s]; look at the robot."""
+        """Carry out a command if one comes within `limit` [s]; look at the robot.
+
+        Raises
+        ------
+        TakenOver
+            The agents obey another manager.
+        """
         try:
             command, future = self._commands.get(timeout=limit)
         except queue.Empty:
@@ -169,9 +176,12 @@ class Manager:
             remaining = (str(error),)
             raise
         finally:
-            for future in self._stops:
-                _answer(future, StopReport(remaining))
             text = f"robot '{self._run.robot.name}' has stopped"
+            if self._has_successor:
+                text = "another manager has taken the robot over: ask that one"
+            for future in self._stops:
+                refusal = Refusal(text, "RunError") if self._has_successor else None
+                _answer(future, refusal or StopReport(remaining))
             while not self._commands.empty():
                 _answer(self._commands.get_nowait()[1], Refusal(text, "RunError"))
 
@@ -232,7 +242,17 @@ class Manager:
             traffic=self._estimates.traffic(),
         )
 
+    def _raise_on_successor(self) -> None:
+        successor = self._run.agents.successor()
+        if successor is not None:
+            text = f"{successor} has taken the robot over, which goes on"
+            self._run.journal.note("seen", text)
+            self._run.leave()
+            self._has_successor = True
+            raise TakenOver(text)
+
     def _look(self) -> None:
+        self._raise_on_successor()
         self._lost.note()
         self._watch.look()
 

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
+from functools import partial
 
 from poise.errors import RunError
 from poise.manage.agents import Agents
+from poise.manage.code_version import code_version
 from poise.manage.deactivation import deactivate_callers
 from poise.manage.deployment import (
     DeploymentPlan,
@@ -28,6 +30,7 @@ from poise.manage.statuses import (
     unreached,
 )
 from poise.model.robot import Robot
+from poise.units import counted
 from poise.wire.records.deployment import Deployment, Goal
 from poise.wire.records.status import AgentStatus
 
@@ -65,8 +68,11 @@ class Run:
         self.robot = robot
         self.agents = agents
         self.journal = journal
-        self.layout = DeploymentPlan(robot, folder, weigh=weigh)
+        self.layout = DeploymentPlan(
+            robot, folder, weigh=weigh, code_version=partial(code_version, robot.folder)
+        )
         self._epochs: dict[str, int] = {}
+        self._last_epoch = -1
         self.placed = {
             name: Incarnation(
                 component=name, computer=computer, epoch=self.next_epoch(name)
@@ -77,7 +83,8 @@ class Run:
         """Called at all news while all is started or watched; may raise to end that."""
         self.faults_before = last_numbers(agents.statuses())
         self._faults_before_tell = self.faults_before
-        self._generation = 0
+        self.generation = 0
+        """The number of what agents were told last: higher than any before."""
         self._gateways: dict[str, str] = {}
         self.wanted: tuple[Incarnation, ...] = ()
         """What the agents should run; during a move also what is prepared."""
@@ -88,7 +95,7 @@ class Run:
         """Computers that may be out of reach: `raise_on_lost` ignores them."""
 
     def start(self) -> None:
-        """Start everything, all inactive first, then active.
+        """End what an earlier manager left, and start everything.
 
         Raises
         ------
@@ -97,10 +104,28 @@ class Run:
             or a limit passed; its message names the component and holds its traceback.
         """
         self.agents.claim(self.computers())
-        self._end_remains()
+        if left := containers_left(self.agents.statuses(), self.computers()):
+            text = f"an earlier manager left {', '.join(left)}: it is ended first"
+            self.journal.note("seen", text)
+            self.end_all(self.computers())
+        self.start_all()
+
+    def start_all(self) -> None:
+        """Start everything, all inactive first, then active; as `start`."""
+        what = f"starting {counted(len(self.placed), 'component')}"
+        self.journal.note("decided", what)
         self.reach("inactive", READY_LIMIT)
         self.reach("active", ACTIVE_LIMIT)
         self.journal.note("done", "everything runs", placement=self.placement())
+
+    def adopt(
+        self, kept: Mapping[str, Incarnation], last_epochs: Mapping[str, int]
+    ) -> None:
+        """Go on with what an earlier manager left, in place of what was planned."""
+        self.placed = dict(kept)
+        self._epochs = dict(last_epochs)
+        # that of one on a computer that is out of reach is not known, and lower
+        self._last_epoch = max(s.generation for s in self.agents.statuses().values())
 
     def placement(self) -> dict[str, str]:
         """Return component -> computer, as it is now."""
@@ -109,6 +134,10 @@ class Run:
     def watch(self, seconds: float) -> None:
         """Let it run for `seconds` [s]; raise RunError when something fails."""
         self.agents.wait_news(self._raise_on_trouble, seconds)
+
+    def leave(self) -> None:
+        """Leave the robot as it is: a stop does nothing from now on."""
+        self._has_stopped = True
 
     def stop(self) -> None:
         """Stop everything, callers first, on all computers that are reached.
@@ -169,18 +198,6 @@ class Run:
                 self.agents.claim({computer})
             self._told.pop(computer, None)
 
-    def _end_remains(self) -> None:
-        """End what an earlier manager left running: it may be of older code."""
-        left = [
-            f"'{container.name}' on '{computer}'"
-            for computer, status in sorted(self.agents.statuses().items())
-            for container in status.containers
-        ]
-        if left:
-            text = f"an earlier manager left containers: {', '.join(left)}"
-            self.journal.note("seen", f"{text}; they are ended first")
-            self.end_all(self.computers())
-
     def end_all(self, computers: set[str]) -> None:
         """End all containers of computers, also those of another manager.
 
@@ -232,8 +249,8 @@ class Run:
         self._faults_before_tell = last_numbers(statuses)
         # later than any that the agents ever saw, from whatever manager
         seen = [status.generation for status in statuses.values()]
-        self._generation = max(self._generation, *seen, 0) + 1
-        specs = self.layout.specs(self.wanted, self._generation, self.gateways())
+        self.generation = max(self.generation, *seen, 0) + 1
+        specs = self.layout.specs(self.wanted, self.generation, self.gateways())
         news = {
             computer: specs[computer]
             for computer in (self.computers() if computers is None else computers)
@@ -256,7 +273,8 @@ class Run:
 
     def next_epoch(self, component: str) -> int:
         """Return an epoch that no incarnation of the component has had."""
-        self._epochs[component] = self._epochs.get(component, -1) + 1
+        last = self._epochs.get(component, self._last_epoch)
+        self._epochs[component] = last + 1
         return self._epochs[component]
 
     def wait(

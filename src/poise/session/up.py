@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from poise.emulate import EmulatedComputer
+from poise.emulate import EmulatedComputer, set_for
 from poise.errors import RunError, UsageError
 from poise.manage.control_socket.records import StopCommand
 from poise.manage.control_socket.server import ControlServer
@@ -19,6 +19,7 @@ from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.prometheus import MetricsServer
 from poise.manage.observe.recording import Recording, save
+from poise.manage.takeover import start_or_take_over
 from poise.model.robot import Robot
 from poise.session.launch.start import Sampling, Started, started
 from poise.session.placement import Placement, runnable
@@ -147,17 +148,22 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     otel: str | None = None,
     record: Path | None = None,
     adapt: bool = True,
+    take_over: bool = False,
     say: Say = log.info,
     check: Check = nothing,
 ) -> Iterator[Up]:
     """Start a robot, keep it up inside the ``with`` block, and stop it afterwards.
+
+    When it runs without a manager, because that was killed, this one takes it over:
+    what runs as the robot file says goes on, and the rest is restarted.
 
     Parameters
     ----------
     task
         Its name; None: the robot's first.
     placement
-        What `poise.place` decided; None: it is decided here.
+        What `poise.place` decided; None: it is decided here, and what runs already
+        stays where it is.
     journal
         A file for every decision (SQLite); None: it is not kept.
     metrics
@@ -169,6 +175,8 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     adapt
         Whether Poise changes the placement by itself when components miss their
         deadlines, or their computer is overloaded.
+    take_over
+        Whether to take it over though another manager is alive, which then ends.
     say
         Takes a sentence at every step, and each entry of the journal. It is called on
         the manager's thread, too, and must not block.
@@ -179,14 +187,18 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     ------
     RobotError, RunError
         It cannot start, or it broke meanwhile; everything is down again.
+    TakenOver
+        Another manager has taken it over; it goes on.
     UsageError
         A robot of this name runs already.
     """
+    if take_over:
+        _check_outlives(robot)
     chosen = task_of(robot, task)
     placed = runnable(robot, chosen, placement)
     send = _telemetry() if otel is not None else None
     with contextlib.ExitStack() as stack:
-        server = stack.enter_context(ControlServer(robot.name))
+        server = stack.enter_context(ControlServer(robot.name, takes_over=take_over))
         book = Journal(journal or ":memory:", lambda entry: say(str(entry)))
         stack.callback(book.close)
         emulated = all(computer.address is None for computer in robot.computers)
@@ -208,6 +220,11 @@ def up(  # noqa: PLR0913 - each is a choice of the user
                 Sampling(waiting.add),
                 check,
                 use_kept=True,
+                begin=partial(
+                    start_or_take_over,
+                    is_rule=placement is not None,
+                    by_force=take_over,
+                ),
             )
         )
         agents = it.run.agents
@@ -226,6 +243,16 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         running = stack.enter_context(Up(it, manager, samples))
         server.start(manager.submit)
         yield running
+
+
+def _check_outlives(robot: Robot) -> None:
+    """Raise UsageError when the robot's computers end with their manager."""
+    is_real = any(computer.address for computer in robot.computers)
+    if not is_real and set_for(robot) is None:
+        raise UsageError(
+            f"the emulated computers of robot '{robot.name}' end with its manager: "
+            "only ones that `poise emulate` keeps can be taken over"
+        )
 
 
 def _telemetry() -> type[Telemetry]:

@@ -35,6 +35,7 @@ from poise.wire.records.requests import (
     Accepted,
     Answer,
     Claim,
+    Claimed,
     ManagerId,
     ManagerRequest,
     Refused,
@@ -155,7 +156,7 @@ class Manager:
             "poise/test/status/main", self._on_status
         )
         self.wait_for(lambda _: True)
-        assert self.ask(Claim(manager_id("first"))) == Accepted()
+        assert isinstance(self.ask(Claim(manager_id("first"))), Claimed)
 
     def start_agent(self, *extra: str) -> subprocess.Popen[str]:
         argv = [sys.executable, "-m", "poise", "agent", "main", "--robot", "test"]
@@ -665,8 +666,10 @@ def test_obeys_one_manager_until_that_is_gone(doomed: Manager) -> None:
     doomed.wait_active("quiet")
 
     token.undeclare()  # type: ignore[no-untyped-call]
-    assert doomed.ask(Claim(manager_id("second")), token=1) != Accepted()
-    wait_until(lambda: doomed.ask(Claim(manager_id("second")), token=2) == Accepted())
+    assert isinstance(doomed.ask(Claim(manager_id("second")), token=1), Refused)
+    wait_until(
+        lambda: isinstance(doomed.ask(Claim(manager_id("second")), token=2), Claimed)
+    )
 
     empty = Deployment(generation=99, containers=())
     assert isinstance(doomed.ask(empty, token=1), Refused)

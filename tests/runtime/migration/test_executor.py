@@ -49,6 +49,9 @@ OFFER, PAUSE, SEND, ROLL_BACK = (
 )
 
 
+RESUME, HALT = Step("resume", "one", 0), Step("halt")
+
+
 def batch(*steps: Step, migration: int = 1) -> MigrationSteps:
     return MigrationSteps(1, migration, "container", steps, LIMIT)
 
@@ -149,3 +152,25 @@ def test_a_release_waits_for_calls_at_the_former_target(
     if isinstance(outcome, StepsFailed):
         assert "connector calls: a call has no answer yet" in outcome.reason
     wiring.sender.return_value.switch.assert_called_once_with("key")
+
+
+def test_a_halt_says_that_nothing_was_committed_and_refuses_what_came_before(
+    executor: MigrationExecutor, runner: Runner
+) -> None:
+    assert isinstance(executor.receive(batch(OFFER))(), StepsDone)
+    late = executor.receive(batch(RESUME))
+    assert not executor.halt(batch(HALT)).is_committed
+    outcome = late()
+    assert isinstance(outcome, StepsFailed)
+    assert "'resume' is late" in outcome.reason
+    assert is_at_work(runner)
+
+
+def test_a_halt_says_that_a_step_after_the_commit_was_begun(
+    executor: MigrationExecutor,
+) -> None:
+    executor.receive(batch(RESUME))()
+    assert executor.halt(batch(HALT)).is_committed
+    assert executor.halt(batch(HALT)).is_committed  # as often as it is asked
+    executor.note_deployment()
+    assert not executor.halt(batch(HALT)).is_committed

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from poise.cli.interrupts import Interrupts
-from poise.cli.options import Method, RobotFile, RobotTask
+from poise.cli.options import AnyMethod, RobotFile, RobotTask
 from poise.session.launch.printer import Printer, log_printer
 from poise.session.placement import place
 from poise.session.robot_file import load, task_of
@@ -21,7 +21,7 @@ _LOOK_EVERY = 0.2
 def up_command(
     file: RobotFile,
     task: RobotTask = None,
-    placement: Method = "auto",
+    placement: AnyMethod = None,
     journal: Annotated[
         Path | None, typer.Option(help="File for the journal (SQLite).")
     ] = None,
@@ -37,6 +37,9 @@ def up_command(
     adapt: Annotated[
         bool, typer.Option(help="Change the placement when deadlines are missed.")
     ] = True,
+    take_over: Annotated[
+        bool, typer.Option("--take-over", help="Replace the manager that it has.")
+    ] = False,
     record: Annotated[
         Path | None,
         typer.Option(
@@ -55,7 +58,7 @@ def up_command(
         say = printer.print
         robot = load(file, say=say)
         chosen = task_of(robot, task)
-        placed = place(robot, chosen, method=placement)
+        placed = place(robot, chosen, method=placement) if placement else None
         with (
             Interrupts() as interrupts,
             up(
@@ -67,6 +70,7 @@ def up_command(
                 otel=otel,
                 record=record,
                 adapt=adapt,
+                take_over=take_over,
                 say=say,
                 check=interrupts.check,
             ) as running,

@@ -43,6 +43,11 @@ _CLOSE_LIMIT = 2.0
 class ControlServer:
     """The control socket of a robot. Use it as a context manager.
 
+    Parameters
+    ----------
+    takes_over
+        Whether it takes the place of another manager's.
+
     Raises
     ------
     UsageError
@@ -51,7 +56,7 @@ class ControlServer:
         The socket cannot be opened, or its folder is another user's.
     """
 
-    def __init__(self, robot: str) -> None:
+    def __init__(self, robot: str, *, takes_over: bool = False) -> None:
         self._robot = robot
         self._path = path_of(robot)
         self._is_closed = threading.Event()
@@ -64,8 +69,9 @@ class ControlServer:
         self._submit: Submit | None = None
         self._is_up = threading.Event()
         try:
-            self._make_folder()
+            self._make_folder(takes_over=takes_over)
             self._listener = _listening(self._path)
+            self._inode = self._path.stat().st_ino
         except OSError as error:
             raise RunError(
                 f"{self._path} cannot be listened on ({error}): set XDG_RUNTIME_DIR to "
@@ -86,7 +92,9 @@ class ControlServer:
 
     def close(self) -> None:
         """Serve no more clients, and let those that have their result take it."""
-        self._path.unlink(missing_ok=True)
+        with contextlib.suppress(FileNotFoundError):
+            if self._path.stat().st_ino == self._inode:  # else it is a successor's
+                self._path.unlink()
         self._is_closed.set()
         with contextlib.suppress(OSError):
             self._listener.shutdown(socket.SHUT_RDWR)  # which wakes `accept`
@@ -96,16 +104,18 @@ class ControlServer:
             thread.join(_CLOSE_LIMIT)
         self._listener.close()
 
-    def _make_folder(self) -> None:
+    def _make_folder(self, *, takes_over: bool) -> None:
         folder = self._path.parent
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if folder.stat().st_uid != os.getuid():
             raise RunError(
                 f"{folder} is another user's: set XDG_RUNTIME_DIR to a folder of yours"
             )
-        if is_alive(self._path):
-            name = self._robot
-            raise UsageError(f"robot '{name}' runs already; `poise stop` ends it")
+        if is_alive(self._path) and not takes_over:
+            raise UsageError(
+                f"robot '{self._robot}' runs already; `poise stop` ends it, and "
+                "`poise up --take-over` becomes its manager"
+            )
         for left in folder.glob("*.sock"):  # by managers that were killed
             if not is_alive(left):
                 left.unlink(missing_ok=True)

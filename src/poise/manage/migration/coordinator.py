@@ -11,6 +11,7 @@ docs/design/moves.md.
 from __future__ import annotations
 
 import itertools
+import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
@@ -49,8 +50,8 @@ its connection is lost."""
 REMOVE_LIMIT = 2.0
 """What is to be removed has ended after this time [s]; else the journal says so."""
 
-# a manager that is started later has higher ones
-_numbers = itertools.count(time.time_ns())
+# agents tell these batches of steps from those of an earlier manager
+_numbers = itertools.count(secrets.randbits(48))
 
 
 class MigrationReport(Struct, frozen=True, kw_only=True):
@@ -120,7 +121,7 @@ class Migration:
             calling_ports(statuses),
             run.gateways(),
         )
-        self._number = next(_numbers)
+        self._number = 0
         self._phases = MigrationPhases("manager", f"migration of {what}")
         self._taken: list[StepTaken] = []
         self._late: list[PlacedStep] = []
@@ -157,6 +158,8 @@ class Migration:
         self._raise_on_failed()
         staying = [source.with_goal("stay") for source in self._sources]
         self._run.tell([*self._others.values(), *staying, *self._targets])
+        # higher than that of any earlier migration, whatever the clock says
+        self._number = self._run.generation
         self._run.wait(self._targets, PREPARE_LIMIT, self._raise_on_failed)
         for steps in self._plan.prepare():
             self._take(steps, PREPARE_LIMIT, self._raise_on_failed)

@@ -45,6 +45,7 @@ from poise.wire.records.requests import (
     PROTOCOL,
     Accepted,
     Claim,
+    Claimed,
     ManagerId,
     ManagerRequest,
     Refused,
@@ -239,7 +240,8 @@ class Agent:
         request, refusal = asked.request, self._fence.refusal(asked.token)
         wanted = self._supervisor.wanted
         if isinstance(request, Claim):
-            answer(query, self._fence.claim(request, asked.token))
+            refused = self._fence.claim(request, asked.token)
+            answer(query, refused or Claimed(wanted))
         elif isinstance(request, MigrationSteps):
             if refusal:
                 answer(query, StepsFailed(request.number, refusal))

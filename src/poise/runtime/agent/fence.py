@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import zenoh
 
-from poise.wire.records.requests import Accepted, Claim, ManagerId, Refused
+from poise.wire.records.requests import Claim, ManagerId, Refused
 
 
 class Fence:
     """The manager that claimed an agent last, while no later one succeeds it.
 
-    A manager is succeeded only once its liveliness token is gone, and only by one with
-    a higher fencing token. What the earlier one still sends is refused from then on.
+    A manager is succeeded only once its liveliness token is gone, or by one that is to
+    take over; and only by one with a higher fencing token. What the earlier one still
+    sends is refused from then on.
 
     Parameters
     ----------
@@ -39,16 +40,20 @@ class Fence:
         else:
             self._gone.add(key)
 
-    def claim(self, claim: Claim, token: int) -> Accepted | Refused:
-        """Obey a manager from now on, if nobody else is obeyed or that one is gone."""
+    def claim(self, claim: Claim, token: int) -> Refused | None:
+        """Obey a manager from now on; return why not.
+
+        It must take over from the manager that is obeyed, unless that one is gone.
+        """
         before = self.manager
         is_same = before is not None and before.key == claim.manager.key
         is_free = before is None or is_same or before.key in self._gone
+        is_free = is_free or claim.take_over
         is_later = token > self.token or (is_same and token == self.token)
         if not is_free or not is_later:
             return Refused(self._manages())
         self.manager, self.token = claim.manager, token
-        return Accepted()
+        return None
 
     def refusal(self, token: int) -> str:
         """Return why a request with this token is refused; empty when it is not."""

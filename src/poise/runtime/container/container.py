@@ -172,6 +172,10 @@ class Container:
     def _hear(self, what: ContainerSpec | MigrationSteps | Clocks) -> None:
         if isinstance(what, Clocks):
             self._clock.others = what.known
+        elif isinstance(what, MigrationSteps) and what.steps[0].name == "halt":
+            # at once: all threads for steps may be waiting
+            outcome = self._steps.halt(what)
+            self._take_steps(lambda: outcome)
         elif isinstance(what, MigrationSteps):
             self._step_threads.submit(self._take_steps, self._steps.receive(what))
         else:

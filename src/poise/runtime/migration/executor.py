@@ -8,6 +8,7 @@ what comes later. What each step is for: `poise.wire.records.migration.STEPS`.
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from functools import partial
@@ -45,14 +46,24 @@ class MigrationExecutor:
         self._wiring = wiring
         self._transports = transports
         self._parties: dict[Runner, Party] = {}
+        self._beginning = threading.Lock()
         self._num_deployments = 0
+        self._is_committed = False
 
     def note_deployment(self) -> None:
         """Refuse the steps that were received until now: a deployment says what is so.
 
         The next migration of the same component may follow, and needs none of them.
         """
-        self._num_deployments += 1
+        with self._beginning:
+            self._num_deployments += 1
+            self._is_committed = False
+
+    def halt(self, batch: MigrationSteps) -> StepsDone:
+        """Refuse the steps that were received until now; return how far they got."""
+        with self._beginning:
+            self._num_deployments += 1
+            return StepsDone(batch.number, is_committed=self._is_committed)
 
     def receive(self, batch: MigrationSteps) -> Callable[[], StepsOutcome]:
         """Return what takes steps that came just now."""
@@ -70,9 +81,7 @@ class MigrationExecutor:
         taken: list[StepTaken] = []
         try:
             for step in batch.steps:
-                if deployment != self._num_deployments:
-                    text = f"'{step.name}' is late: a deployment came before it"
-                    raise RunError(text)  # noqa: TRY301, as any step that fails
+                self._begin(step, deployment)
                 began = time.monotonic()
                 self._take(step, batch.migration, deadline)
                 ended = time.monotonic()
@@ -84,6 +93,15 @@ class MigrationExecutor:
         except Exception as error:  # noqa: BLE001, a user's restore may raise anything
             return StepsFailed(batch.number, told_in_brief(error), tuple(taken))
         return StepsDone(batch.number, tuple(taken))
+
+    def _begin(self, step: Step, deployment: int) -> None:
+        """Note whether there is a way back; raise RunError when the step is late."""
+        with self._beginning:
+            if deployment != self._num_deployments:
+                text = f"'{step.name}' is late: a deployment came before it"
+                raise RunError(text)
+            if step.phase in {"commit", "resume"}:
+                self._is_committed = True
 
     def _take(self, step: Step, migration: int, deadline: float) -> None:
         match step.name:

@@ -23,7 +23,6 @@ from poise.session.launch.computers import Computers, computers_of
 from poise.session.launch.simulator import SimulatorProcess, world_of
 from poise.session.launch.temporary_folders import scratch_folder
 from poise.session.say import Check, Say, log, nothing
-from poise.units import counted
 from poise.wire.records.samples import SAMPLE_EVERY, AgentSample
 
 _STEP = 0.2
@@ -78,7 +77,7 @@ class Sampling(Struct, frozen=True):
 
 
 @contextlib.contextmanager
-def started(
+def started(  # noqa: PLR0913 - each is a choice of the caller
     robot: Robot,
     placement: Mapping[str, str],
     journal: Journal,
@@ -87,6 +86,7 @@ def started(
     check: Check = nothing,
     *,
     use_kept: bool = False,
+    begin: Callable[[Run], object] = Run.start,
 ) -> Iterator[Started]:
     """Start a robot's components on its computers; stop and remove all afterwards.
 
@@ -99,6 +99,8 @@ def started(
         that.
     use_kept
         Whether computers that ``poise emulate`` keeps are used, if there are.
+    begin
+        Starts the components.
 
     Raises
     ------
@@ -137,8 +139,7 @@ def started(
 
         agents.wait_alive(computers.endpoints, AGENT_LIMIT, look_around)
         run = Run(robot, placement, agents, journal, str(folder), weigh=look.weigh)
-        say(f"starting {counted(len(placement), 'component')}")
-        stack.enter_context(_running(run, check))
+        stack.enter_context(_running(run, check, begin))
         stack.callback(at_work.clear)
         at_work.set()
         yield Started(run, computers, world)
@@ -161,10 +162,10 @@ def _check_runnable(robot: Robot, placed: Iterable[str]) -> None:
 
 
 @contextlib.contextmanager
-def _running(run: Run, check: Check) -> Iterator[None]:
+def _running(run: Run, check: Check, begin: Callable[[Run], object]) -> Iterator[None]:
     try:
         run.check = check
-        run.start()
+        begin(run)
         yield
     except BaseException:
         # the first error is the one to raise; what it leaves on real computers is said

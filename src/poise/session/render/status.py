@@ -24,6 +24,9 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
     """Yield a status: deviations first."""
     yield f"robot '{status.robot}', task '{status.task}'"
     yield f"managed by {status.manager}"
+    for computer, report in sorted(status.computers.items()):
+        if report.manager is not None and report.manager != status.manager:
+            yield f"[yellow]the agent of '{computer}' obeys {report.manager}[/]"
     for each in status.deviations:
         yield Text(f"{each.what} (noticed {_clock(each.since)})", style="red")
     if not status.deviations:

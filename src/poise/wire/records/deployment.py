@@ -34,6 +34,10 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
     adapt
         ``package.module:function`` that maps the state of the incarnation before, when
         that had another implementation; empty: the state is the same.
+    instead_of
+        The class that the robot file names, when another one replaced it; else empty.
+    code
+        Tells versions of its implementation's code apart.
     fresh
         Whether it begins without the state of the incarnation before.
     devices
@@ -48,6 +52,8 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
     epoch: int = 0
     goal: Goal
     implementation: str = ""
+    instead_of: str = ""
+    code: str = ""
     command: tuple[str, ...] = ()
     adapt: str = ""
     fresh: bool = False

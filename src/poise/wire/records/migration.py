@@ -30,6 +30,7 @@ StepName = Literal[
     "release to targets",
     "roll back",
     "release to sources",
+    "halt",
 ]
 
 STEPS: Mapping[StepName, tuple[Role | None, Phase]] = {
@@ -66,6 +67,8 @@ STEPS: Mapping[StepName, tuple[Role | None, Phase]] = {
     "roll back": ("source", "roll back"),
     # send buffered messages, and all that follow, to the sources again
     "release to sources": (None, "roll back"),
+    # a new manager decides: take no more steps of the migration that it found
+    "halt": (None, "prepare"),
 }
 """All steps: which party takes each, and the phase that it leads to. Steps without a
 party are taken by other components, or by connectors that begin in a container."""
@@ -146,10 +149,18 @@ class StepTaken(Struct, frozen=True):
 
 
 class StepsDone(Struct, frozen=True, tag=True):
-    """All steps were taken."""
+    """All steps were taken.
+
+    Parameters
+    ----------
+    is_committed
+        Whether the container began a step that follows the commit, since its latest
+        deployment.
+    """
 
     number: int
     taken: tuple[StepTaken, ...] = ()
+    is_committed: bool = False
 
 
 class StepsFailed(Struct, frozen=True, tag=True):

@@ -12,7 +12,7 @@ from msgspec import Struct
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.migration import MigrationSteps, StepsDone, StepsFailed
 
-PROTOCOL = 6
+PROTOCOL = 7
 """Manager, agents and containers of different protocol versions refuse each other."""
 
 
@@ -42,13 +42,26 @@ class ManagerId(Struct, frozen=True, kw_only=True):
 
 
 class Claim(Struct, frozen=True, tag=True):
-    """Obey this manager from now on."""
+    """Obey this manager from now on; `take_over`: even if another one is obeyed."""
 
     manager: ManagerId
+    take_over: bool = False
+
+
+class Claimed(Struct, frozen=True, tag=True):
+    """An agent's answer to a claim: it obeys the manager from now on.
+
+    Parameters
+    ----------
+    deployment
+        What it works towards, as an earlier manager told it; None: nothing yet.
+    """
+
+    deployment: Deployment | None = None
 
 
 class Accepted(Struct, frozen=True, tag=True):
-    """An agent's answer: it obeys the manager, or works towards its deployment."""
+    """An agent's answer: it works towards the deployment."""
 
 
 class Refused(Struct, frozen=True, tag=True):
@@ -57,7 +70,7 @@ class Refused(Struct, frozen=True, tag=True):
     reason: str
 
 
-Answer = Accepted | Refused | StepsDone | StepsFailed
+Answer = Accepted | Claimed | Refused | StepsDone | StepsFailed
 
 Request = Claim | Deployment | MigrationSteps
 """What a manager asks of an agent."""

@@ -1,0 +1,141 @@
+"""Starts a robot, or takes over one that an earlier manager left at work."""
+
+from __future__ import annotations
+
+import itertools
+import secrets
+import time
+from collections.abc import Mapping, Sequence
+
+from poise.errors import PoiseError, RunError
+from poise.manage.adoption import Adoption, Found, adopt, found_in, is_half_done
+from poise.manage.deployment import Incarnation
+from poise.manage.migration.transition import plan_transition
+from poise.manage.migration.transition_run import transit
+from poise.manage.run import ACTIVE_LIMIT, READY_LIMIT, Run
+from poise.units import counted
+from poise.wire.records.deployment import Deployment
+from poise.wire.records.migration import MigrationSteps, Step, StepsDone
+
+HALT_LIMIT = 1.0
+"""Containers say within this time how far a half-done migration came [s]."""
+
+
+def start_or_take_over(run: Run, *, is_rule: bool = False, by_force: bool) -> None:
+    """Bring a robot up: what runs as it should goes on, and the rest is started.
+
+    Parameters
+    ----------
+    is_rule
+        Whether the user asked for the placement; else what runs stays where it is.
+    by_force
+        Whether agents are to obey though another manager is alive.
+
+    Raises
+    ------
+    RunError
+        Another manager is at work; or nothing ran, and it cannot start.
+    """
+    began = time.monotonic()
+    before = [status.manager for status in run.agents.statuses().values()]
+    try:
+        deployments = run.agents.claim(run.computers(), take_over=by_force)
+    except RunError as error:
+        run.leave()
+        hint = "; `poise up --take-over` takes the robot over"
+        raise RunError(f"{error}{hint}") from error
+    found = found_in(deployments)
+    if not found:
+        run.start_all()
+        return
+    said = next((f" of {manager}" for manager in before if manager), "")
+    run.journal.note("seen", f"the robot{said} runs: taking over")
+    planned = run.placement()
+    is_committed = is_half_done(found, run.robot) and _is_committed(run, deployments)
+    adoption = adopt(
+        found,
+        run.robot,
+        run.layout,
+        planned,
+        is_committed=is_committed,
+        keeps=not is_rule,
+    )
+    run.adopt(adoption.kept, _last_epochs(found))
+    _note(run, adoption)
+    run.tell(run.placed.values())
+    seconds = time.monotonic() - began
+    run.journal.note("done", "took over", placement=run.placement(), seconds=seconds)
+    _start(run, adoption, found)
+    if is_rule:
+        _move(run, planned)
+
+
+def _is_committed(run: Run, deployments: Mapping[str, Deployment]) -> bool:
+    """Return whether a half-done migration was committed; nothing of it goes on then.
+
+    A container that began a step after the commit knows. When none did, the migration
+    can be rolled back.
+    """
+    numbers = itertools.count(secrets.randbits(48))
+    batches = [
+        (
+            computer,
+            MigrationSteps(
+                next(numbers), 0, container.name, (Step("halt"),), HALT_LIMIT
+            ),
+        )
+        for computer, deployment in deployments.items()
+        for container in deployment.containers
+    ]
+    outcomes = list(run.agents.take_steps(batches))
+    for outcome in outcomes:
+        if not isinstance(outcome, StepsDone):
+            run.journal.note("seen", f"amid a migration, {outcome.reason}")
+    return any(isinstance(o, StepsDone) and o.is_committed for o in outcomes)
+
+
+def _last_epochs(found: Sequence[Found]) -> dict[str, int]:
+    epochs: dict[str, int] = {}
+    for each in found:
+        epochs[each.name] = max(each.spec.epoch, epochs.get(each.name, 0))
+    return epochs
+
+
+def _note(run: Run, adoption: Adoption) -> None:
+    for sentence in adoption.half_done:
+        run.journal.note("decided", sentence)
+    for name, reason in adoption.restarts.items():
+        run.journal.note("decided", f"component '{name}' restarts: {reason}")
+    for name in adoption.ends:
+        run.journal.note("decided", f"component '{name}' ends: the task needs it not")
+    kept = counted(len(adoption.kept), "component")
+    run.journal.note("decided", f"{kept} go on as they run", kept=sorted(adoption.kept))
+
+
+def _start(run: Run, adoption: Adoption, found: Sequence[Found]) -> None:
+    """Start what does not go on; what cannot start is a deviation from then on."""
+    new = [
+        Incarnation(component=name, computer=computer, epoch=run.next_epoch(name))
+        for name, computer in adoption.starts.items()
+    ]
+    if not new:
+        return
+    try:
+        for each in found:
+            if each.name in adoption.restarts:
+                run.wait_ended(each.incarnation)
+        run.bring([each.with_goal("inactive") for each in new], READY_LIMIT)
+        run.bring(new, ACTIVE_LIMIT)
+        run.journal.note("done", f"started {counted(len(new), 'component')}")
+    except RunError as error:
+        run.journal.note("failed", f"not all that is missing started: {error}")
+    run.placed |= {each.component: each for each in new}
+    run.tell(run.placed.values())
+
+
+def _move(run: Run, wanted: Mapping[str, str]) -> None:
+    """Move what was kept to where the user wants it."""
+    try:
+        transit(run, plan_transition(run.robot, run.placement(), wanted))
+    except PoiseError as error:
+        run.journal.note("failed", f"the placement stays as it is: {error}")
