@@ -30,9 +30,12 @@ exhaustive: setup
 quick: setup
 	@$(PYTEST) -m "not slow"
 
-# again and again, in random order, beside other work: make soak FOR=2h
+# a robot that is broken at random, then the tests again and again in random order, beside
+# other work: make soak CHAOS=2h FOR=2h
+CHAOS ?= 30min
 FOR ?= 1h
 soak: setup
+	@$(BIN)/python -m tests.chaos $(CHAOS)
 	@$(BIN)/python -m tests.soak $(FOR)
 
 # lines and branches of src/poise that no test reaches, in all processes
