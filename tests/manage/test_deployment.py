@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 
 from poise.manage.deployment import DeploymentPlan, Incarnation
-from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
-from poise.wire.records.deployment import ComponentSpec, Deployment
+from poise.model.robot import Architecture, Chain, ComponentEntry, Computer, Robot
+from poise.wire.records.deployment import ChainPart, ComponentSpec, Deployment
 
 from .conftest import connector_names
 
@@ -148,3 +149,18 @@ def test_no_two_containers_have_one_name(names: tuple[str, str]) -> None:
         architectures=(architecture,),
     )
     assert DeploymentPlan(robot, "/").container_of(names[1]) == ".".join(names)
+
+
+def test_a_chain_goes_with_messages_and_with_answers(robot: Robot) -> None:
+    """One way from `grabber` by `filter` to `heavy`, and one back."""
+    chain = Chain(name="c", through=("grabber", "filter", "heavy"), deadline=0.5)
+    turned = Chain(name="t", through=("heavy", "filter"), deadline=0.5)
+    chained = replace(robot, chains=(chain, turned))
+    eye, heavy, *_ = deployments(chained, **everything_on("left"))["left"].containers
+    parts = {c.name: c.chains for c in (*eye.components, *heavy.components)}
+    assert parts["grabber"] == (ChainPart(name="c", is_first=True),)
+    assert parts["filter"] == (ChainPart(name="c"), ChainPart(name="t", deadline=0.5))
+    over = {c.name: (c.carries, c.answers) for c in eye.connectors}
+    assert over["grabber.raw-filter.raw"] == (("c",), ())
+    assert over["filter.clean-heavy.clean"] == (("c",), ("t",))
+    assert over["filter.clean-thinker.seen"] == ((), ())

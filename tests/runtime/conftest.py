@@ -20,7 +20,12 @@ from poise.clock import Elapsed, SystemClock
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.wiring import Place, Transports, Wiring
 from poise.wire.connections.gateway import Gateway
-from poise.wire.records.deployment import ComponentSpec, ConnectorKind, ConnectorSpec
+from poise.wire.records.deployment import (
+    ChainPart,
+    ComponentSpec,
+    ConnectorKind,
+    ConnectorSpec,
+)
 from tests.waiting import LIMIT, wait_until
 
 C = TypeVar("C", bound=Component)
@@ -78,9 +83,9 @@ class Pair:
         """End the components, then what joins them."""
         self._closing.close()
 
-    def run(self, name: str, implementation: type[C]) -> C:
+    def run(self, name: str, implementation: type[C], *chains: ChainPart) -> C:
         """Start a component; return it when it is inactive."""
-        spec = ComponentSpec(name=name, goal="inactive")
+        spec = ComponentSpec(name=name, goal="inactive", chains=chains)
         runner = Runner(spec, implementation, SystemClock(), self.news.tell)
         self.runners[name, 0] = runner
         self._closing.callback(_end, runner)
@@ -97,6 +102,15 @@ class Pair:
         """Join a port of ``source`` to one of ``target``."""
         self._specs += (self._spec("source", port, "target", other or port, limit),)
         return self._specs[-1]
+
+    def let_chains_pass(
+        self, *, carries: tuple[str, ...] = (), answers: tuple[str, ...] = ()
+    ) -> None:
+        """Let the data of chains go over the connectors that were joined so far."""
+        self._specs = tuple(
+            structs.replace(spec, carries=carries, answers=answers)
+            for spec in self._specs
+        )
 
     def join_back(
         self, port: str, other: str, *, limit: float = LIMIT

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import pairwise
 from pathlib import PurePath
 
 from msgspec import Struct, structs
@@ -16,6 +17,7 @@ from poise.model.robot import (
     Robot,
 )
 from poise.wire.records.deployment import (
+    ChainPart,
     ComponentSpec,
     ConnectorKind,
     ConnectorSpec,
@@ -107,6 +109,8 @@ class DeploymentPlan:
         ]
 
         self._slots = _slots(robot)
+        self._parts = _chain_parts(robot)
+        self._carries, self._answers = _chains_over(robot, self._slots)
 
     def container_of(self, component: str) -> str:
         """Return the name of a component's container, the same on every computer."""
@@ -190,9 +194,10 @@ class DeploymentPlan:
             kind = "local"
         is_direct = kind == "direct"
         first, second = connector.between
+        slot = self.slot_of(connector)
         return ConnectorSpec(
             name=name_of(connector),
-            slot=self.slot_of(connector),
+            slot=slot,
             kind=kind,
             source=source.component,
             source_epoch=source.epoch,
@@ -207,6 +212,9 @@ class DeploymentPlan:
             else self.address(target, source.computer, gateways),
             limit=connector.limit,
             record=connector.record,
+            # what is recorded is replayed without stamps
+            carries=() if connector.record else self._carries.get(slot, ()),
+            answers=() if connector.record else self._answers.get(slot, ()),
         )
 
     def _by_container(
@@ -243,6 +251,7 @@ class DeploymentPlan:
             },
             weigh=self._weigh,
             gently=incarnation.gently,
+            chains=self._parts.get(component.name, ()),
         )
 
     def _connectors(
@@ -269,6 +278,42 @@ def name_of(connector: Connector) -> str:
     """Return the name that a connector has at run time."""
     source, target = connector.between
     return f"{source}-{target}"
+
+
+def _chain_parts(robot: Robot) -> dict[str, tuple[ChainPart, ...]]:
+    """Return the chains that each component is part of."""
+    parts: dict[str, tuple[ChainPart, ...]] = {}
+    for chain in robot.chains:
+        first, last = chain.through[0], chain.through[-1]
+        for name in chain.through:
+            part = ChainPart(
+                name=chain.name,
+                is_first=name == first,
+                deadline=chain.deadline if name == last else None,
+            )
+            parts[name] = (*parts.get(name, ()), part)
+    return parts
+
+
+def _chains_over(
+    robot: Robot, slots: Mapping[str, str]
+) -> tuple[dict[str, tuple[str, ...]], dict[str, tuple[str, ...]]]:
+    """Return the chains over each slot: from source to target, and with answers."""
+    carries: dict[str, dict[str, None]] = {}
+    answers: dict[str, dict[str, None]] = {}
+    for connector in robot.all_connectors():
+        source, target = (end.component for end in connector.between)
+        slot = slots[name_of(connector)]
+        for chain in robot.chains:
+            hops = set(pairwise(chain.through))
+            if (source, target) in hops:
+                carries.setdefault(slot, {})[chain.name] = None
+            if (target, source) in hops:
+                answers.setdefault(slot, {})[chain.name] = None
+    return (
+        {slot: tuple(names) for slot, names in carries.items()},
+        {slot: tuple(names) for slot, names in answers.items()},
+    )
 
 
 def _slots(robot: Robot) -> dict[str, str]:

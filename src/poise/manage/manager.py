@@ -39,6 +39,7 @@ from poise.manage.lost_computers import LostComputers
 from poise.manage.migration.move import move, replace
 from poise.manage.migration.replacement import replace_architecture
 from poise.manage.migration.transition_run import transit
+from poise.manage.observe.chains import ChainAges, chain_reports
 from poise.manage.observe.deadline_misses import DeadlineMisses
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.recording import Recording
@@ -92,6 +93,7 @@ class Manager:
         self._watch = Watch(run)
         self._lost = LostComputers(run)
         self._misses = DeadlineMisses()
+        self._ages = ChainAges()
         self._adaptation = Adaptation(run, self._facts, acts=adapts)
         run.check = self._look  # moves wait long: what breaks meanwhile is said at once
 
@@ -136,6 +138,7 @@ class Manager:
             ),
             faults=self._watch.num_faults,
             demand_estimates=tuple(self._estimates.demand_estimates()),
+            chains=chain_reports(run.robot, run.agents.statuses()),
         )
 
     def work(self, limit: float) -> None:
@@ -237,6 +240,9 @@ class Manager:
             lost=frozenset(run.excused & run.agents.out_of_reach().keys()),
             loads=self._estimates.loads.loads(),
             misses=self._misses.look(run.current(), time.monotonic()),
+            chains=self._ages.look(
+                chain_reports(run.robot, run.current()), time.monotonic()
+            ),
             demand_estimates=tuple(self._estimates.demand_estimates()),
             statuses=run.current(),
             traffic=self._estimates.traffic(),

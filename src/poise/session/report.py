@@ -11,6 +11,7 @@ from rich.console import RenderableType
 
 from poise.errors import RunError
 from poise.manage.deactivation import unprocessed
+from poise.manage.observe.chains import ChainReport, chain_reports
 from poise.manage.observe.faults import faults_after
 from poise.manage.statuses import Statuses
 from poise.model.robot import Robot
@@ -40,7 +41,7 @@ from poise.wire.records.status import (
 if TYPE_CHECKING:
     import pandas as pd
 
-Table = Literal["components", "timers", "connectors"]
+Table = Literal["components", "timers", "connectors", "chains"]
 
 
 class ComponentReport(Struct, frozen=True, kw_only=True):
@@ -72,6 +73,8 @@ class RunReport(Shown, Struct, frozen=True, kw_only=True):
         How long everything was active [s].
     cpu_share
         Computer -> CPU that its agent and containers used, as a share of what it has.
+    chains
+        How old the data of the robot's chains was when it was used.
     errors
         All that the components' code raised, by line and type.
     hung
@@ -105,6 +108,7 @@ class RunReport(Shown, Struct, frozen=True, kw_only=True):
     cpu_share: Mapping[str, float]
     components: tuple[ComponentReport, ...]
     connectors: tuple[ConnectorStatus, ...]
+    chains: tuple[ChainReport, ...] = ()
     errors: tuple[ComponentError, ...] = ()
     hung: tuple[HungHandler, ...] = ()
     refused: Mapping[str, int] = {}
@@ -130,12 +134,14 @@ class RunReport(Shown, Struct, frozen=True, kw_only=True):
         return bool(self.errors or self.hung or self.refused or self.faults)
 
     def rows(self, of: Table = "components") -> list[dict[str, Any]]:
-        """Return components, their timers or connectors' ends, each as flat values.
+        """Return components, their timers, connectors' ends or chains as flat values.
 
         Statistics have the name of what they are of, as in ``duration_p99``.
         """
         if of == "connectors":
             return [_flat(each) for each in self.connectors]
+        if of == "chains":
+            return [_flat(each) for each in self.chains]
         if of == "components":
             return [_flat(each) for each in self.components]
         return [
@@ -199,6 +205,7 @@ def reported(up: Started, placed: Placement, task: str, seen: MeasuredRun) -> Ru
         cpu_share=cpu_shares(robot, seen.begin, seen.end, up.computers.faster),
         components=component_reports(seen.begin, final),
         connectors=connector_reports(final),
+        chains=chain_reports(robot, final),
         errors=component_errors(final),
         hung=hung_handlers(final),
         refused=refused_messages(final),

@@ -10,6 +10,7 @@ import pytest
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.policies import Policies, Symptom
 from poise.manage.adaptation.subjects import values_of
+from poise.manage.observe.chains import ChainAge
 from poise.model.policy.policy import Policy
 from poise.model.policy.shipped import shipped
 from poise.model.policy.values import SUBJECTS, Subject
@@ -48,6 +49,31 @@ def test_a_timer_that_misses_deadlines_is_named(facts: Make) -> None:
     assert seen(facts(missed=("b",)), "deadlines") == [
         "timer 'tick' of component 'b' on 'left' missed 5 of 10 deadlines within 1 s"
     ]
+
+
+OLD = ChainAge(
+    chain="c",
+    deadline=0.1,
+    used=10,
+    missed=8,
+    seconds=1.0,
+    ages={"eye": 0.0, "a": 0.01, "b": 0.3},
+    computers={"eye": "left", "a": "left", "b": "right"},
+)
+
+
+def test_a_chain_says_which_step_takes_how_long(facts: Make) -> None:
+    late = msgspec.structs.replace(facts(), chains=(OLD,))
+    (found,) = seen(late, "chains")
+    assert found == (
+        "the data of chain 'c' was older than 100 ms at 8 of 10 uses by 'b' within 1 "
+        "s: eye -> a 10 ms, a -> b 290 ms"
+    )
+
+
+def test_a_chain_that_was_late_once_is_not_named(facts: Make) -> None:
+    once = msgspec.structs.replace(OLD, missed=1)
+    assert not seen(msgspec.structs.replace(facts(), chains=(once,)), "chains")
 
 
 def test_a_lost_computer_is_named(facts: Make) -> None:
@@ -91,6 +117,7 @@ def test_what_is_off_says_nothing(facts: Make) -> None:
 
 @pytest.mark.parametrize("subject", SUBJECTS)
 def test_every_subject_has_values_of_its_record(facts: Make, subject: Subject) -> None:
-    for values in values_of(facts(missed=("a",)), subject):
+    late = msgspec.structs.replace(facts(missed=("a",)), chains=(OLD,))
+    for values in values_of(late, subject):
         assert isinstance(values, SUBJECTS[subject])
         assert msgspec.convert(msgspec.to_builtins(values), SUBJECTS[subject]) == values

@@ -14,6 +14,7 @@ from poise.clock import SystemClock
 from poise.errors import UsageError
 from poise.runtime.connectors.interface import methods
 from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.execution.data_age import Stamped
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration.state_receiver import fetch, restore
 from poise.runtime.migration.state_sender import Request, StateSender
@@ -292,3 +293,15 @@ def test_whoever_asks_hears_why_nothing_is_given(incarnations: Incarnations) -> 
     channel.sender.refuse("it did not come to rest")
     with pytest.raises(UsageError, match="it did not come to rest"):
         fetch(channel, Request.ALL, LIMIT)
+
+
+def test_what_waits_goes_over_with_its_stamps(incarnations: Incarnations) -> None:
+    old = incarnations.start(Book, active=True)
+    new = incarnations.start(Book, active=False)
+    channel = rest(old)
+    feed = old.endpoints.feed("notes", Counts())
+    feed.put((0, Stamped(("c",), (5.0,), Notes(("a",)))))
+    restore(new, fetch(channel, Request.ALL, LIMIT))
+    ((_, found),) = new.endpoints.inboxes["notes"].waiting()
+    assert (found.chains, found.value.texts) == (("c",), ("a",))
+    assert found.stamps == pytest.approx((5.0,))

@@ -8,6 +8,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.estimate.profile import ConnectorProfile
+from poise.manage.observe.chains import ChainAge
 from poise.manage.observe.deadline_misses import Misses
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.observe.loads import Load
@@ -33,6 +34,8 @@ class Facts(Struct, frozen=True, kw_only=True):
         Computer -> its CPU use over the last second, where it is known.
     misses
         The timers that were due within the last seconds.
+    chains
+        The chains whose data was used within the last seconds.
     demand_estimates
         What the components need.
     statuses
@@ -47,6 +50,7 @@ class Facts(Struct, frozen=True, kw_only=True):
     lost: frozenset[str] = frozenset()
     loads: Mapping[str, Load] = {}
     misses: tuple[Misses, ...] = ()
+    chains: tuple[ChainAge, ...] = ()
     demand_estimates: tuple[DemandEstimate, ...] = ()
     statuses: Mapping[str, AgentStatus] = {}
     traffic: Mapping[str, ConnectorProfile] = {}

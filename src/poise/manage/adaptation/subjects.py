@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 from poise.manage.adaptation.facts import Facts
 from poise.model.policy.values import (
+    ChainValues,
     ComponentValues,
     ComputerValues,
     ContainerValues,
@@ -133,6 +134,23 @@ def _timers(facts: Facts) -> Iterator[Values]:
         )
 
 
+def _chains(facts: Facts) -> Iterator[Values]:
+    for each in facts.chains:
+        yield ChainValues(
+            name=each.chain,
+            component=each.last,
+            computer=each.computers[each.slowest],
+            age=each.ages[each.last],
+            deadline=each.deadline,
+            used=each.used,
+            missed=each.missed,
+            share=each.missed / each.used,
+            over=each.seconds,
+            late=each.is_late,
+            steps=str(each),
+        )
+
+
 def _robots(facts: Facts) -> Iterator[Values]:
     yield RobotValues(
         name=facts.robot.name,
@@ -149,5 +167,6 @@ _READ: Mapping[Subject, Callable[[Facts], Iterator[Values]]] = {
     "component": _components,
     "container": _containers,
     "timer": _timers,
+    "chain": _chains,
     "robot": _robots,
 }

@@ -12,6 +12,7 @@ from poise.manage.adaptation.replan import Proposal
 from poise.manage.migration.move import MoveReport
 from poise.manage.migration.replacement import ReplaceReport
 from poise.manage.migration.transition_run import TransitionReport
+from poise.manage.observe.chains import ChainReport
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import DemandEstimate
 from poise.wire.records.requests import ManagerId
@@ -77,6 +78,8 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
         How many faults there were since the start; they may be over.
     demand_estimates
         What components need now, against what their profile says.
+    chains
+        How old the data of the robot's chains was.
     """
 
     robot: str
@@ -88,6 +91,7 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
     deviations: tuple[Deviation, ...] = ()
     faults: int = 0
     demand_estimates: tuple[DemandEstimate, ...] = ()
+    chains: tuple[ChainReport, ...] = ()
 
 
 class StopReport(Struct, frozen=True, tag=True):

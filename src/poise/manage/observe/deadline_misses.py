@@ -41,8 +41,13 @@ class Misses(Struct, frozen=True, kw_only=True):
     @property
     def is_late(self) -> bool:
         """Whether it does not keep its rate: a single miss among others is no sign."""
-        several = self.missed >= _SEVERAL and self.share >= _MISSED
-        return several or 0 < self.released == self.missed
+        return is_late(self.released, self.missed)
+
+
+def is_late(times: int, missed: int) -> bool:
+    """Return whether so many misses are more than a single one among others."""
+    several = missed >= _SEVERAL and missed >= _MISSED * times
+    return several or 0 < times == missed
 
 
 class DeadlineMisses:

@@ -7,7 +7,7 @@ from typing import Literal
 
 from poise.manage.observe.estimates import Estimates
 from poise.manage.statuses import Statuses
-from poise.wire.records.status import ConnectorStatus, Summary
+from poise.wire.records.status import ComponentStatus, ConnectorStatus, Summary
 
 Sample = tuple[str, Mapping[str, str], float]
 """A metric's name, its labels and its value."""
@@ -18,6 +18,9 @@ METRICS = {
     "poise_component_cpu_expected_cores": "What its profile says",
     "poise_component_cpu_p95_cores": "95th percentile over sampling windows",
     "poise_component_starved_share": "Share of its jobs that went undone",
+    "poise_chain_age_seconds": "How old the data of a chain was when a component used "
+    "it",
+    "poise_chain_missed_total": "Uses of data that was older than the chain's deadline",
     "poise_connector_calls_per_second": "Calls over a connector",
     "poise_connector_messages_per_second": "Messages over a connector",
     "poise_connector_bytes_per_second": "Traffic over a connector",
@@ -34,6 +37,7 @@ METRICS = {
     "the mean: so much is not known of the other computer's clock",
 }
 """Name -> meaning. Kinds and units are at the end of names, as Prometheus has them."""
+_AGE = "poise_chain_age_seconds"
 _SUMMARIES = {
     "poise_connector_delay_seconds": "delay",
     "poise_connector_wait_seconds": "wait",
@@ -47,7 +51,7 @@ def kind_of(name: str) -> Literal["counter", "gauge", "summary"]:
     """Return what kind of metric one is, in Prometheus' words."""
     if name.endswith("_total"):
         return "counter"
-    return "summary" if name in _SUMMARIES else "gauge"
+    return "summary" if name in {*_SUMMARIES, _AGE} else "gauge"
 
 
 def samples(estimates: Estimates, statuses: Statuses) -> Iterator[Sample]:
@@ -67,6 +71,8 @@ def samples(estimates: Estimates, statuses: Statuses) -> Iterator[Sample]:
         yield "poise_connector_bytes_per_second", labels, flow.traffic
     for computer, status in sorted(statuses.items()):
         for container in status.containers:
+            for component in container.components:
+                yield from _chain_samples(component, computer)
             for end in container.connectors:
                 labels = {"connector": end.name, "end": end.end, "computer": computer}
                 yield from _end_samples(labels, end)
@@ -80,12 +86,30 @@ def _end_samples(labels: dict[str, str], end: ConnectorStatus) -> Iterator[Sampl
         more = {**labels, "direction": direction}
         yield "poise_connector_bytes_total", more, size
     for name, field in _SUMMARIES.items():
-        summary: Summary = getattr(end, field)
-        if summary.count:
-            yield name, {**labels, "quantile": "0.5"}, summary.median
-            yield name, {**labels, "quantile": "0.99"}, summary.p99
-            yield name, {**labels, "quantile": "1"}, summary.maximum
-            yield f"{name}_sum", labels, summary.mean * summary.count
-            yield f"{name}_count", labels, summary.count
+        yield from _summary_samples(name, labels, getattr(end, field))
     if end.latency.count:
         yield "poise_connector_latency_error_seconds", labels, end.latency_error
+
+
+def _chain_samples(component: ComponentStatus, computer: str) -> Iterator[Sample]:
+    """Yield how old the data of chains was when a component used it."""
+    for chain in component.chains:
+        labels = {
+            "chain": chain.name,
+            "component": component.name,
+            "computer": computer,
+        }
+        yield from _summary_samples(_AGE, labels, chain.age)
+        if chain.deadline is not None:
+            yield "poise_chain_missed_total", labels, chain.missed
+
+
+def _summary_samples(
+    name: str, labels: Mapping[str, str], summary: Summary
+) -> Iterator[Sample]:
+    if summary.count:
+        yield name, {**labels, "quantile": "0.5"}, summary.median
+        yield name, {**labels, "quantile": "0.99"}, summary.p99
+        yield name, {**labels, "quantile": "1"}, summary.maximum
+        yield f"{name}_sum", labels, summary.mean * summary.count
+        yield f"{name}_count", labels, summary.count

@@ -13,7 +13,7 @@ from msgspec import Struct
 from poise.model.file_keys import Bandwidth, Bytes, Cores, Rate, Seconds, Share, says
 
 Subject: TypeAlias = Literal[
-    "computer", "link", "component", "container", "timer", "robot"
+    "computer", "link", "component", "container", "timer", "chain", "robot"
 ]
 ComponentState: TypeAlias = Literal[
     "unconfigured", "inactive", "active", "finalized", "failed", "unresponsive", "gone"
@@ -97,6 +97,25 @@ class TimerValues(Struct, frozen=True, kw_only=True):
     ] = False
 
 
+class ChainValues(Struct, frozen=True, kw_only=True):
+    """A chain: how old its data was when it was used, over a second or two uses."""
+
+    name: Annotated[str, _NAME]
+    component: Annotated[str, says("The last one, which uses the data.")]
+    computer: Annotated[str, says("Where the data takes longest on its way.")]
+    age: Annotated[Seconds, says("The mean age of the data when it was used.")] = 0.0
+    deadline: Annotated[Seconds, says("How old it may be.")] = 0.0
+    used: Annotated[int, says("How often it was used.")] = 0
+    missed: Annotated[int, says("How often it was older than it may be.")] = 0
+    share: Annotated[Share, says("The same as a share.")] = 0.0
+    over: Annotated[Seconds, says("The time over which this was counted.")] = 0.0
+    late: Annotated[
+        bool,
+        says("Whether it was too old twice and at 20% of all uses, or at every one."),
+    ] = False
+    steps: Annotated[str, says("How long data takes to each next component.")] = ""
+
+
 class RobotValues(Struct, frozen=True, kw_only=True):
     """The whole robot."""
 
@@ -113,6 +132,7 @@ Values: TypeAlias = (
     | ComponentValues
     | ContainerValues
     | TimerValues
+    | ChainValues
     | RobotValues
 )
 SUBJECTS: Mapping[Subject, type[Values]] = {
@@ -121,5 +141,6 @@ SUBJECTS: Mapping[Subject, type[Values]] = {
     "component": ComponentValues,
     "container": ContainerValues,
     "timer": TimerValues,
+    "chain": ChainValues,
     "robot": RobotValues,
 }

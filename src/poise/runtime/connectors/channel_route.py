@@ -5,12 +5,14 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NoReturn
 
 from poise.errors import CalleeError, CallError, Timeout
 from poise.runtime._calls import ServedCall, call_remote, time_left
 from poise.runtime.component.error_report import Sparing
 from poise.runtime.component.ports import Port
+from poise.runtime.connectors.chain_stamps import served, stamped_value, with_stamps
 from poise.runtime.connectors.direct import raise_callee_error
 from poise.runtime.connectors.endpoints import Endpoints
 from poise.runtime.connectors.flow_control import Credit, CreditIssuer
@@ -18,6 +20,7 @@ from poise.runtime.connectors.interface import Method, message_tag, methods
 from poise.runtime.connectors.remote_clock import RemoteClock
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.execution.data_age import Stamped
 from poise.runtime.execution.exclusion import Redirected, current_chain
 from poise.runtime.execution.mailbox import Feed
 from poise.wire import frame
@@ -76,6 +79,8 @@ class ChannelRoute:
             kind, tag, coder = Kind.MESSAGE, self._tag, self._codec
         else:
             kind, tag, coder = Kind.ONEWAY, method.tag, method.arguments
+        if type(value) is Stamped:
+            coder, value = with_stamps(coder), (value.stamps, value.value)
         credit = self._credit
         number = credit.sent + 1
         pieces = segments(
@@ -106,6 +111,9 @@ class ChannelRoute:
         name, remote = sender.name, self._remote
         bind, arguments, tag = method.bind, method.arguments, method.tag
         decode = method.result.decode
+        if sender.chains is not None:
+            bind, arguments = sender.chains.binding(bind), with_stamps(arguments)
+            decode = sender.chains.taking(with_stamps(method.result).decode, remote)
 
         def call(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401, the method's own
             started = time.monotonic()
@@ -159,12 +167,13 @@ def receiving(
     connector, counts = spec.name, feed.counts
     known = methods(port.type) if port.kind == "provides" else {}
     answers = {
-        tag: _answering(target, method, spec.limit, counts)
+        tag: _answering(target, method, spec, counts, remote)
         for tag, method in known.items()
     }
     tag, coder = message_tag(port.type), codec(port.type) if not known else _NOTHING
 
     tell = _reporter(connector)
+    read = partial(stamped_value, spec, remote) if spec.carries else Frame.value
 
     def handle(received: Frame) -> Pieces | None:
         if received.kind is _MARK:
@@ -181,8 +190,8 @@ def receiving(
             issuer.came(received)
             wanted = coder if received.tag == tag and not known else None
             method = known.get(received.tag)
-            value = received.value(wanted or _known(method, port).arguments)
-            feed.put((received.tag, value))
+            coded = wanted or _known(method, port).arguments
+            feed.put((received.tag, read(received, coded)))
         except WireError as error:
             counts.refuse(error)
             tell(error)
@@ -243,16 +252,24 @@ def _refuse(port: Port) -> NoReturn:
 
 
 def _answering(
-    target: Endpoints, method: Method, limit: float, counts: Counts
+    target: Endpoints,
+    method: Method,
+    spec: ConnectorSpec,
+    counts: Counts,
+    remote: RemoteClock,
 ) -> ServedCall:
     """Return what answers the calls of a method."""
-    result, tag = method.result, method.tag
+    arguments, result, tag = method.arguments, method.result, method.tag
+    run = getattr(target.component, method.name)
+    if spec.carries or spec.answers:
+        arguments, result = with_stamps(arguments), with_stamps(result)
+        run = served(run, target.ages, spec, remote)
     return ServedCall(
-        decode=method.arguments.decode,
-        method=getattr(target.component, method.name),
+        decode=arguments.decode,
+        method=run,
         encode=lambda value: segments(result, value, _RESULT, tag=tag),
         exclusion=target.exclusion,
-        limit=limit,
+        limit=spec.limit,
         counts=counts,
         translate=raise_callee_error,
         is_over=caller.is_gone,

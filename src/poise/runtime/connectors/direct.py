@@ -55,6 +55,8 @@ class DirectRoute:
             return sender.again(self, method.name, args, kwargs, deadline)
 
         run = getattr(self._target.component, method.name)
+        if sender.chains is not None:
+            run = sender.chains.direct(run, self._target.ages)
         exclusion, limit = self._target.exclusion, self._limit
         return direct_call(run, exclusion, limit, sender.counts, resend)
 

@@ -13,9 +13,11 @@ from poise.errors import Timeout
 from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.component import Component
 from poise.runtime.component.ports import Port, Published, Queue, methods_of
+from poise.runtime.connectors.chain_stamps import SentChains
 from poise.runtime.connectors.facade import Facade, refusing
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.execution.data_age import DataAges
 from poise.runtime.execution.exclusion import Exclusion
 from poise.runtime.execution.mailbox import Entry, Feed, Inbox, Mailbox
 
@@ -34,6 +36,8 @@ class Endpoints:
         Callers enter it.
     counters
         Where what comes is counted.
+    ages
+        Of the data of the chains that it is part of.
     """
 
     def __init__(
@@ -43,7 +47,9 @@ class Endpoints:
         ports: Mapping[str, Port],
         exclusion: Exclusion,
         counters: ComponentCounters,
+        ages: DataAges,
     ) -> None:
+        self.ages = ages
         self.component = component
         self.ports = ports
         self.exclusion = exclusion
@@ -62,14 +68,16 @@ class Endpoints:
         for port in ports.values():
             self._disconnect(port)
 
-    def sender(self, name: str, port: Port, limit: float) -> Sender:
+    def sender(
+        self, name: str, port: Port, limit: float, chains: SentChains | None = None
+    ) -> Sender:
         """Return the sender of a connector at a published or required port."""
         if name not in self.senders:
             facade = None
             if port.kind == "requires":
                 facade = getattr(self.component, port.name)
             exclusion = self.exclusion if self.component.reentrant else None
-            self.senders[name] = Sender(name, port, facade, limit, exclusion)
+            self.senders[name] = Sender(name, port, facade, limit, exclusion, chains)
             self._rewire(port)
         return self.senders[name]
 
@@ -167,7 +175,7 @@ class Endpoints:
         """Let a published port send over all of its connectors."""
         if port.kind != "publishes":
             return
-        sends = [o.send for o in self.senders.values() if o.port == port]
+        sends = [o.sending() for o in self.senders.values() if o.port == port]
 
         def send_all(message: object) -> None:
             for send in sends:

@@ -21,6 +21,7 @@ from typing import Any
 from poise.errors import CallError, RunError, Timeout, Unavailable
 from poise.runtime.component.error_report import Sparing
 from poise.runtime.component.ports import Port
+from poise.runtime.connectors.chain_stamps import SentChains
 from poise.runtime.connectors.facade import Facade, refusing
 from poise.runtime.connectors.interface import Method, methods
 from poise.runtime.connectors.reentrant import stepping_out
@@ -54,6 +55,8 @@ class Sender:
         Time limit of a call, and of a message that waits [s].
     exclusion
         Of a re-entrant source: released while it waits in a call.
+    chains
+        Those that pass over the connector; None: none does.
     """
 
     def __init__(
@@ -63,8 +66,10 @@ class Sender:
         facade: Facade | None,
         limit: float,
         exclusion: Exclusion | None = None,
+        chains: SentChains | None = None,
     ) -> None:
         self.name = name
+        self.chains = chains
         self.port = port
         self.counts = Counts()
         self._sparing = Sparing()
@@ -106,6 +111,16 @@ class Sender:
     def routes(self) -> dict[str, Route]:
         """Return the routes by key."""
         return dict(self._routes)
+
+    def sending(self) -> Callable[..., None]:
+        """Return what sends a message, or a one-way call: `send`, with stamps if any.
+
+        They are made at once, whatever waits: so the wait counts in the data's age.
+        """
+        chains, send = self.chains, self.send
+        if chains is None or not chains.carries:
+            return send
+        return lambda value, method=None: send(chains.stamped(value), method)
 
     def send(self, value: object, method: Method | None = None) -> None:
         """Send or buffer a message or one-way call; what cannot go out is counted.
@@ -385,7 +400,9 @@ class Sender:
 
 
 def _oneway(sender: Sender, method: Method) -> Callable[..., None]:
+    send = sender.sending()
+
     def call(*args: Any, **kwargs: Any) -> None:  # noqa: ANN401, the call's own
-        sender.send(method.bind(*args, **kwargs), method)
+        send(method.bind(*args, **kwargs), method)
 
     return call

@@ -22,6 +22,7 @@ from poise.runtime.component.error_report import Errors
 from poise.runtime.component.ports import ports_of, timers_of
 from poise.runtime.connectors.endpoints import Endpoints
 from poise.runtime.connectors.interface import methods
+from poise.runtime.execution.data_age import DataAges, Stamped
 from poise.runtime.execution.exclusion import Exclusion, Redirected, new_chain
 from poise.runtime.execution.mailbox import Inbox
 from poise.runtime.execution.timers import Releases, Timers
@@ -78,8 +79,14 @@ class Runner:
             ),
         )
         self.counters = ComponentCounters()
+        self.ages = DataAges(spec.chains, clock)
         self.endpoints = Endpoints(
-            spec.name, self.component, self.ports, self.exclusion, self.counters
+            spec.name,
+            self.component,
+            self.ports,
+            self.exclusion,
+            self.counters,
+            self.ages,
         )
         self.life_cycle = LifeCycle()
         self.gate = ExecutionGate(
@@ -153,6 +160,7 @@ class Runner:
             requires=self._ports_that("requires"),
             subscribes=self._ports_that("subscribes"),
             timers=self.timers.status(now),
+            chains=self.ages.status(),
             measures={n: h.summary() for n, h in list(self._measures.items())},
         )
 
@@ -249,7 +257,7 @@ class Runner:
         began = self.clock.now()
         release = releases.begin(began)
         name = releases.timer.name
-        self._run(getattr(self.component, name), name)
+        self._run(getattr(self.component, name), name, is_timer=True)
         releases.end(release, began, self.clock.now())
 
     def _deliver(self, inbox: Inbox) -> None:
@@ -259,12 +267,15 @@ class Runner:
             return
         port = self.ports[inbox.port]
         tag, value = entry
+        taken = None
+        if type(value) is Stamped:
+            taken, value = value, value.value
         if port.kind == "subscribes":
             handler = getattr(self.component, port.name)
-            self._run(handler, port.name, value)
+            self._run(handler, port.name, value, taken=taken)
         else:
             method = getattr(self.component, methods(port.type)[tag].name)
-            self._run(method, port.name, *value)
+            self._run(method, port.name, *value, taken=taken)
 
     def _enter(self) -> bool:
         """Begin a chain and wait to enter; False when the goal has changed."""
@@ -281,11 +292,21 @@ class Runner:
             return True
         return False
 
-    def _run(self, method: Callable[..., Any], what: str, *args: object) -> None:
+    def _run(
+        self,
+        method: Callable[..., Any],
+        what: str,
+        *args: object,
+        taken: Stamped | None = None,
+        is_timer: bool = False,
+    ) -> None:
         """Run user code in the exclusion that was entered, and leave it."""
         self._handler = what, self.clock.now()
         try:
-            method(*args)
+            if self.ages:
+                self.ages.run(method, args, taken=taken, is_timer=is_timer)
+            else:
+                method(*args)
         # a user's method may raise anything
         except (Exception, SystemExit) as error:  # noqa: BLE001
             self._errors.note(what, error, self.clock.now())

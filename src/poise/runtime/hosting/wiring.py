@@ -15,6 +15,7 @@ from poise.clock import Elapsed
 from poise.errors import RobotError, RunError, UsageError
 from poise.runtime.component.error_report import told
 from poise.runtime.component.ports import Kind, Port
+from poise.runtime.connectors.chain_stamps import SentChains
 from poise.runtime.connectors.channel_route import ChannelRoute, receiving
 from poise.runtime.connectors.direct import DirectRoute
 from poise.runtime.connectors.flow_control import Credit, CreditIssuer
@@ -246,7 +247,11 @@ class Wiring:
     ) -> None:
         spec = ends.spec
         port = _port(source, spec.source_port, SENDING)
-        sender = source.endpoints.sender(spec.slot or spec.name, port, spec.limit)
+        chains = None
+        if spec.carries or spec.answers:
+            chains = SentChains(source.ages, spec.carries, spec.answers)
+        name = spec.slot or spec.name
+        sender = source.endpoints.sender(name, port, spec.limit, chains)
         if target is not None:
             far = _port(target, spec.target_port, TAKING)
             ends.route = DirectRoute(

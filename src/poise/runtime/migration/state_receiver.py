@@ -28,6 +28,7 @@ from poise.priority import ahead, first
 from poise.runtime.component.component import Component
 from poise.runtime.component.implementation import find_function
 from poise.runtime.connectors.channel_route import entry_codec
+from poise.runtime.execution.data_age import Stamped
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration.state_check import (
     check_adapted,
@@ -246,9 +247,13 @@ def restore(
         if transfer.delta and not is_fresh:
             delta = _value_of(transfer.delta, component.restore_delta)
             component.restore_delta(delta)
-    for port, data in transfer.messages:
+    runner.ages.restore(transfer.stamps)
+    for port, data, stamps in transfer.messages:
         received = frame.parse(data)
         value = received.value(entry_codec(runner.ports[port], received.tag))
+        if stamps:
+            times = tuple(map(runner.ages.local, stamps.values()))
+            value = Stamped(tuple(stamps), times, value)
         runner.endpoints.preload(port, (received.tag, value))
 
 

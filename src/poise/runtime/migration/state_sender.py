@@ -15,9 +15,11 @@ from enum import IntEnum
 import msgspec
 from msgspec import Struct
 
+from poise.clock import Stamp
 from poise.errors import RunError, Timeout
 from poise.priority import ahead, first
 from poise.runtime.connectors.channel_route import entry_codec
+from poise.runtime.execution.data_age import Stamped
 from poise.runtime.execution.exclusion import new_chain
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration.state_check import describe_type
@@ -47,16 +49,20 @@ class StateTransfer(Struct, frozen=True, kw_only=True):
     state_type
         The type of the state, by `state_check.describe_type`.
     messages
-        Ports and frames of the messages and one-way calls that wait, oldest first.
+        Ports, frames and stamps of the messages and one-way calls that wait, oldest
+        first.
     due
         Timer -> time until its next release [s].
+    stamps
+        Chain -> the stamp of the data that the source took last.
     """
 
     state: bytes = b""
     state_type: str = ""
     delta: bytes = b""
-    messages: tuple[tuple[str, bytes], ...] = ()
+    messages: tuple[tuple[str, bytes, Mapping[str, Stamp]], ...] = ()
     due: Mapping[str, float] = {}
+    stamps: Mapping[str, Stamp] = {}
 
 
 REQUEST: Codec[tuple[int, float]] = codec(tuple[int, float])
@@ -146,7 +152,9 @@ class StateSender:
                 transfer = _transfer(runner.component.snapshot())
             messages = tuple(_messages(runner))
         due = runner.timers.left(runner.clock.now())
-        return msgspec.structs.replace(transfer, messages=messages, due=due)
+        return msgspec.structs.replace(
+            transfer, messages=messages, due=due, stamps=runner.ages.held()
+        )
 
 
 def _transfer(state: Struct | None) -> StateTransfer:
@@ -155,12 +163,17 @@ def _transfer(state: Struct | None) -> StateTransfer:
     return StateTransfer(state=_frame_of(state), state_type=describe_type(type(state)))
 
 
-def _messages(runner: Runner) -> Iterator[tuple[str, bytes]]:
+def _messages(runner: Runner) -> Iterator[tuple[str, bytes, Mapping[str, Stamp]]]:
     for name, inbox in runner.endpoints.inboxes.items():
-        for tag, value in inbox.waiting():
+        for tag, entry in inbox.waiting():
             coder = entry_codec(runner.ports[name], tag)
+            value, stamps = entry, {}
+            if type(entry) is Stamped:
+                value = entry.value
+                times = map(runner.clock.stamp, entry.stamps)
+                stamps = dict(zip(entry.chains, times, strict=True))
             pieces = frame.segments(coder, value, Kind.MESSAGE, tag=tag)
-            yield name, b"".join(pieces)
+            yield name, b"".join(pieces), stamps
 
 
 def _frame_of(state: Struct | None) -> bytes:

@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from poise.manage.observe.faults import combined
+from poise.session.render.chains import chain_tables
 from poise.session.render.clocks import clock_table
 from poise.session.render.connectors import connector_tables
 from poise.session.render.tables import table
@@ -27,6 +28,7 @@ def report_parts(report: RunReport) -> Iterator[RenderableType]:
     measures = _measure_table(report)
     if measures.row_count:
         yield measures
+    yield from chain_tables(report.chains)
     yield from connector_tables(report.connectors)
     clocks = clock_table(report.clocks)
     if clocks.row_count:

@@ -13,6 +13,7 @@ from rich.text import Text
 from poise.manage.control_socket.records import RobotStatus
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.statuses import connectors_of
+from poise.session.render.chains import chain_tables
 from poise.session.render.clocks import clock_table
 from poise.session.render.connectors import connector_tables
 from poise.session.render.tables import table
@@ -36,6 +37,7 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
     yield component_table(status)
     for remark in remarks(status):
         yield f"[yellow]{remark}[/]"
+    yield from chain_tables(status.chains)
     yield from connector_tables(connectors_of(status.computers))
     known = {name: each.clocks for name, each in sorted(status.computers.items())}
     clocks = clock_table(known)

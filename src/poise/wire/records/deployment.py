@@ -21,6 +21,22 @@ Aim = Literal["inactive", "ready", "active", "finalized"]
 ConnectorKind = Literal["direct", "local", "remote"]
 
 
+class ChainPart(Struct, frozen=True, kw_only=True):
+    """A chain that a component is part of.
+
+    Parameters
+    ----------
+    is_first
+        Whether the chain's data is made here.
+    deadline
+        How old its data may be, at the last component [s]; None elsewhere.
+    """
+
+    name: str
+    is_first: bool = False
+    deadline: float | None = None
+
+
 class ComponentSpec(Struct, frozen=True, kw_only=True):
     """A component that should run: by its class, or by a command line.
 
@@ -46,6 +62,8 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
         Whether the size of its snapshot is taken when it is deactivated.
     gently
         Whether it is prepared with the CPU time that others leave: they are at work.
+    chains
+        Those that it is part of.
     """
 
     name: str
@@ -61,6 +79,7 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
     devices: Mapping[str, str] = {}
     weigh: bool = False
     gently: bool = False
+    chains: tuple[ChainPart, ...] = ()
 
 
 class ConnectorSpec(Struct, frozen=True, kw_only=True):
@@ -85,6 +104,9 @@ class ConnectorSpec(Struct, frozen=True, kw_only=True):
         Empty: `name`.
     record
         A file for the messages or calls that come; empty: they are not recorded.
+    carries, answers
+        The chains whose data goes from source to target, and with answers to calls
+        from target to source; the same for all connectors of one slot.
     """
 
     name: str
@@ -101,6 +123,8 @@ class ConnectorSpec(Struct, frozen=True, kw_only=True):
     address: str = ""
     limit: float = 1.0
     record: str = ""
+    carries: tuple[str, ...] = ()
+    answers: tuple[str, ...] = ()
 
     @property
     def key(self) -> str:

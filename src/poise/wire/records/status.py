@@ -54,6 +54,25 @@ class TimerStatus(Struct, frozen=True, kw_only=True):
     duration: Summary
 
 
+class ChainStatus(Struct, frozen=True, kw_only=True):
+    """How old the data of a chain was when one of its components used it.
+
+    Parameters
+    ----------
+    deadline
+        How old it may be, at the last component of the chain [s]; None elsewhere.
+    missed
+        How often it was older.
+    age
+        At each use [s].
+    """
+
+    name: str
+    deadline: float | None = None
+    missed: int = 0
+    age: Summary = Summary()
+
+
 class ConnectorStatus(Struct, frozen=True, kw_only=True):
     """What one end of a connector counted, since its component began to run there.
 
@@ -144,6 +163,8 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
         Size of its snapshot, if that was taken [bytes].
     requires, subscribes
         Its ports over which it calls others, and those to which messages come.
+    chains
+        Those that it is part of, and not the beginning.
     """
 
     name: str
@@ -161,6 +182,7 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
     requires: tuple[str, ...] = ()
     subscribes: tuple[str, ...] = ()
     timers: tuple[TimerStatus, ...] = ()
+    chains: tuple[ChainStatus, ...] = ()
     measures: Mapping[str, Summary] = {}
 
 

@@ -1,0 +1,236 @@
+"""How old the data of the robot's chains is: since the start, and lately. Pure."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import pairwise
+
+from msgspec import Struct
+
+from poise.manage.observe.deadline_misses import OVER, is_late
+from poise.manage.statuses import Statuses, connectors_of
+from poise.model.robot import Chain, Robot
+from poise.units import format_seconds
+from poise.wire.records.status import ChainStatus, ComponentStatus, Side, Summary
+
+_ENOUGH = 2
+"""Ages are taken over `OVER`, or for so long that there are as many uses."""
+_LONGEST = 10.0
+"""But never over a longer time [s]."""
+
+
+class ChainHop(Struct, frozen=True, kw_only=True):
+    """A component of a chain: how old the data was when it used it.
+
+    Parameters
+    ----------
+    age
+        At each use, from the stamp on; nothing at the first component [s].
+    """
+
+    component: str
+    computer: str
+    epoch: int = 0
+    age: Summary = Summary()
+
+
+class ChainReport(Struct, frozen=True, kw_only=True):
+    """How old the data of a chain was, since its last component began to run there.
+
+    Parameters
+    ----------
+    deadline
+        How old it may be at the last component [s].
+    missed
+        How often it was older.
+    age
+        When the last component used it [s].
+    error
+        How far ages are off at most, in the mean [s]: nobody knows better how far the
+        clocks of the chain's computers are apart. 0 on one computer.
+    hops
+        The chain's components, first to last.
+    """
+
+    name: str
+    deadline: float
+    missed: int
+    age: Summary
+    error: float
+    hops: tuple[ChainHop, ...]
+
+
+class ChainAge(Struct, frozen=True, kw_only=True):
+    """How old the data of a chain was lately.
+
+    Parameters
+    ----------
+    used, missed
+        Uses by the last component in the last seconds, and how many of these came after
+        the deadline.
+    seconds
+        How many seconds these are.
+    ages
+        Component -> the mean age when it used data [s], first to last.
+    computers
+        Component -> computer.
+    """
+
+    chain: str
+    deadline: float
+    used: int
+    missed: int
+    seconds: float
+    ages: Mapping[str, float]
+    computers: Mapping[str, str]
+
+    @property
+    def is_late(self) -> bool:
+        """Whether it does not keep its deadline: a single miss is no sign."""
+        return is_late(self.used, self.missed)
+
+    @property
+    def last(self) -> str:
+        """The component that uses the data."""
+        return list(self.ages)[-1]
+
+    @property
+    def slowest(self) -> str:
+        """The component to which the data takes longest."""
+        return max(self.steps(), key=lambda step: step[2])[1]
+
+    def steps(self) -> Iterator[tuple[str, str, float]]:
+        """Yield how long data takes from each component's use to the next one's [s]."""
+        for (one, began), (next_, ended) in pairwise(self.ages.items()):
+            yield one, next_, max(0.0, ended - began)
+
+    def __str__(self) -> str:
+        """Return which step takes how long, for people."""
+        return ", ".join(
+            f"{one} -> {next_} {format_seconds(seconds)}"
+            for one, next_, seconds in self.steps()
+        )
+
+
+def chain_reports(robot: Robot, statuses: Statuses) -> tuple[ChainReport, ...]:
+    """Return the chains all of whose components run, in the robot file's order."""
+    running: dict[str, tuple[str, ComponentStatus]] = {}
+    for computer, status in statuses.items():
+        for container in status.containers:
+            for component in container.components:
+                known = running.get(component.name)
+                if known is None or known[1].epoch <= component.epoch:
+                    running[component.name] = computer, component
+    errors = {(end.name, end.end): end.latency_error for end in connectors_of(statuses)}
+    return tuple(
+        _report(robot, chain, running, errors)
+        for chain in robot.chains
+        if running.keys() >= set(chain.through)
+    )
+
+
+def _report(
+    robot: Robot,
+    chain: Chain,
+    running: Mapping[str, tuple[str, ComponentStatus]],
+    errors: Mapping[tuple[str, Side], float],
+) -> ChainReport:
+    hops = tuple(
+        ChainHop(
+            component=name,
+            computer=computer,
+            epoch=component.epoch,
+            age=_own(component, chain.name).age,
+        )
+        for name, (computer, component) in ((n, running[n]) for n in chain.through)
+    )
+    last = _own(running[chain.through[-1]][1], chain.name)
+    return ChainReport(
+        name=chain.name,
+        deadline=chain.deadline,
+        missed=last.missed,
+        age=last.age,
+        error=sum(_errors(robot, chain, errors)),
+        hops=hops,
+    )
+
+
+def _own(component: ComponentStatus, chain: str) -> ChainStatus:
+    for each in component.chains:
+        if each.name == chain:
+            return each
+    return ChainStatus(name=chain)
+
+
+def _errors(
+    robot: Robot, chain: Chain, errors: Mapping[tuple[str, Side], float]
+) -> Iterator[float]:
+    """Yield the error of the clock where a stamp comes in, for each step."""
+    steps = set(pairwise(chain.through))
+    for connector in robot.all_connectors():
+        source, target = (end.component for end in connector.between)
+        name = f"{connector.between[0]}-{connector.between[1]}"
+        if (source, target) in steps:
+            yield errors.get((name, "target"), 0.0)
+        elif (target, source) in steps:
+            yield errors.get((name, "source"), 0.0)
+
+
+_Totals = tuple[float, int, int, tuple[tuple[int, float], ...]]
+"""When; uses and misses; and of each component uses and the sum of ages [s]."""
+
+
+class ChainAges:
+    """Compares the totals of reports over the last seconds."""
+
+    def __init__(self) -> None:
+        self._totals: dict[object, deque[_Totals]] = {}
+
+    def look(self, reports: Iterable[ChainReport], now: float) -> tuple[ChainAge, ...]:
+        """Return the chains whose data was used lately.
+
+        Parameters
+        ----------
+        now
+            A time that never goes back [s].
+        """
+        found, before = [], self._totals
+        self._totals = {}
+        for report in reports:
+            # what moved counts from 0 again
+            key = report.name, tuple(hop.epoch for hop in report.hops)
+            totals = self._totals[key] = before.get(key, deque())
+            sums = tuple((h.age.count, h.age.count * h.age.mean) for h in report.hops)
+            if not totals or totals[-1][1] != report.age.count:
+                totals.append((now, report.age.count, report.missed, sums))
+            _forget(totals, now)
+            began, used, missed, sums_before = totals[0]
+            if report.age.count > used:
+                ages = zip(report.hops, sums, sums_before, strict=True)
+                found.append(
+                    ChainAge(
+                        chain=report.name,
+                        deadline=report.deadline,
+                        used=report.age.count - used,
+                        missed=report.missed - missed,
+                        seconds=max(OVER, now - began),
+                        ages={h.component: _mean(a, b) for h, a, b in ages},
+                        computers={h.component: h.computer for h in report.hops},
+                    )
+                )
+        return tuple(found)
+
+
+def _forget(totals: deque[_Totals], now: float) -> None:
+    """Drop the totals from before the time that counts."""
+    while len(totals) > 1 and now - totals[1][0] >= OVER:
+        enough = totals[-1][1] - totals[1][1] >= _ENOUGH
+        if not enough and now - totals[1][0] < _LONGEST:
+            return
+        totals.popleft()
+
+
+def _mean(after: tuple[int, float], before: tuple[int, float]) -> float:
+    count = after[0] - before[0]
+    return (after[1] - before[1]) / count if count else 0.0

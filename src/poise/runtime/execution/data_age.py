@@ -1,0 +1,155 @@
+"""How old data is when a component of a chain uses it: the chain's *data age*.
+
+The term is that of Feiertag, Richter, Nordlander and Jonsson (2008), "A compositional
+framework for end-to-end path delay calculation of automotive systems under different
+path semantics": from the moment when a datum is made at the beginning of a chain to the
+moment of its use at the end, however often it is used. The largest is the *maximum data
+age*. The rule:
+
+- The first component of a chain stamps data when it publishes it, passes it on in a
+  call, or answers one.
+- The stamp goes with messages, calls and answers from one component of the chain to the
+  next one. A component that takes several inputs in one run goes on with the oldest.
+- A timer works on what came last: it uses the stamp that was taken last.
+- A component within the chain uses data when it sends it on. The last one uses it at
+  the end of each run that took some, and at the end of each run of a timer.
+
+All times are of the computer's own monotonic clock [s]. A stamp from another computer
+is translated where it comes in, and is no number while that one's clock is not known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from math import isnan, nan
+from typing import Any, NamedTuple
+
+from poise.clock import ComponentClock, Stamp
+from poise.runtime._calls import Histogram
+from poise.wire.records.deployment import ChainPart
+from poise.wire.records.status import ChainStatus
+
+
+class Stamped(NamedTuple):
+    """What goes over a connector of chains, with the stamp of each [s]."""
+
+    chains: Sequence[str]
+    stamps: Sequence[float]
+    value: Any
+
+
+class _ChainAge:
+    """What one component knows of the data of one chain."""
+
+    def __init__(self, part: ChainPart) -> None:
+        self.part = part
+        self.held = nan
+        self.is_new = False
+        self.ages = Histogram()
+        self.missed = 0
+
+    def take(self, stamp: float) -> None:
+        if not self.is_new:
+            self.held = stamp
+        elif not isnan(self.held):  # one that is not known makes the run's age unknown
+            self.held = nan if isnan(stamp) else min(self.held, stamp)
+        self.is_new = True
+
+    def use(self, now: float) -> None:
+        if isnan(self.held):
+            return
+        age = now - self.held
+        self.ages.add(age)
+        if self.part.deadline is not None and age > self.part.deadline:
+            self.missed += 1
+
+
+class DataAges:
+    """The chains that one component is part of.
+
+    Used by whoever runs the component's code, within its exclusion.
+    """
+
+    def __init__(self, parts: Iterable[ChainPart], clock: ComponentClock) -> None:
+        self._clock = clock
+        self._chains = {part.name: _ChainAge(part) for part in parts}
+
+    def __bool__(self) -> bool:
+        """Whether it is part of any chain."""
+        return bool(self._chains)
+
+    def run(
+        self,
+        method: Callable[..., Any],
+        args: Sequence[object],
+        *,
+        taken: Stamped | None = None,
+        is_timer: bool = False,
+    ) -> Any:  # noqa: ANN401, the method's own
+        """Run the component's code on what came with stamps; an error is no use."""
+        chains = self._chains.values()
+        for chain in chains:
+            chain.is_new = False
+        if taken is not None:
+            self.take(taken.chains, taken.stamps)
+        result = method(*args)
+        now = self._clock.now()
+        for chain in chains:
+            if chain.part.deadline is not None and (is_timer or chain.is_new):
+                chain.use(now)
+        return result
+
+    def take(self, names: Iterable[str], stamps: Iterable[float]) -> None:
+        """Take stamps that came with a message, a call or an answer."""
+        for name, stamp in zip(names, stamps, strict=True):
+            if name in self._chains:
+                self._chains[name].take(stamp)
+
+    def stamps(self, names: Iterable[str]) -> tuple[float, ...]:
+        """Return the stamps of data that goes out now; what is not known is no number.
+
+        For a component within a chain this is when it uses the data.
+        """
+        now = self._clock.now()
+        return tuple(self._stamp(name, now) for name in names)
+
+    def held(self) -> dict[str, Stamp]:
+        """Return the stamps that a successor goes on with, by chain."""
+        return {
+            name: self._clock.stamp(chain.held)
+            for name, chain in self._chains.items()
+            if not isnan(chain.held)
+        }
+
+    def restore(self, held: Mapping[str, Stamp]) -> None:
+        """Go on with the stamps that the incarnation before held."""
+        for name, stamp in held.items():
+            if name in self._chains:
+                self._chains[name].held = self.local(stamp)
+
+    def local(self, stamp: Stamp) -> float:
+        """Return a stamp on this computer's clock; no number when nobody knows it."""
+        elapsed = self._clock.since(stamp)
+        return nan if elapsed is None else self._clock.now() - elapsed.value
+
+    def status(self) -> tuple[ChainStatus, ...]:
+        """Return what was counted; a chain's first component makes data of age 0."""
+        return tuple(
+            ChainStatus(
+                name=name,
+                deadline=chain.part.deadline,
+                missed=chain.missed,
+                age=chain.ages.summary(),
+            )
+            for name, chain in self._chains.items()
+            if not chain.part.is_first
+        )
+
+    def _stamp(self, name: str, now: float) -> float:
+        chain = self._chains.get(name)
+        if chain is None:
+            return nan
+        if chain.part.is_first:
+            return now
+        chain.use(now)
+        return chain.held
