@@ -19,6 +19,7 @@ from poise.errors import PoiseError, RunError, TakenOver
 from poise.manage.adaptation.admission import check_move
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.loop import Adaptation
+from poise.manage.adaptation.put_aside import PutAside
 from poise.manage.adaptation.replan import propose, with_present_demands
 from poise.manage.control_socket.records import (
     Command,
@@ -67,6 +68,8 @@ class Manager:
         Where samples wait until then.
     adapts
         Whether it changes the placement by itself.
+    aside
+        Why not all that the task needs runs; empty: it does.
     """
 
     def __init__(
@@ -78,6 +81,7 @@ class Manager:
         take: Callable[[AgentSample], object],
         *,
         adapts: bool = False,
+        aside: str = "",
     ) -> None:
         self._run = run
         self._task = task
@@ -94,7 +98,8 @@ class Manager:
         self._lost = LostComputers(run)
         self._misses = DeadlineMisses()
         self._ages = ChainAges()
-        self._adaptation = Adaptation(run, self._facts, acts=adapts)
+        self._put_aside = PutAside(run, task, aside)
+        self._adaptation = Adaptation(run, self._facts, self._put_aside, acts=adapts)
         run.check = self._look  # moves wait long: what breaks meanwhile is said at once
 
     @property
@@ -135,6 +140,7 @@ class Manager:
                 *self._lost.deviations(),
                 *self._watch.deviations,
                 *self._adaptation.deviations,
+                *self._put_aside.deviations(),
             ),
             faults=self._watch.num_faults,
             demand_estimates=tuple(self._estimates.demand_estimates()),

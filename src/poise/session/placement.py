@@ -48,6 +48,11 @@ class Placement(Shown, Struct, frozen=True, kw_only=True):
         return self.result.placement
 
     @property
+    def why_aside(self) -> str:
+        """Why architectures are put aside; empty when all of the task runs."""
+        return f"not all fits: {self.reason}" if self.result.aside else ""
+
+    @property
     def feasible(self) -> bool:
         """Whether there is a placement that keeps every limit."""
         return self.result.feasible
@@ -144,12 +149,14 @@ def ruled(
 def runnable(robot: Robot, task: str, placement: Placement | None) -> Placement:
     """Return the placement of a task, decided here when none is given.
 
+    Architectures of low priority are put aside when not all fits.
+
     Raises
     ------
     RobotError
         There is no placement; the message says why.
     """
-    chosen = place(robot, task) if placement is None else placement
+    chosen = place(robot, task, fewer=True) if placement is None else placement
     if not chosen.where or (not chosen.feasible and chosen.method in SOLVERS):
         raise RobotError(f"task '{task}' has no placement: {chosen.reason}")
     return chosen

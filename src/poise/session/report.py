@@ -75,6 +75,8 @@ class RunReport(Shown, Struct, frozen=True, kw_only=True):
         Computer -> CPU that its agent and containers used, as a share of what it has.
     chains
         How old the data of the robot's chains was when it was used.
+    put_aside
+        Architectures that did not run, because not all fits.
     errors
         All that the components' code raised, by line and type.
     hung
@@ -109,6 +111,7 @@ class RunReport(Shown, Struct, frozen=True, kw_only=True):
     components: tuple[ComponentReport, ...]
     connectors: tuple[ConnectorStatus, ...]
     chains: tuple[ChainReport, ...] = ()
+    put_aside: tuple[str, ...] = ()
     errors: tuple[ComponentError, ...] = ()
     hung: tuple[HungHandler, ...] = ()
     refused: Mapping[str, int] = {}
@@ -130,8 +133,10 @@ class RunReport(Shown, Struct, frozen=True, kw_only=True):
 
     @property
     def failed(self) -> bool:
-        """Whether code raised or hung, a message was refused, or a container ended."""
-        return bool(self.errors or self.hung or self.refused or self.faults)
+        """Whether code raised or hung, a message was refused, or not all ran."""
+        return bool(
+            self.errors or self.hung or self.refused or self.faults or self.put_aside
+        )
 
     def rows(self, of: Table = "components") -> list[dict[str, Any]]:
         """Return components, their timers, connectors' ends or chains as flat values.
@@ -206,6 +211,7 @@ def reported(up: Started, placed: Placement, task: str, seen: MeasuredRun) -> Ru
         components=component_reports(seen.begin, final),
         connectors=connector_reports(final),
         chains=chain_reports(robot, final),
+        put_aside=placed.result.aside,
         errors=component_errors(final),
         hung=hung_handlers(final),
         refused=refused_messages(final),

@@ -73,6 +73,10 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         book = Journal(journal or ":memory:")
         stack.callback(book.close)
         book.note("decided", f"task '{chosen}', {placed.method} placement")
+        for name in placed.result.aside:
+            sentence = f"architecture '{name}' is put aside: {placed.why_aside}"
+            book.note("wrong", sentence)
+            say(sentence)
         kept = stack.enter_context(keeping(robot, placed.where, record, say))
         sampling = Sampling(kept.samples.add) if record else None
         up = stack.enter_context(

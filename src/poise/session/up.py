@@ -238,7 +238,13 @@ def up(  # noqa: PLR0913 - each is a choice of the user
             estimates, recording if record else None, partial(book.note, "seen")
         )
         manager = Manager(
-            it.run, chosen, estimates, waiting, samples.take, adapts=adapt
+            it.run,
+            chosen,
+            estimates,
+            waiting,
+            samples.take,
+            adapts=adapt,
+            aside=placed.why_aside,
         )
         running = stack.enter_context(Up(it, manager, samples))
         server.start(manager.submit)

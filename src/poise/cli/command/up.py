@@ -58,7 +58,9 @@ def up_command(
         say = printer.print
         robot = load(file, say=say)
         chosen = task_of(robot, task)
-        placed = place(robot, chosen, method=placement) if placement else None
+        placed = (
+            place(robot, chosen, method=placement, fewer=True) if placement else None
+        )
         with (
             Interrupts() as interrupts,
             up(

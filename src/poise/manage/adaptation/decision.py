@@ -78,16 +78,11 @@ def decide(
             "placement would not help. Is a component blocked, or its deadline too "
             "short for its work?",
         )
+    robot = _barring(robot, facts.placement, barred)
     try:
-        proposal = propose(
-            _barring(robot, facts.placement, barred),
-            facts.task,
-            facts.placement,
-            facts.demand_estimates,
-            MOVE,
-        )
+        proposal = _propose(robot, facts)
     except RobotError as error:
-        return Decision(acts=False, why=f"no placement can help: {error}")
+        return _with_fewer(robot, facts, str(error))
     left = shortage(robot_now, proposal.placement, computers)
     gain = (short - left) * HORIZON
     cost = _cost(robot_now, proposal.steps, downtimes)
@@ -104,6 +99,39 @@ def decide(
             cost=cost,
         )
     return Decision(acts=True, why=what, proposal=proposal, gain=gain, cost=cost)
+
+
+def _propose(robot: Robot, facts: Facts, *, fewer: bool = False) -> Proposal:
+    return propose(
+        robot,
+        facts.task,
+        facts.placement,
+        facts.demand_estimates,
+        MOVE,
+        fewer=fewer,
+    )
+
+
+def _with_fewer(robot: Robot, facts: Facts, why: str) -> Decision:
+    """Return whether to put aside architectures for the sake of higher ones.
+
+    Not all fits, so the work of the lowest priorities is given up, moves or not.
+    """
+    unable = Decision(acts=False, why=f"no placement can help: {why}")
+    try:
+        proposal = _propose(robot, facts, fewer=True)
+    except RobotError:
+        return unable
+    priorities = {
+        a.name: a.priority
+        for a in robot.architectures
+        if not facts.placement.keys().isdisjoint(c.name for c in a.components)
+    }
+    aside = {name: priorities.pop(name) for name in proposal.aside}
+    if not priorities or not aside or max(aside.values()) >= max(priorities.values()):
+        return unable
+    names = ", ".join(f"'{n}' (priority {p})" for n, p in sorted(aside.items()))
+    return Decision(acts=True, why=f"not all fits without {names}", proposal=proposal)
 
 
 def shortage(

@@ -55,18 +55,28 @@ class Facts(Struct, frozen=True, kw_only=True):
     statuses: Mapping[str, AgentStatus] = {}
     traffic: Mapping[str, ConnectorProfile] = {}
 
-    def computers_left(self) -> tuple[Computer, ...]:
-        """Return the computers with what other programs leave of their CPU."""
+    def computers_left(self, *, is_cautious: bool = False) -> tuple[Computer, ...]:
+        """Return the computers with what other programs leave of their CPU.
+
+        Parameters
+        ----------
+        is_cautious
+            Whether other programs are reckoned to want more on every computer.
+        """
         return tuple(
-            _less_background(computer, self.loads.get(computer.name))
+            _less_background(
+                computer, self.loads.get(computer.name), is_cautious=is_cautious
+            )
             for computer in self.robot.computers
         )
 
 
-def _less_background(computer: Computer, load: Load | None) -> Computer:
+def _less_background(
+    computer: Computer, load: Load | None, *, is_cautious: bool
+) -> Computer:
     if load is None or not load.background:
         return computer
     # on a full computer other programs get less than they want
-    wanted = load.background * (_WANTS_MORE if load.is_full else 1.0)
+    wanted = load.background * (_WANTS_MORE if load.is_full or is_cautious else 1.0)
     cores = computer.capacity.get("cpu", 0.0) - wanted / computer.speed
     return replace(computer, capacity={**computer.capacity, "cpu": max(0.0, cores)})

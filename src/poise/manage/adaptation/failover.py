@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 
 from msgspec import Struct
-from msgspec.structs import replace
 
-from poise import plan
 from poise.manage.adaptation.facts import Facts
-from poise.manage.adaptation.replan import SOLVE_FOR, with_present_demands
+from poise.manage.adaptation.room import placed_beside
 from poise.model.check.allowed_computers import allowed_computers
-from poise.model.robot import ComponentEntry, Robot
 
 
 class Failover(Struct, frozen=True, kw_only=True):
@@ -55,37 +52,10 @@ def fail_over(facts: Facts, lost: Collection[str]) -> Failover:
     stranded = {name for name in homes if facts.placement[name] in lost}
     if not stranded:
         return Failover(placement={}, missing=missing)
-    result = plan.solve(plan.problem_of(_what_is_left(facts, homes)), budget=SOLVE_FOR)
+    result = placed_beside(facts, homes)
     if not result.feasible:
         why = f"it fits nowhere beside what runs: {result.reason}"
         missing |= dict.fromkeys(stranded, why)
         return Failover(placement={}, missing=missing)
     where = {name: result.placement[name] for name in stranded}
     return Failover(placement=where, missing=missing)
-
-
-def _what_is_left(facts: Facts, homes: Mapping[str, tuple[str, ...]]) -> Robot:
-    """Return the robot without what is lost, each component held to its homes."""
-    robot = with_present_demands(facts.robot, facts.demand_estimates)
-    used = {computer for choices in homes.values() for computer in choices}
-    computers = tuple(c for c in facts.computers_left() if c.name in used)
-    names = {computer.name for computer in computers}
-    left = robot.with_components(lambda component: _homed(component, homes))
-    return replace(
-        left,
-        computers=computers,
-        links=tuple(k for k in robot.links if names.issuperset(k.between)),
-        architectures=tuple(
-            replace(each, layer="sequencing") for each in left.architectures
-        ),
-        tasks=(),
-    )
-
-
-def _homed(
-    component: ComponentEntry, homes: Mapping[str, tuple[str, ...]]
-) -> ComponentEntry | None:
-    """Return a component held to its homes; None when it has none."""
-    if component.name not in homes:
-        return None
-    return replace(component, only=homes[component.name], devices=(), movable=True)

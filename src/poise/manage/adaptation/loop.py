@@ -18,8 +18,9 @@ from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.failover import fail_over
 from poise.manage.adaptation.move_limits import MoveLimits
 from poise.manage.adaptation.policies import Key, Policies, Symptom
+from poise.manage.adaptation.put_aside import PutAside
 from poise.manage.adaptation.subjects import values_of
-from poise.manage.migration.transition_run import restart_elsewhere, transit
+from poise.manage.migration.transition_run import start_together, transit
 from poise.manage.observe.deviations import Deviation
 from poise.manage.run import Run
 from poise.model.policy.policy import Do
@@ -33,6 +34,8 @@ class Adaptation:
     ----------
     facts
         Returns what is known now.
+    put_aside
+        What does not run because not all fits.
     acts
         Whether it changes anything; else it only reports what is wrong.
     clock
@@ -48,12 +51,14 @@ class Adaptation:
         self,
         run: Run,
         facts: Callable[[], Facts],
+        put_aside: PutAside,
         *,
         acts: bool = True,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._run = run
         self._facts = facts
+        self._put_aside = put_aside
         self._acts = acts
         self._clock = clock
         self._policies = Policies(policies_of(run.robot))
@@ -69,6 +74,7 @@ class Adaptation:
         now, facts = self._clock(), self._facts()
         symptoms = self._policies.look(partial(values_of, facts), now)
         self._report(symptoms)
+        self._put_aside.look(now)
         if not self._acts:
             return
         lost = _about(symptoms, "fail over")
@@ -76,7 +82,10 @@ class Adaptation:
             facts, {each.values.name for each in lost}, now
         ):
             return
-        if not (bad := _about(symptoms, "replan")):
+        bad = _about(symptoms, "replan")
+        if self._put_aside.take_back(facts, now, is_calm=not bad):
+            return
+        if not bad:
             self._move_limits.forget_nothing()
             return
         due = self._policies.due(bad, now)
@@ -98,7 +107,7 @@ class Adaptation:
             note("wrong", f"component '{component}' of '{where}' is missing: {why}")
         if found.placement:
             note("decided", _sentence(found.placement), placement=found.placement)
-            if restart_elsewhere(self._run, found.placement):
+            if start_together(self._run, found.placement):
                 self._failover_limits.forget_nothing()
             else:
                 self._failover_limits.note_nothing(now)
@@ -124,6 +133,8 @@ class Adaptation:
             self._move_limits.note(steps, now)
             report = transit(self._run, steps)
             self._downtimes |= {m.component: m.downtime for m in report.moves}
+            if report.committed and decision.proposal:
+                self._put_aside.note(decision.proposal.aside, why, now)
             return
         self._move_limits.note_nothing(now)
         self._report_why_not(why, decision)

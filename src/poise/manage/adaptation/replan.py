@@ -60,6 +60,8 @@ class Proposal(Struct, frozen=True, kw_only=True):
         From the one to the other; none when it is best to stay.
     proven
         Whether no placement is better.
+    aside
+        The architectures that are put aside: not all fits.
     """
 
     shifted: Mapping[str, PresentDemand]
@@ -69,6 +71,7 @@ class Proposal(Struct, frozen=True, kw_only=True):
     trouble: str = ""
     steps: tuple[TransitionStep, ...] = ()
     proven: bool = False
+    aside: tuple[str, ...] = ()
 
 
 def propose(
@@ -77,6 +80,8 @@ def propose(
     now: Placement,
     demand_estimates: Iterable[DemandEstimate],
     move: float,
+    *,
+    fewer: bool = False,
 ) -> Proposal:
     """Return a better placement for a running robot, and the way to it.
 
@@ -91,6 +96,8 @@ def propose(
     move
         What F grows by for every component that moves, plus as much for each MB of
         its state; >= 0.
+    fewer
+        Whether architectures are put aside by priority when not all fit.
 
     Raises
     ------
@@ -104,7 +111,7 @@ def propose(
     problem = plan.problem_of(robot_now, task, present=now, move=move)
     # Of alternative architectures only one runs: keep to it.
     planner = plan.Planner(plan.keep_components(problem, now.keys()))
-    result = planner.decide(budget=SOLVE_FOR)
+    result = planner.decide(budget=SOLVE_FOR, fewer=fewer)
     if not result.feasible or result.objective is None:
         result.find_conflict()
         needs = "".join(f"; {name} needs {demand}" for name, demand in shifted.items())
@@ -121,6 +128,7 @@ def propose(
         trouble=present.reason,
         steps=plan_transition(robot_now, now, result.placement),
         proven=result.proven,
+        aside=result.aside,
     )
 
 

@@ -36,14 +36,18 @@ class TransitionReport(Struct, frozen=True, kw_only=True):
     moves: tuple[MoveReport, ...] = ()
 
 
-def restart_elsewhere(run: Run, placement: Mapping[str, str]) -> bool:
-    """Start components elsewhere without their state; return whether they work.
+def start_together(run: Run, placement: Mapping[str, str]) -> bool:
+    """Start components without state; return whether they work.
 
-    Where they ran is out of reach: what is left of them there is ended once it is back.
+    What is left of them where they ran, which is out of reach, is ended once that is
+    back.
     """
     new = [
         structs.replace(
-            run.placed[name], computer=computer, epoch=run.next_epoch(name), fresh=True
+            run.placed.get(name, Incarnation(component=name, computer=computer)),
+            computer=computer,
+            epoch=run.next_epoch(name),
+            fresh=True,
         )
         for name, computer in placement.items()
     ]
@@ -51,7 +55,7 @@ def restart_elsewhere(run: Run, placement: Mapping[str, str]) -> bool:
         run.bring([each.with_goal("inactive") for each in new], READY_LIMIT)
         run.bring(new, ACTIVE_LIMIT)
     except RunError as error:
-        run.journal.note("failed", f"components did not restart: {error}")
+        run.journal.note("failed", f"components did not start: {error}")
         with contextlib.suppress(RunError):  # agents out of reach get it later
             run.tell(run.placed.values())
         return False

@@ -37,6 +37,8 @@ def report_parts(report: RunReport) -> Iterator[RenderableType]:
         f"{name} {share:.0%}" for name, share in report.cpu_share.items()
     )
     yield f"ran for {report.seconds:.1f} s; CPU used: {shares}"
+    for name in report.put_aside:
+        yield f"[red]architecture '{name}' was put aside: not all fits[/]"
     yield from _failures(report)
     if report.simulation:
         facts = ", ".join(f"{key} {value}" for key, value in report.simulation.items())

@@ -1,0 +1,70 @@
+"""Where components fit beside what runs. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from msgspec.structs import replace
+
+from poise import plan
+from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.replan import SOLVE_FOR, with_present_demands
+from poise.model.robot import ComponentEntry, Robot
+
+Homes = Mapping[str, tuple[str, ...]]
+"""Component -> the computers where it may be; one: it stays there."""
+
+
+def placed_beside(
+    facts: Facts, homes: Homes, *, fewer: bool = False, is_cautious: bool = False
+) -> plan.Result:
+    """Return where components fit; those without homes do not count.
+
+    Parameters
+    ----------
+    fewer
+        Whether architectures of the sequencing layer are put aside by priority when not
+        all fit: the result names them.
+    is_cautious
+        Whether other programs are reckoned to want more on every computer, so that what
+        is started now need not be stopped again.
+
+    Raises
+    ------
+    RobotError
+        A component can run nowhere.
+    """
+    problem = plan.problem_of(_what_is_left(facts, homes, is_cautious=is_cautious))
+    fixed = {a.name for a in facts.robot.architectures if a.layer != "sequencing"}
+    bundles = tuple(
+        replace(bundle, required=bundle.name in fixed)
+        for bundle in problem.architectures
+    )
+    problem = replace(problem, architectures=bundles)
+    return plan.solve(problem, budget=SOLVE_FOR, fewer=fewer)
+
+
+def _what_is_left(facts: Facts, homes: Homes, *, is_cautious: bool) -> Robot:
+    """Return the robot without what is lost, each component held to its homes."""
+    robot = with_present_demands(facts.robot, facts.demand_estimates)
+    used = {computer for choices in homes.values() for computer in choices}
+    left = facts.computers_left(is_cautious=is_cautious)
+    computers = tuple(c for c in left if c.name in used)
+    names = {computer.name for computer in computers}
+    kept = robot.with_components(lambda component: _homed(component, homes))
+    return replace(
+        kept,
+        computers=computers,
+        links=tuple(k for k in robot.links if names.issuperset(k.between)),
+        architectures=tuple(
+            replace(each, layer="sequencing") for each in kept.architectures
+        ),
+        tasks=(),
+    )
+
+
+def _homed(component: ComponentEntry, homes: Homes) -> ComponentEntry | None:
+    """Return a component held to its homes; None when it has none."""
+    if component.name not in homes:
+        return None
+    return replace(component, only=homes[component.name], devices=(), movable=True)
