@@ -83,7 +83,7 @@ class Robbed:
 
     def take_back(self, now: float, background: float = 0.0) -> bool:
         """Look, and take back what fits."""
-        self.aside.look(now)
+        self.aside.look()
         return self.aside.take_back(self.facts(background), now, is_calm=True)
 
     def sentences(self) -> list[str]:
@@ -108,7 +108,7 @@ def test_it_is_taken_back_when_there_is_room_and_nothing_is_wrong() -> None:
     assert not robbed.take_back(FIRST - 0.1)
     assert robbed.take_back(FIRST)
     assert robbed.run.placement() == BOTH
-    robbed.aside.look(FIRST + 1)
+    robbed.aside.look()
     assert not robbed.aside.deviations()
     assert robbed.sentences()[-1] == "architecture 'low-task' runs again"
 
@@ -131,7 +131,7 @@ def test_other_programs_count_for_more_before_it_is_taken_back() -> None:
 
 def test_nothing_is_taken_back_while_something_is_wrong() -> None:
     robbed = Robbed(robot_with(), HIGH)
-    robbed.aside.look(0.0)
+    robbed.aside.look()
     for now in range(100):
         assert not robbed.aside.take_back(robbed.facts(), now, is_calm=False)
     assert not robbed.take_back(100.0)  # it is calm since now
@@ -150,7 +150,7 @@ def test_what_is_put_aside_again_stays_aside_for_longer() -> None:
 
 def test_what_is_aside_from_the_start_is_said() -> None:
     robbed = Robbed(robot_with(), HIGH)
-    robbed.aside.look(0.0)
+    robbed.aside.look()
     assert robbed.sentences() == ["architecture 'low-task' is put aside: not all fits"]
 
 
@@ -202,5 +202,5 @@ def test_of_alternatives_the_best_that_fits_is_taken_back() -> None:
     robbed.take_back(0.0)
     assert robbed.take_back(CALM)
     assert robbed.run.placement() == BOTH
-    robbed.aside.look(CALM)
+    robbed.aside.look()
     assert not robbed.aside.deviations()

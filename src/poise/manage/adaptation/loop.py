@@ -74,7 +74,7 @@ class Adaptation:
         now, facts = self._clock(), self._facts()
         symptoms = self._policies.look(partial(values_of, facts), now)
         self._report(symptoms)
-        self._put_aside.look(now)
+        self._put_aside.look()
         if not self._acts:
             return
         lost = _about(symptoms, "fail over")

@@ -123,7 +123,7 @@ class PutAside:
             self._stays[name] = now + stay, stay
             self._add(name, why)
 
-    def look(self, now: float) -> None:
+    def look(self) -> None:
         """Note what does not run, and what runs again."""
         aside = {each.name: each.function for each in self._aside()}
         for name in self._known.keys() - aside.keys():
