@@ -39,6 +39,7 @@ PUBLIC = {
         "RunReport",
         "Running",
         "Stamp",
+        "TakenOver",
         "Timeout",
         "Unavailable",
         "UsageError",

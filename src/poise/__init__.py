@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from poise.errors import PoiseError as PoiseError
     from poise.errors import RobotError as RobotError
     from poise.errors import RunError as RunError
+    from poise.errors import TakenOver as TakenOver
     from poise.errors import Timeout as Timeout
     from poise.errors import Unavailable as Unavailable
     from poise.errors import UsageError as UsageError
@@ -72,6 +73,7 @@ else:
         "RunReport": "session.report",
         "Running": "session.running",
         "Stamp": "clock",
+        "TakenOver": "errors",
         "Timeout": "errors",
         "Unavailable": "errors",
         "UsageError": "errors",

@@ -37,11 +37,18 @@ class FileProblem(Struct, frozen=True, order=True):
 
 
 class PoiseError(Exception):
-    """Anything that Poise raises on purpose."""
+    """Anything that Poise raises on purpose.
+
+    `exit_code` is what a command ends with that it ends.
+    """
+
+    exit_code = 1
 
 
 class UsageError(PoiseError):
     """A command or function was used wrongly; nothing was changed."""
+
+    exit_code = 2
 
 
 class RobotError(PoiseError):
@@ -66,6 +73,8 @@ class RunError(PoiseError):
 
 class TakenOver(RunError):
     """Another manager has taken the robot over, which goes on."""
+
+    exit_code = 3
 
 
 class CallError(RunError):

@@ -19,7 +19,7 @@ def main() -> None:
     import typer
 
     from poise.cli.command_table import build
-    from poise.errors import PoiseError, RunError, TakenOver, UsageError
+    from poise.errors import PoiseError, RunError, UsageError
 
     words = sys.argv[1:]
     completed = os.environ.get("_TYPER_COMPLETE_ARGS", "").split()[1:]
@@ -30,12 +30,8 @@ def main() -> None:
         sys.exit(app(prog_name="poise", standalone_mode="--json" not in words))
     except misuse as error:
         _fail(UsageError(error.format_message()), 2)
-    except UsageError as error:
-        _fail(error, 2)
-    except TakenOver as error:
-        _fail(error, 3)
     except PoiseError as error:
-        _fail(error, 1)
+        _fail(error, error.exit_code)
     except BrokenPipeError:
         # The reader, such as `head`, has seen enough.
         sys.stderr.close()

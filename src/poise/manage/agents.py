@@ -100,9 +100,6 @@ class Agents(AgentReports):
                 connect=tuple(endpoints.values()), gossip=False, lease=lease
             )
         self._declared = [
-            self._session.liveliness().declare_token(
-                f"{self._prefix}/manager/{self.manager.key}"
-            ),
             self._session.declare_subscriber(
                 f"{self._prefix}/status/*",
                 reading(AgentStatus, self.on_status, self.on_refused),
@@ -121,6 +118,10 @@ class Agents(AgentReports):
                     reading(AgentSample, on_sample, self.on_refused),
                 )
             )
+        # last, because agents report at once to a manager that comes
+        self._token = self._session.liveliness().declare_token(
+            f"{self._prefix}/manager/{self.manager.key}"
+        )
 
     def __enter__(self) -> Self:
         return self

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +10,7 @@ import typer
 
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import AnyMethod, RobotFile, RobotTask
+from poise.session.detached import up_detached
 from poise.session.launch.printer import Printer, log_printer
 from poise.session.placement import place
 from poise.session.robot_file import load, task_of
@@ -40,6 +42,9 @@ def up_command(
     take_over: Annotated[
         bool, typer.Option("--take-over", help="Replace the manager that it has.")
     ] = False,
+    detach: Annotated[
+        bool, typer.Option("--detach", help="Return once it is up; it goes on.")
+    ] = False,
     record: Annotated[
         Path | None,
         typer.Option(
@@ -49,6 +54,8 @@ def up_command(
 ) -> None:
     """Start a robot and keep it running until Ctrl-C or `poise stop`.
 
+    With --detach it goes on in the background, and returns once the robot is up.
+
     Meanwhile `poise status`, `move`, `replace` and `balance` work on it. It prints each
     move, and everything that is not as the robot file says.
 
@@ -57,6 +64,11 @@ def up_command(
     with Printer() as printer, log_printer():
         say = printer.print
         robot = load(file, say=say)
+        if detach:
+            with Interrupts() as interrupts:
+                words = [word for word in sys.argv[1:] if word != "--detach"]
+                say(str(up_detached(robot, file, words, say, interrupts.check)))
+            return
         chosen = task_of(robot, task)
         placed = (
             place(robot, chosen, method=placement, fewer=True) if placement else None

@@ -140,7 +140,7 @@ class Agent:
         self._relay = MigrationRelay(self._supervisor.processes)
         self._waker = Waker()
         self._requests = AgentInbox(setup.computer, self._waker.wake)
-        self._fence = Fence(setup.robot, setup.computer)
+        self._fence = Fence(setup.robot, setup.computer, self._waker.wake)
         self._locator = locator(Endpoint(setup.address, setup.port))
         self._say = say
         self._manager: ManagerId | None = None
@@ -257,7 +257,7 @@ class Agent:
             answer(query, Accepted())
 
     def _serve(self, publisher: zenoh.Publisher) -> None:
-        report_at, reported = 0.0, _states(self._status())
+        report_at, reported = 0.0, (0, _states(self._status()))
         while not self._stopping:
             self._wait(report_at)
             for request, query in self._requests.take():
@@ -270,7 +270,8 @@ class Agent:
             for process in self._supervisor.processes.values():
                 process.tell_clocks(self._clocks())
             status = self._status()
-            seen = _states(status)
+            # a manager that came waits for it
+            seen = self._fence.arrivals, _states(status)
             if seen != reported or self._clock.now() >= report_at:
                 publisher.put(msgspec.msgpack.encode(status))
                 report_at, reported = self._clock.now() + REPORT_EVERY, seen

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import zenoh
 
 from poise.wire.records.requests import Claim, ManagerId, Refused
@@ -18,9 +20,20 @@ class Fence:
     ----------
     robot, computer
         The agent's, for messages.
+    on_arrival
+        Called when a manager came, on zenoh's threads; must not block.
+
+    Attributes
+    ----------
+    arrivals
+        How many managers have come.
     """
 
-    def __init__(self, robot: str, computer: str) -> None:
+    def __init__(
+        self, robot: str, computer: str, on_arrival: Callable[[], None]
+    ) -> None:
+        self._on_arrival = on_arrival
+        self.arrivals = 0
         self._robot = robot
         self._computer = computer
         self._gone: set[str] = set()
@@ -37,6 +50,8 @@ class Fence:
         key = str(sample.key_expr).rpartition("/")[2]
         if sample.kind == zenoh.SampleKind.PUT:
             self._gone.discard(key)
+            self.arrivals += 1
+            self._on_arrival()
         else:
             self._gone.add(key)
 

@@ -1,0 +1,161 @@
+"""Keeps a robot up in the background, by a process that outlives this one."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from msgspec import Struct
+
+from poise.emulate import set_for
+from poise.errors import PoiseError, RunError
+from poise.model.robot import Robot
+from poise.session.running import Running
+from poise.session.say import Check, Say
+
+_LOOK_EVERY = 0.05
+_LARGE_LOG = 1_000_000
+"""A log does not grow beyond this when a manager starts [bytes]."""
+_END_LIMIT = 30.0
+"""A process that is not wanted any more ends within this time [s]."""
+
+
+class Detached(Struct, frozen=True):
+    """A manager in the background.
+
+    Parameters
+    ----------
+    log
+        The file of what it prints.
+    """
+
+    robot: str
+    process: int
+    log: Path
+
+    def __str__(self) -> str:
+        return (
+            f"robot '{self.robot}' is up, managed by process {self.process}; "
+            f"`poise stop` ends it; log: {self.log}"
+        )
+
+
+class DetachedFailure(RunError):
+    """A process in the background has ended, with an exit code."""
+
+    def __init__(self, message: str, exit_code: int) -> None:
+        super().__init__(message)
+        self.exit_code = exit_code
+
+
+def state_folder() -> Path:
+    """Return the folder of the logs of this user's robots."""
+    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(state) / "poise"
+
+
+def up_detached(
+    robot: Robot, file: Path, words: Sequence[str], say: Say, check: Check
+) -> Detached:
+    """Run `poise` in the background, and return once the robot is up.
+
+    Its computers must outlive the manager: emulated ones that nobody keeps are kept by
+    `poise emulate` in the background, too.
+
+    Parameters
+    ----------
+    words
+        The words after `poise` that keep the robot up.
+    check
+        Called several times a second; may raise to end that.
+
+    Raises
+    ------
+    DetachedFailure
+        It did not come up; nothing is left.
+    """
+    with contextlib.ExitStack() as undo:
+        is_emulated = not any(computer.address for computer in robot.computers)
+        if is_emulated and set_for(robot) is None:
+            log = _log(f"{robot.name}.computers")
+            size = log.stat().st_size
+            keeper = _started(["emulate", str(file)], log)
+            undo.callback(_end, keeper)
+            _wait(keeper, log, size, lambda: set_for(robot) is not None, check)
+            say(
+                f"its emulated computers stay up until `poise emulate stop`; log: {log}"
+            )
+        log = _log(robot.name)
+        size = log.stat().st_size
+        process = _started(words, log)
+        undo.callback(_end, process)
+        _wait(process, log, size, lambda: _manages(process.pid, robot.name), check)
+        undo.pop_all()
+    return Detached(robot.name, process.pid, log)
+
+
+def _log(name: str) -> Path:
+    """Return the path of a log, to append to; a large one is put aside first."""
+    path = state_folder() / f"{name}.log"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.exists() and path.stat().st_size > _LARGE_LOG:
+        path.rename(path.with_suffix(".before.log"))
+    path.touch()
+    return path
+
+
+def _started(words: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
+    with log.open("ab") as output:
+        return subprocess.Popen(  # noqa: S603, Poise itself
+            [sys.executable, "-m", "poise", *words],
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+
+
+def _wait(
+    process: subprocess.Popen[bytes],
+    log: Path,
+    size: int,
+    is_done: Callable[[], bool],
+    check: Check,
+) -> None:
+    """Wait until it is done, or has ended: its own limits are those that count.
+
+    Parameters
+    ----------
+    size
+        Of the log before [bytes].
+    """
+    while not is_done():
+        check()
+        code = process.poll()
+        if code is not None:
+            said = log.read_bytes()[size:].decode(errors="replace").strip()
+            raise DetachedFailure(f"{said}\n(log: {log})", code if code > 0 else 1)
+        time.sleep(_LOOK_EVERY)
+
+
+def _manages(process: int, robot: str) -> bool:
+    try:
+        return Running(robot).status().manager.pid == process
+    except PoiseError:  # it is still starting
+        return False
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    if process.poll() is None:
+        process.send_signal(signal.SIGTERM)
+        try:
+            process.wait(_END_LIMIT)
+        except subprocess.TimeoutExpired:
+            text = f"process {process.pid} still runs {_END_LIMIT:g} s after SIGTERM"
+            raise RunError(text) from None
