@@ -30,7 +30,7 @@ def adopted(
     return adopt(
         found_in(told(robot, *incarnations)),
         robot_now,
-        DeploymentPlan(robot_now, "/run", code_version=lambda _: version),
+        DeploymentPlan(robot_now, "/run", code_version=lambda *_: version),
         PLANNED,
         is_committed=is_committed,
     )

@@ -7,6 +7,7 @@ from typing import cast
 import pytest
 
 from poise.errors import TakenOver
+from poise.estimate.profile.code_version import version_of
 from poise.manage.agents import Agents
 from poise.manage.deployment import DeploymentPlan, Incarnation
 from poise.manage.journal import Journal
@@ -33,7 +34,8 @@ def run_of(robot: Robot, *left: Incarnation) -> tuple[Run, FakeAgents, Journal]:
     agents, journal = FakeAgents("left", "right"), Journal(":memory:")
     gateways = {"left": "left:7000", "right": "right:7000"}
     if left:
-        agents.deploy(DeploymentPlan(robot, "/run").specs(left, 5, gateways))
+        layout = DeploymentPlan(robot, "/run", code_version=version_of)
+        agents.deploy(layout.specs(left, 5, gateways))
     run = Run(robot, PLACEMENT, cast("Agents", agents), journal, "/run")
     return run, agents, journal
 

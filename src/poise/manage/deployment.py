@@ -78,7 +78,7 @@ class DeploymentPlan:
     weigh
         Whether the sizes of snapshots are taken as components are deactivated.
     code_version
-        Returns what tells versions of an implementation's code apart.
+        Returns a fingerprint of a component's code, in the robot's folder.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class DeploymentPlan:
         folder: str,
         *,
         weigh: bool = False,
-        code_version: Callable[[str], str] = lambda _: "",
+        code_version: Callable[[ComponentEntry, str], str] = lambda *_: "",
     ) -> None:
         self._robot = robot
         self._code_version = code_version
@@ -233,7 +233,11 @@ class DeploymentPlan:
         is_other = implementation != component.implementation
         key = incarnation.component, incarnation.epoch
         if key not in self._code:  # later it may be edited
-            self._code[key] = self._code_version(implementation)
+            # parameters are compared by themselves
+            code = structs.replace(
+                component, implementation=implementation, parameters={}
+            )
+            self._code[key] = self._code_version(code, self._robot.folder)
         return ComponentSpec(
             name=component.name,
             epoch=incarnation.epoch,

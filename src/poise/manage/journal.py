@@ -63,8 +63,9 @@ class Entry(Struct, frozen=True):
 class Journal:
     """Written by one thread at a time; any program may read it meanwhile.
 
-    An entry that cannot be written is logged instead, because the robot goes on: the
-    disk may be full, or another program may hold the file.
+    The robot goes on when an entry cannot be written: the disk may be full, or another
+    program may hold the file. `trouble` says so until one can be again. A damaged file
+    is put aside, and a new one begun.
 
     Parameters
     ----------
@@ -82,41 +83,157 @@ class Journal:
     def __init__(
         self, path: Path | str, show: Callable[[Entry], object] | None = None
     ) -> None:
+        self._path = None if path == ":memory:" else Path(path)
         self._show = show
+        self._database: sqlite3.Connection | None = None
+        self._inode = 0
+        self._num_missing = 0
+        self.trouble: str = ""
+        """Why entries are not written; empty: they are."""
         try:
-            self._database = sqlite3.connect(
-                path, isolation_level=None, timeout=1.0, check_same_thread=False
-            )
-            self._database.execute("PRAGMA journal_mode=WAL")
-            self._database.execute("PRAGMA synchronous=NORMAL")
-            self._database.execute(_SCHEMA)
+            self._open()
         except sqlite3.Error as error:
-            raise UsageError(
-                f"the journal {path} cannot be written: {error}. Name a file in a "
-                "folder that is there, may be written, and has room"
-            ) from error
+            if _is_damaged(self._path, error):
+                self._begin_another(error)
+            elif _code_of(error) in _NO_ROOM:
+                self._note_missing(error)
+            else:
+                raise UsageError(
+                    f"the journal {path} cannot be written: {error}. Name a file in a "
+                    "folder that is there, may be written, and has room"
+                ) from error
 
     def note(self, kind: Kind, what: str, **facts: object) -> None:
         """Add an entry: `what` for people, `facts` for machines."""
-        now = time.time()
+        entry = Entry(time.time(), kind, what, facts)
         if self._show is not None:
-            self._show(Entry(now, kind, what, facts))
-        text = msgspec.json.encode(facts).decode()
+            self._show(entry)
         try:
-            self._database.execute(
-                "INSERT INTO entries (at, kind, what, facts) VALUES (?, ?, ?, ?)",
-                (now, kind, what, text),
-            )
+            self._write(entry)
         except sqlite3.Error as error:
-            log.warning("not in the journal (%s): %s: %s", error, kind, what)
+            if _is_damaged(self._path, error):
+                self._begin_another(error)
+                self._write(entry)
+            else:
+                self._note_missing(error)
+            return
+        if self.trouble:
+            text = (
+                f"the journal is written again; {self._num_missing} entries are missing"
+            )
+            self.trouble, self._num_missing = "", 0
+            self.note("right", text)
 
     def entries(self) -> list[Entry]:
         """Return all entries, oldest first."""
-        return _entries(self._database)
+        return _entries(self._database) if self._database else []
 
     def close(self) -> None:
         """Close the file."""
-        self._database.close()
+        if self._database is not None:
+            self._database.close()
+            self._database = None
+
+    def _open(self) -> sqlite3.Connection:
+        database = sqlite3.connect(
+            self._path or ":memory:",
+            isolation_level=None,
+            timeout=1.0,
+            check_same_thread=False,
+        )
+        try:
+            database.execute("PRAGMA journal_mode=WAL")
+            database.execute("PRAGMA synchronous=NORMAL")
+            database.execute(_SCHEMA)
+        except sqlite3.Error:
+            database.close()
+            raise
+        self._database, self._inode = database, _inode(self._path)
+        return database
+
+    def _write(self, entry: Entry) -> None:
+        if self._database is not None and _inode(self._path) != self._inode:
+            self.close()  # SQLite would go on to write a file that nobody finds
+            self._open()
+            self.note(
+                "wrong", f"the journal {self._path} was removed: a new one begins"
+            )
+        (self._database or self._open()).execute(
+            "INSERT INTO entries (at, kind, what, facts) VALUES (?, ?, ?, ?)",
+            (
+                entry.at,
+                entry.kind,
+                entry.what,
+                msgspec.json.encode(entry.facts).decode(),
+            ),
+        )
+
+    def _note_missing(self, error: sqlite3.Error) -> None:
+        self._num_missing += 1
+        if not self.trouble:
+            self.trouble = (
+                f"the journal {self._path} cannot be written: {error}. Entries are "
+                "only printed"
+            )
+            log.warning("%s", self.trouble)
+
+    def _begin_another(self, error: sqlite3.Error) -> None:
+        """Put the damaged file aside, and begin a new one."""
+        assert self._path is not None  # noqa: S101, memory is not damaged
+        self.close()
+        aside = _put_aside(self._path)
+        self._open()
+        self.note(
+            "wrong",
+            f"the journal was damaged ({error}): it is {aside} now, and a new one "
+            f"begins",
+        )
+
+
+_NO_ROOM = {
+    sqlite3.SQLITE_FULL,
+    sqlite3.SQLITE_IOERR,
+    sqlite3.SQLITE_READONLY,
+    sqlite3.SQLITE_BUSY,
+}
+_DAMAGED = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
+_HEADER = b"SQLite format 3\0"
+
+
+def _code_of(error: sqlite3.Error) -> int:
+    """Return the primary code of an error; 0 when SQLite did not raise it."""
+    code: int = getattr(error, "sqlite_errorcode", 0)
+    return code & 0xFF
+
+
+def _is_damaged(path: Path | None, error: sqlite3.Error) -> bool:
+    """Return whether a file was a journal, and is none any more."""
+    if path is None or _code_of(error) not in _DAMAGED:
+        return False
+    with contextlib.suppress(OSError), path.open("rb") as file:
+        header = file.read(len(_HEADER))
+        # anything else may be a file of the user's
+        return header in {_HEADER, bytes(len(_HEADER))} or path.suffix == ".sqlite"
+    return False
+
+
+def _put_aside(path: Path) -> Path:
+    """Rename a journal with its side files; return its new name."""
+    number = 1
+    while (aside := path.with_name(f"{path.name}.damaged-{number}")).exists():
+        number += 1
+    for suffix in ("", "-wal", "-shm"):
+        with contextlib.suppress(FileNotFoundError):
+            path.with_name(path.name + suffix).rename(f"{aside}{suffix}")
+    return aside
+
+
+def _inode(path: Path | None) -> int:
+    """Return what tells a file from others of its name; 0: there is none."""
+    try:
+        return path.stat().st_ino if path else 0
+    except OSError:
+        return 0
 
 
 def read_journal(path: Path | str, after: int = 0) -> list[Entry]:

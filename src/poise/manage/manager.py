@@ -43,6 +43,7 @@ from poise.manage.migration.transition_run import transit
 from poise.manage.observe.chains import ChainAges, chain_reports
 from poise.manage.observe.deadline_misses import DeadlineMisses
 from poise.manage.observe.estimates import Estimates
+from poise.manage.observe.own_troubles import OwnTroubles
 from poise.manage.observe.recording import Recording
 from poise.manage.observe.watch import Watch
 from poise.manage.run import Run
@@ -95,6 +96,7 @@ class Manager:
         self._stopping = threading.Event()
         self._has_successor = False
         self._watch = Watch(run)
+        self._troubles = OwnTroubles(run.journal)
         self._lost = LostComputers(run)
         self._misses = DeadlineMisses()
         self._ages = ChainAges()
@@ -137,6 +139,7 @@ class Manager:
             computers=run.agents.statuses(),
             out_of_reach=run.agents.out_of_reach(),
             deviations=(
+                *self._troubles.deviations(),
                 *self._lost.deviations(),
                 *self._watch.deviations,
                 *self._adaptation.deviations,
@@ -265,6 +268,7 @@ class Manager:
 
     def _look(self) -> None:
         self._raise_on_successor()
+        self._troubles.look()
         self._lost.note()
         self._watch.look()
 

@@ -8,11 +8,10 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Callable, Collection, Iterable, Mapping
-from functools import partial
 
 from poise.errors import RunError
+from poise.estimate.profile.code_version import version_of
 from poise.manage.agents import Agents
-from poise.manage.code_version import code_version
 from poise.manage.deactivation import deactivate_callers
 from poise.manage.deployment import (
     DeploymentPlan,
@@ -69,7 +68,7 @@ class Run:
         self.agents = agents
         self.journal = journal
         self.layout = DeploymentPlan(
-            robot, folder, weigh=weigh, code_version=partial(code_version, robot.folder)
+            robot, folder, weigh=weigh, code_version=version_of
         )
         self._epochs: dict[str, int] = {}
         self._last_epoch = -1

@@ -26,7 +26,7 @@ class Watch:
         self.deviations: tuple[Deviation, ...] = ()
         """What is not as it should be now."""
         self._run = run
-        self._unjoined: dict[str, Deviation] = {}
+        self._unjoined: dict[str, tuple[Deviation, float]] = {}
         self._faults = FaultFilter(run.faults_before)
 
     @property
@@ -76,11 +76,14 @@ class Watch:
             if name not in found and each.computer in statuses
         ]
         unjoined = find_unjoined(there, run.layout, statuses, now)
-        self._unjoined = {e.key: self._unjoined.get(e.key, e) for e in unjoined}
+        began = time.monotonic()
+        self._unjoined = {
+            e.key: self._unjoined.get(e.key, (e, began)) for e in unjoined
+        }
         return found | {
             key: each
-            for key, each in self._unjoined.items()
-            if now - each.since >= _JOIN_WITHIN
+            for key, (each, since) in self._unjoined.items()
+            if began - since >= _JOIN_WITHIN
         }
 
     def _note_faults(self) -> None:

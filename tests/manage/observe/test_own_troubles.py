@@ -1,0 +1,60 @@
+"""The manager says what troubles itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from poise.manage.journal import Journal
+from poise.manage.observe.own_troubles import OwnTroubles
+
+
+class Clocks:
+    wall, now = 1e9, 100.0
+
+    def pass_by(self, seconds: float) -> None:
+        self.wall += seconds
+        self.now += seconds
+
+
+def test_a_jump_of_the_clock_is_said_once_and_shown_for_a_minute() -> None:
+    clocks, journal = Clocks(), Journal(":memory:")
+    troubles = OwnTroubles(journal, lambda: clocks.wall, lambda: clocks.now)
+    clocks.pass_by(30)
+    troubles.look()
+    assert not troubles.deviations()
+    clocks.wall -= 7200
+    troubles.look()
+    clocks.pass_by(59)
+    troubles.look()
+    (entry,) = journal.entries()
+    assert "clock of the manager's computer jumped back by 7200 s" in entry.what
+    assert [each.what for each in troubles.deviations()] == [entry.what]
+    clocks.pass_by(2)
+    troubles.look()
+    assert not troubles.deviations()
+    assert len(journal.entries()) == 1
+
+
+def test_a_clock_that_drifts_is_no_trouble() -> None:
+    clocks, journal = Clocks(), Journal(":memory:")
+    troubles = OwnTroubles(journal, lambda: clocks.wall, lambda: clocks.now)
+    for _ in range(100):
+        clocks.pass_by(1)
+        clocks.wall += 0.1
+        troubles.look()
+    assert not journal.entries()
+
+
+def test_a_journal_that_cannot_be_written_is_a_deviation_meanwhile(
+    tmp_path: Path,
+) -> None:
+    journal = Journal(tmp_path / "journal.sqlite")
+    troubles = OwnTroubles(journal)
+    journal.trouble = "the journal cannot be written"
+    troubles.look()
+    (found,) = troubles.deviations()
+    assert found.what == "the journal cannot be written"
+    journal.note("seen", "room again")
+    troubles.look()
+    assert not troubles.deviations()
+    journal.close()
