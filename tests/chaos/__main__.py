@@ -34,7 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         chaos.go(parse(told.lasts, SECONDS))
     report = chaos.finish()
     if report.growth > MOST_GROWTH:
-        report.trouble.append(f"a process grew by {format_bytes(report.growth)}")
+        report.trouble.append(f"{report.grew} grew by {format_bytes(report.growth)}")
     if told.json:
         print(json.dumps(msgspec.to_builtins(report), indent=2))
     else:
@@ -56,7 +56,7 @@ def summary(report: ChaosReport) -> str:
         f"settled {len(settled)} times: {', '.join(settled)}",
         f"messages: {counts('received', 'lost', 'doubled', 'reordered')}",
         f"calls: {counts('answered', 'refused')}",
-        f"memory: a process grew by {format_bytes(report.growth)} at most",
+        f"memory: grown at most by {format_bytes(report.growth)}: {report.grew}",
         *(report.trouble or ["no trouble"]),
     ]
     return "\n".join(lines)

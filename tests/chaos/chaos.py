@@ -63,8 +63,8 @@ class ChaosReport(Struct, kw_only=True):
         Messages, over all receivers.
     answered, refused
         Calls.
-    growth
-        The most by which the memory of a process grew after `WARM` [bytes].
+    growth, grew
+        The most by which the memory of a process grew after `WARM` [bytes], and which.
     """
 
     events: Counter[str]
@@ -77,6 +77,7 @@ class ChaosReport(Struct, kw_only=True):
     answered: int = 0
     refused: int = 0
     growth: int = 0
+    grew: str = "no process"
 
 
 class Chaos:
@@ -99,7 +100,7 @@ class Chaos:
         self._running = Running("chaos")
         self._lasting: dict[str, Callable[[], object]] = {}
         self._measures: dict[tuple[str, int, int], dict[str, float]] = {}
-        self._memory: dict[int, tuple[int, int]] = {}
+        self._memory: dict[int, tuple[str, int, int]] = {}
         self.report = ChaosReport(events=Counter(), trouble=[], settled=[])
 
     @contextlib.contextmanager
@@ -350,8 +351,9 @@ class Chaos:
         for what in ("doubled", "reordered"):
             if totals[what]:
                 report.trouble.append(f"{totals[what]} messages {what}")
-        grown = [last - first for first, last in self._memory.values()]
-        report.growth = max(grown, default=0)
+        for what, first, last in self._memory.values():
+            if last - first > report.growth:
+                report.growth, report.grew = last - first, what
         return report
 
     def _weigh(self) -> None:
@@ -364,7 +366,8 @@ class Chaos:
                 age = time.time() - Path(f"/proc/{pid}").stat().st_ctime
                 if age > WARM or pid in self._memory:
                     now = _private_memory(pid)
-                    self._memory[pid] = self._memory.get(pid, (now, now))[0], now
+                    first = self._memory.get(pid, ("", now, now))[1]
+                    self._memory[pid] = _described({pid}), first, now
 
     def _agents(self, computer: str) -> list[int]:
         """Return the processes of a computer that are neither container nor zygote."""
