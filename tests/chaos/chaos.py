@@ -42,7 +42,7 @@ PAUSE = (0.1, 1.5)
 """From one fault to the next [s]."""
 AT_ONCE = 2
 """At most so many faults that last are in force."""
-WARM = 60.0
+WARM = 180.0
 """A process's memory is compared from this age on [s]."""
 _LOOK = 0.1
 
