@@ -14,12 +14,20 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-_USUAL = os.getpriority(os.PRIO_PROCESS, 0)
-_AHEAD, _LAST = _USUAL - 10, 19
+_usual = os.getpriority(os.PRIO_PROCESS, 0)
+_AHEAD, _LAST = -10, 19
 _LOWEST = 1
 """The lowest real-time priority: a robot's own real-time threads go before."""
 REAL_TIME = "POISE_REALTIME"
 """Environment variable: ``1`` makes the control threads real-time threads."""
+
+
+def be_nice(steps: int) -> None:
+    """Let all threads of this process, which has one yet, share the CPU with others."""
+    global _usual  # noqa: PLW0603, it is that of the process
+    _usual = min(_usual + steps, _LAST)
+    if steps:
+        _set_nice(_usual)
 
 
 def go_first() -> None:
@@ -33,7 +41,7 @@ def go_first() -> None:
             policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
             os.sched_setscheduler(0, policy, os.sched_param(_LOWEST))
             return
-    _be_nice(_AHEAD)
+    _set_nice(_usual + _AHEAD)
 
 
 @contextmanager
@@ -48,7 +56,7 @@ def first() -> Iterator[None]:
 def ahead() -> Iterator[None]:
     """Let this thread go before components for a while; for users' code, too."""
     with _as_before():
-        _be_nice(_AHEAD)
+        _set_nice(_usual + _AHEAD)
         yield
 
 
@@ -56,7 +64,7 @@ def ahead() -> Iterator[None]:
 def as_usual() -> Iterator[None]:
     """Let a thread that goes first, and those that it starts, be as all others."""
     with _as_before():
-        _be_nice(_USUAL)
+        _set_nice(_usual)
         yield
 
 
@@ -65,7 +73,7 @@ def give_way() -> None:
 
     Only the privileged may take that back, so use a thread that does nothing else.
     """
-    _be_nice(_LAST)
+    _set_nice(_LAST)
 
 
 @contextmanager
@@ -76,12 +84,12 @@ def _as_before() -> Iterator[None]:
     try:
         yield
     finally:
-        _be_nice(nice)
+        _set_nice(nice)
         with contextlib.suppress(PermissionError):
             os.sched_setscheduler(0, policy, param)
 
 
-def _be_nice(value: int) -> None:
+def _set_nice(value: int) -> None:
     """Share the CPU with this nice value, if the system allows it."""
     with contextlib.suppress(PermissionError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

@@ -38,6 +38,10 @@ CPU_FILE = "POISE_CPU_FILE"
 """Environment variable: the file that counts the computer's CPU time; empty: none."""
 
 
+CPU_GROUP = "POISE_CPU_GROUP"
+"""Environment variable: the computer's CPU cgroup, for groups in it; empty: none."""
+
+
 class EmulatedComputer:
     """A computer of the robot, emulated by a part of this one.
 
@@ -62,6 +66,7 @@ class EmulatedComputer:
         self.limits = layout.limits
         homes = {which: Path(home) for which, home in layout.homes.items()}
         self._group = Group(layout.mark, homes, len(layout.limits.cpus), Files())
+        self._cpu_group = homes.get("cpu") if layout.has_quota else None
         self._mark = layout.mark
         self._prefix = _prefix(layout)
         too_fast = len(layout.limits.cpus) / layout.limits.quota
@@ -135,6 +140,7 @@ class EmulatedComputer:
             "TMPDIR": str(self.folder),
             SLOWDOWN: f"{self.slowdown:g}",
             CPU_FILE: str(self._group.cpu_file or ""),
+            CPU_GROUP: str(self._cpu_group or ""),
         }
 
 

@@ -9,6 +9,7 @@ from pathlib import PurePath
 
 from msgspec import Struct, structs
 
+from poise.manage.cpu_weights import cpu_weights
 from poise.model.robot import (
     Architecture,
     ComponentEntry,
@@ -94,6 +95,12 @@ class DeploymentPlan:
         self._code: dict[tuple[str, int], str] = {}
         self._weigh = weigh
         self._folder = folder
+        weights = cpu_weights(robot)
+        self._weights = {
+            _container(a, c): weights[a.name]
+            for a in robot.architectures
+            for c in a.components
+        }
         self._containers = {
             component.name: _container(architecture, component)
             for architecture in robot.architectures
@@ -153,6 +160,8 @@ class DeploymentPlan:
                 ContainerSpec(
                     name=container,
                     folder=self._robot.folder,
+                    weight=self._weights[container].weight,
+                    nice=self._weights[container].nice,
                     components=tuple(map(self.component_spec, inside)),
                     connectors=tuple(self._connectors(inside, placed, gateways)),
                 )

@@ -159,7 +159,13 @@ class Architecture(Struct, frozen=True, kw_only=True):
         "sequencing"
     )
     priority: Annotated[
-        int, says("The lowest is dropped first when not all fit.", ge=-1000, le=1000)
+        int,
+        says(
+            "Under overload the higher get more CPU; the lowest is put aside first "
+            "when not all fit.",
+            ge=-1000,
+            le=1000,
+        ),
     ] = 0
     quality: Annotated[
         Share, says("How well it provides its function: above 0, up to 1.", gt=0, le=1)

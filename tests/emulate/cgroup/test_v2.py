@@ -65,7 +65,9 @@ def test_limits_are_written_once_the_controllers_are_handed_on(tmp_path: Path) -
     assert (folder / "cpuset.cpus").read_text() == "2,3\n"
     assert (folder / "memory.max").read_text() == "1000\n"
     assert (folder / "memory.swap.max").read_text() == "0\n"
-    assert group.joins == (folder / "cgroup.procs",)
+    # beside its programs an agent makes groups for containers
+    assert group.joins == (folder / "programs/cgroup.procs",)
+    assert (folder / "cgroup.subtree_control").read_text() == "cpu"
 
 
 def test_processes_in_the_way_are_put_aside(tmp_path: Path) -> None:

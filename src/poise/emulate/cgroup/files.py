@@ -47,11 +47,12 @@ def mounts(
 
 
 def pids(folder: Path) -> list[int]:
-    """Return the processes in a cgroup; none if it does not exist."""
-    try:
-        return [int(pid) for pid in (folder / "cgroup.procs").read_text().split()]
-    except OSError:
-        return []
+    """Return the processes in a cgroup and in those below; none if it is not there."""
+    found = []
+    for file in [folder / "cgroup.procs", *folder.glob("*/cgroup.procs")]:
+        with suppress(OSError):
+            found += [int(pid) for pid in file.read_text().split()]
+    return found
 
 
 def table(text: str) -> dict[str, int]:
@@ -75,6 +76,9 @@ def remove(path: str) -> None:
     folder = Path(path)
     stop(lambda: pids(folder), ask=0.0)
     with suppress(FileNotFoundError):
+        for inner in folder.iterdir():
+            if inner.is_dir():
+                inner.rmdir()
         folder.rmdir()
 
 

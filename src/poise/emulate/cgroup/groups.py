@@ -21,6 +21,11 @@ _MEMORY_PEAKS = (
 )
 
 
+PROGRAMS = "programs"
+"""The folder of a group of version 2 that has its processes: beside it, the computer's
+agent makes groups for containers."""
+
+
 class Groups:
     """Makes groups without limits, where there are no cgroups.
 
@@ -86,7 +91,8 @@ class Group:
         self._cpus = cpus
         self._files = files
         folders = dict.fromkeys(homes.values())
-        self.joins = tuple(folder / "cgroup.procs" for folder in folders)
+        self._folders = tuple(folders)
+        self.joins = tuple(_inner(folder) / "cgroup.procs" for folder in folders)
         files_of = (("cpuacct", "cpuacct.usage"), ("cpu", "cpu.stat"))
         counted = [homes[which] / file for which, file in files_of if which in homes]
         self.cpu_file = counted[0] if counted else None
@@ -95,7 +101,7 @@ class Group:
         """Return the numbers of the processes in it."""
         if not self.joins:
             return marked(self._name)
-        return sorted({pid for file in self.joins for pid in pids(file.parent)})
+        return sorted({pid for folder in self._folders for pid in pids(folder)})
 
     def usage(self) -> Usage:
         """Return its usage since it was made."""
@@ -122,6 +128,12 @@ class Group:
             return self._files.read(self._homes[controller] / name)
         except (KeyError, OSError):  # EOPNOTSUPP where pressure is switched off
             return ""
+
+
+def _inner(folder: Path) -> Path:
+    """Return where processes of a group are: it may have a folder for them."""
+    programs = folder / PROGRAMS
+    return programs if programs.is_dir() else folder
 
 
 def _cpu_time(pid: int) -> float:

@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from poise.emulate.cgroup.files import Files, Mount
-from poise.emulate.cgroup.groups import Groups, Settings
+from poise.emulate.cgroup.groups import PROGRAMS, Group, Groups, Settings
 from poise.emulate.limits import Limits
 
 _WEIGHT = 10000
@@ -71,6 +71,15 @@ class V2(Groups):
         for pid in self._files.read(self._base / "cgroup.procs").split():
             with suppress(ProcessLookupError):
                 self._files.write(folder / "cgroup.procs", pid)
+
+    def make(self, name: str, limits: Limits) -> Group:
+        """Make a group in which an agent may make others."""
+        super().make(name, limits)
+        folder = self._base / name
+        if "cpu" in self.controls:
+            self._files.write(folder / "cgroup.subtree_control", "+cpu")
+            self._files.make(folder / PROGRAMS)
+        return Group(name, self.homes(name), len(limits.cpus), self._files)
 
     def settings(self, homes: Mapping[str, Path], limits: Limits) -> Settings:
         """Yield files of a group, and what they must contain."""

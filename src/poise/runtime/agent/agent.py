@@ -326,6 +326,7 @@ class Agent:
             memory=sum(size for _, size in usage.values()),
             gateway=self._gateway,
             trouble=self._trouble(),
+            cpu_weights=self._supervisor.cpu_weights.means,
             containers=statuses,
             faults=supervisor.health.faults(),
             health=supervisor.records(usage),

@@ -22,6 +22,7 @@ from poise.runtime.agent.container_processes import (
     ContainerProcess,
     ProcessEnd,
 )
+from poise.runtime.agent.cpu_weights import CpuWeights, own_group
 from poise.runtime.agent.health import HealthRecords, Usage
 from poise.runtime.agent.oom_kills import OomKills
 from poise.runtime.agent.watchdog import Silence
@@ -59,6 +60,7 @@ class Supervisor:
         self._clock = clock
         self._backoffs: dict[str, BackOff] = {}
         self._oom_kills = OomKills()
+        self.cpu_weights = CpuWeights(own_group())
         self._is_ending = False
 
     def take(self, wanted: Deployment) -> None:
@@ -126,6 +128,7 @@ class Supervisor:
                 self._forget(process, event.reason)
                 return
             try:
+                self.cpu_weights.settle(process.spec, event.pid)
                 process.note_born(event.pid)
             except (OSError, RuntimeError) as error:  # no memory is free
                 process.give_up(f"its counters cannot be read: {error}")
@@ -171,7 +174,8 @@ class Supervisor:
                 memory = new_memory()
                 undo.callback(os.close, memory)
                 place = self._place(spec.name)
-                connection = zygote.ask(self._zygote, spec.name, memory, place)
+                nice = self.cpu_weights.nice_of(spec)
+                connection = zygote.ask(self._zygote, spec.name, memory, place, nice)
             except Unavailable:
                 return  # the zygote's end is heard next, and is the end of the agent
             except OSError as error:  # no descriptor or memory is free at the moment
@@ -187,6 +191,7 @@ class Supervisor:
         """Record a container's end, so that it can be started again later."""
         del self.processes[process.name]
         process.close()
+        self.cpu_weights.forget(process.name)
         self.cpu_of_ended += process.status.cpu if process.status else 0.0
         if process.is_stopping or self._is_ending:
             if process.name not in self._specs():

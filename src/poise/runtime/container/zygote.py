@@ -23,6 +23,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from poise.errors import RunError, Unavailable
+from poise.priority import be_nice
 from poise.runtime.container.container import Container
 from poise.runtime.container.descendants import (
     adopt_orphans,
@@ -51,11 +52,13 @@ _LOOK_AT_ENDED = os.WEXITED | os.WNOHANG | os.WNOWAIT
 class Fork(Struct, frozen=True, kw_only=True):
     """The agent asks for a container.
 
-    Its control socket and its stats page come with the record.
+    Its control socket and its stats page come with the record. Its threads have the
+    nice value `nice`.
     """
 
     name: str
     place: Place
+    nice: int = 0
 
 
 class Forked(Struct, frozen=True, tag=True):
@@ -102,7 +105,7 @@ def start(closing: Sequence[int] = ()) -> tuple[socket.socket, int]:
 
 
 def ask(
-    zygote: socket.socket, name: str, stats_page: int, place: Place
+    zygote: socket.socket, name: str, stats_page: int, place: Place, nice: int = 0
 ) -> socket.socket:
     """Ask for a container and return the agent's end of its control socket.
 
@@ -118,7 +121,7 @@ def ask(
     ours, theirs = socket.socketpair()
     with theirs:
         try:
-            packet = record_channel.pack(Fork(name=name, place=place))
+            packet = record_channel.pack(Fork(name=name, place=place, nice=nice))
             socket.send_fds(zygote, [packet], [theirs.fileno(), stats_page])
         except ConnectionError as error:
             ours.close()
@@ -277,6 +280,7 @@ class _Zygote:
         # when memory is short, the kernel ends a container before the agent
         with contextlib.suppress(OSError):
             Path("/proc/self/oom_score_adj").write_text(_OOM_SCORE)
+        be_nice(wanted.nice)
         Container(wanted.name, connection, stats_page, wanted.place).run()
 
     def _end_containers(self) -> None:

@@ -44,6 +44,11 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
     if clocks.row_count:
         yield clocks
     yield computer_table(status)
+    if means := {
+        n: c.cpu_weights for n, c in status.computers.items() if c.cpu_weights
+    }:
+        by = ", ".join(f"{how} on {name}" for name, how in sorted(means.items()))
+        yield f"containers share the CPU by priority: {by}"
     for line in container_lines(status):
         yield Text(line, style="yellow")
 

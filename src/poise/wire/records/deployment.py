@@ -135,11 +135,20 @@ class ConnectorSpec(Struct, frozen=True, kw_only=True):
 class ContainerSpec(Struct, frozen=True, kw_only=True, tag=True):
     """A container that should run: its components, and the connectors at their ports.
 
-    `folder` is where implementations are imported from.
+    Parameters
+    ----------
+    folder
+        Where implementations are imported from.
+    weight
+        Its weight when the CPU is not enough for all (cgroups); 0: all are alike.
+    nice
+        The nice value of its threads where there are no cgroups.
     """
 
     name: str
     folder: str
+    weight: int = 0
+    nice: int = 0
     components: tuple[ComponentSpec, ...]
     connectors: tuple[ConnectorSpec, ...]
 

@@ -286,6 +286,9 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
         IP address and TCP port of its gateway.
     trouble
         Why that accepts no connection now, and what to do; empty: it does.
+    cpu_weights
+        What gives containers their CPU weights: ``cgroup v2``, ``cgroup v1`` or
+        ``nice``; empty: all have the same.
     """
 
     protocol: int = PROTOCOL
@@ -299,6 +302,7 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
     memory: int = 0
     gateway: str = ""
     trouble: str = ""
+    cpu_weights: str = ""
     containers: tuple[ContainerStatus, ...] = ()
     faults: tuple[Fault, ...] = ()
     health: tuple[ContainerHealth, ...] = ()

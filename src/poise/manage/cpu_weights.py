@@ -1,0 +1,52 @@
+"""From the priorities of architectures to the CPU weights of their containers. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from msgspec import Struct
+
+from poise.model.robot import Robot
+
+USUAL = 100
+"""The weight of the lowest priority: that of any other program."""
+STEP = 10.0
+"""How many times more CPU the next higher priority gets, when both want all."""
+RANGE = 100.0
+"""How many times more the highest gets than the lowest, at most."""
+_LESS_A_STEP = 1.25
+"""A thread that is nicer by 1 gets about this times less CPU."""
+_NICEST = 19
+
+
+class CpuWeight(Struct, frozen=True):
+    """The share of the CPU of a container, when that is not enough for all.
+
+    Parameters
+    ----------
+    weight
+        As cgroups have it, in [1, 10000]; 0: all containers are alike.
+    nice
+        Of its threads, where there are no cgroups; 0 for the highest priority.
+    """
+
+    weight: int = 0
+    nice: int = 0
+
+
+def cpu_weights(robot: Robot) -> Mapping[str, CpuWeight]:
+    """Return architecture -> CPU weight; only the order of priorities counts."""
+    priorities = sorted({a.priority for a in robot.architectures})
+    steps = len(priorities) - 1
+    if steps < 1:
+        return {a.name: CpuWeight() for a in robot.architectures}
+    step = min(STEP, RANGE ** (1 / steps))
+    nicer = math.log(step) / math.log(_LESS_A_STEP)
+    weights = {
+        priority: CpuWeight(
+            round(USUAL * step**rank), min(round(nicer * (steps - rank)), _NICEST)
+        )
+        for rank, priority in enumerate(priorities)
+    }
+    return {a.name: weights[a.priority] for a in robot.architectures}

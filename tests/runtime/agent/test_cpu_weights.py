@@ -1,0 +1,96 @@
+"""Containers get CPU weights, by groups or by nice values."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from poise.priority import REAL_TIME
+from poise.runtime.agent.cpu_weights import CPU_GROUP, CpuWeights, own_group
+from poise.wire.records.deployment import ContainerSpec
+
+HIGH = ContainerSpec(
+    name="nav", folder="", components=(), connectors=(), weight=1000, nice=0
+)
+LOW = ContainerSpec(
+    name="log", folder="", components=(), connectors=(), weight=100, nice=10
+)
+ALIKE = ContainerSpec(name="x", folder="", components=(), connectors=())
+
+
+@pytest.fixture
+def first(tmp_path: Path) -> Path:
+    """Return a group of version 1 whose children have the files that they need."""
+    for name in ("agent", "container-nav"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "cpu.shares").touch()
+    return tmp_path
+
+
+def test_nothing_is_done_while_all_are_alike(tmp_path: Path) -> None:
+    weights = CpuWeights(tmp_path)
+    assert weights.nice_of(ALIKE) == 0
+    weights.settle(ALIKE, 1)
+    assert not weights.means
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_container_and_the_agent_get_groups_of_version_1(first: Path) -> None:
+    weights = CpuWeights(first)
+    assert weights.nice_of(HIGH) == 0
+    weights.settle(HIGH, 12)
+    assert weights.means == "cgroup v1"
+    assert (first / "agent/cgroup.procs").read_text() == str(os.getpid())
+    assert (first / "agent/cpu.shares").read_text() == "102400"
+    assert (first / "container-nav/cgroup.procs").read_text() == "12"
+    assert (first / "container-nav/cpu.shares").read_text() == "10240"
+
+
+def test_version_2_hands_the_controller_on_and_has_no_processes(tmp_path: Path) -> None:
+    (tmp_path / "cgroup.subtree_control").touch()
+    (tmp_path / "cgroup.procs").write_text("3\n4\n")
+    weights = CpuWeights(tmp_path)
+    weights.nice_of(LOW)
+    weights.settle(LOW, 12)
+    assert weights.means == "cgroup v2"
+    assert (tmp_path / "cgroup.subtree_control").read_text() == "+cpu"
+    assert (tmp_path / "agent/cgroup.procs").read_text() == "4"  # entered last
+    assert (tmp_path / "container-log/cpu.weight").read_text() == "100"
+
+
+def test_an_ended_container_leaves_no_group(first: Path) -> None:
+    weights = CpuWeights(first)
+    weights.nice_of(HIGH)
+    for file in (first / "container-nav").iterdir():
+        file.unlink()
+    weights.forget("nav")
+    assert not (first / "container-nav").exists()
+
+
+@pytest.mark.parametrize("folder", [None, Path("/proc/nothing")])
+def test_without_groups_the_less_important_are_nicer(folder: Path | None) -> None:
+    weights = CpuWeights(folder)
+    assert weights.nice_of(HIGH) == 0
+    assert weights.nice_of(LOW) == 10
+    assert weights.means == "nice"
+    weights.settle(LOW, 12)
+
+
+def test_real_time_threads_stay_out_of_groups_of_version_1(
+    first: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(REAL_TIME, "1")
+    (first / "cpu.rt_runtime_us").touch()
+    weights = CpuWeights(first)
+    assert weights.nice_of(LOW) == 10
+
+
+def test_an_emulated_computer_says_which_group_is_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(CPU_GROUP, str(tmp_path))
+    assert own_group() == tmp_path
+    monkeypatch.setenv(CPU_GROUP, "")
+    assert own_group() is None

@@ -1,0 +1,33 @@
+"""Under overload the important architecture keeps its rate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from benchmarks.priorities import deadlines_met
+from poise.emulate.computer import CPU_GROUP, EmulatedComputer
+
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("cpu")]
+
+
+def test_without_priorities_both_miss_their_deadlines(tmp_path: Path) -> None:
+    assert deadlines_met(1, 3.0, tmp_path)["important"] < 0.5
+
+
+def test_the_higher_priority_keeps_its_rate(tmp_path: Path) -> None:
+    assert deadlines_met(10, 3.0, tmp_path)["important"] > 0.8
+
+
+def test_it_does_by_nice_values_where_there_are_no_cgroups(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = EmulatedComputer._environment
+
+    def without(self: EmulatedComputer) -> Mapping[str, str]:
+        return {**whole(self), CPU_GROUP: ""}
+
+    monkeypatch.setattr(EmulatedComputer, "_environment", without)
+    assert deadlines_met(10, 3.0, tmp_path)["important"] > 0.8
