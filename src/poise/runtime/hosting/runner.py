@@ -303,7 +303,7 @@ class Runner:
         """Run user code in the exclusion that was entered, and leave it."""
         self._handler = what, self.clock.now()
         try:
-            if self.ages:
+            if self.spec.chains:
                 self.ages.run(method, args, taken=taken, is_timer=is_timer)
             else:
                 method(*args)
