@@ -20,7 +20,7 @@ from poise.manage.adaptation.admission import check_move
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.put_aside import PutAside
-from poise.manage.adaptation.replan import propose, with_present_demands
+from poise.manage.adaptation.replan import with_present_demands
 from poise.manage.control_socket.records import (
     Command,
     MoveCommand,
@@ -39,7 +39,6 @@ from poise.manage.control_socket.records import (
 from poise.manage.lost_computers import LostComputers
 from poise.manage.migration.move import move, replace
 from poise.manage.migration.replacement import replace_architecture
-from poise.manage.migration.transition_run import transit
 from poise.manage.observe.chains import ChainAges, chain_reports
 from poise.manage.observe.deadline_misses import DeadlineMisses
 from poise.manage.observe.estimates import Estimates
@@ -230,15 +229,8 @@ class Manager:
             case ReplaceCommand(what, by, adapt, fresh):
                 return Replaced(replace_architecture(run, what, by, adapt, fresh=fresh))
             case RebalanceCommand(cost, dry):
-                return self._rebalance(cost, dry=dry)
+                return Rebalanced(*self._adaptation.balance(cost, dry=dry))
         raise AssertionError(command)
-
-    def _rebalance(self, move: float, *, dry: bool) -> Rebalanced:
-        run, estimates = self._run, self._estimates.demand_estimates()
-        proposal = propose(run.robot, self._task, run.placement(), estimates, move)
-        if dry or not proposal.steps:
-            return Rebalanced(proposal)
-        return Rebalanced(proposal, transit(run, proposal.steps))
 
     def _facts(self) -> Facts:
         run = self._run

@@ -79,6 +79,8 @@ def facts(two: Robot) -> Make:
                     timer="tick",
                     released=10,
                     missed=5,
+                    deadline=0.1,
+                    takes=0.03,
                 )
                 for name in missed
             ),

@@ -6,7 +6,9 @@ import pytest
 from msgspec.structs import replace
 
 from poise.manage.adaptation.decision import decide, shortage
+from poise.manage.observe.chains import ChainAge
 from poise.model.robot import Robot
+from poise.wire.records.status import AgentStatus, ComponentStatus, ContainerStatus
 from tests.manage.adaptation.conftest import Make
 
 
@@ -43,7 +45,14 @@ def test_when_nothing_fits_it_says_what_is_missing(facts: Make) -> None:
     full = facts(background={"left": 0.45, "right": 0.45}, missed=("a",))
     found = decide(full, {}, {})
     assert not found.acts
-    assert found.why.startswith("no placement can help: task 'work' has no placement")
+    assert found.why.startswith(
+        "no placement can help: timer 'tick' of component 'a' must end within 100 ms, "
+        "and its runs take 30 ms (p99); task 'work' has no placement any more"
+    )
+    assert (
+        "they need 0.4 cores in all, and beside other programs and reserves 'left' has "
+        "0 cores, 'right' has 0.05 cores"
+    ) in found.why
 
 
 def test_a_component_does_not_go_where_it_is_barred(facts: Make) -> None:
@@ -57,3 +66,63 @@ def test_what_is_reserved_is_no_room(two: Robot) -> None:
     robot = replace(two, computers=computers)
     both = {"a": "left", "b": "left"}
     assert shortage(robot, both, computers) == pytest.approx(0.4 - 0.25)
+
+
+LATE = ChainAge(
+    chain="c",
+    deadline=0.1,
+    used=10,
+    missed=10,
+    seconds=1.0,
+    ages={"a": 0.0, "b": 0.35},
+    wires={"a": 0.0, "b": 0.3},
+    computers={"a": "left", "b": "right"},
+)
+"""0.3 of its 0.35 s are on the wire from `a` to `b`."""
+
+
+def test_a_chain_that_loses_its_time_on_a_wire_is_brought_together(
+    facts: Make,
+) -> None:
+    apart = facts({"a": "left", "b": "right"})
+    found = decide(replace(apart, chains=(LATE,)), {}, {})
+    assert found.acts
+    assert found.proposal is not None
+    assert len(set(found.proposal.placement.values())) == 1
+    assert found.gain == pytest.approx((0.2 + 0.2) * 30)
+
+
+def test_a_chain_that_is_slow_off_the_wire_is_explained(facts: Make) -> None:
+    slow = replace(LATE, wires={"a": 0.0, "b": 0.05})
+    found = decide(replace(facts(), chains=(slow,)), {}, {})
+    assert not found.acts
+    assert found.why.startswith(
+        "the data of chain 'c' must not be older than 100 ms and is 350 ms old, 300 ms "
+        "if all of the chain were on one computer (a -> b 350 ms); "
+    )
+
+
+def test_a_measured_start_counts_instead_of_an_assumed_one(facts: Make) -> None:
+    seen = facts(background={"left": 0.2})
+    started = tuple(
+        ComponentStatus(name=name, state="active", start=2.0) for name in ("a", "b")
+    )
+    container = ContainerStatus(name="all", pid=1, components=started)
+    agent = AgentStatus(
+        computer="left", generation=1, uptime=1.0, cpu=0.0, containers=(container,)
+    )
+    found = decide(replace(seen, statuses={"left": agent}), {}, {})
+    assert found.cost == pytest.approx(2.0 + 0.2 * 0.05)
+
+
+def test_nothing_moves_to_a_lost_computer(facts: Make) -> None:
+    seen = replace(facts(background={"left": 0.2}), lost=frozenset({"right"}))
+    found = decide(seen, {}, {})
+    assert not found.acts
+
+
+def test_what_is_on_a_lost_computer_does_not_count(facts: Make) -> None:
+    placed = {"a": "left", "b": "right"}
+    seen = facts(placed, background={"left": 0.3})
+    found = decide(replace(seen, lost=frozenset({"right"})), {}, {})
+    assert not found.acts

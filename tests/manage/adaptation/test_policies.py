@@ -7,6 +7,7 @@ from functools import partial
 import msgspec
 import pytest
 
+from poise.estimate.online import Drift, Estimate
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.policies import Policies, Symptom
 from poise.manage.adaptation.subjects import values_of
@@ -51,6 +52,30 @@ def test_a_timer_that_misses_deadlines_is_named(facts: Make) -> None:
     ]
 
 
+def test_a_drift_is_named_when_it_takes_a_reserve(facts: Make) -> None:
+    """Both components on `left` drift to 0.3 of its 0.5 cores."""
+    grown = tuple(
+        msgspec.structs.replace(
+            each,
+            estimate=Estimate(
+                mean=0.3,
+                p95=0.3,
+                error=0.0,
+                drift=Drift(before=0.2, after=0.3, at=0.0),
+            ),
+        )
+        for each in facts().demand_estimates
+    )
+    drifted = msgspec.structs.replace(facts(), demand_estimates=grown)
+    (found,) = seen(drifted, "drift")
+    assert found == (
+        "the components on 'left' need 0.13 cores more than it has beside other "
+        "programs and its reserve: 2 of them need other than they were placed by"
+    )
+    alone = msgspec.structs.replace(drifted, placement={"a": "left", "b": "right"})
+    assert not seen(alone, "drift")
+
+
 OLD = ChainAge(
     chain="c",
     deadline=0.1,
@@ -58,6 +83,7 @@ OLD = ChainAge(
     missed=8,
     seconds=1.0,
     ages={"eye": 0.0, "a": 0.01, "b": 0.3},
+    wires={"eye": 0.0, "a": 0.0, "b": 0.25},
     computers={"eye": "left", "a": "left", "b": "right"},
 )
 

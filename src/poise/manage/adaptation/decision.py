@@ -1,8 +1,9 @@
 """Whether another placement is worth its moves. Pure.
 
 Gain and cost are work that is not done [core-seconds]: what computers are short of now
-and would not be there, over the horizon; against what the components that move would
-have done meanwhile, and the CPU time of starting them there.
+and would not be there, and what late chains compute in vain, over the horizon; against
+what the components that move would have done meanwhile, and the CPU time of starting
+them there.
 """
 
 from __future__ import annotations
@@ -15,18 +16,20 @@ from msgspec.structs import replace
 
 from poise.errors import RobotError
 from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.late import late, relieve
 from poise.manage.adaptation.replan import Proposal, propose, with_present_demands
 from poise.manage.migration.transition import TransitionStep
+from poise.manage.statuses import components_of
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Computer, Robot
-from poise.units import counted
+from poise.units import counted, format_cores
 
 HORIZON = 30.0
 """The present load is expected to last for this time [s]."""
 DOWNTIME = 0.05
 """The downtime of a component that was not moved yet is taken to be this [s]."""
 START = 0.3
-"""The CPU time to start a component elsewhere is taken to be this [s]."""
+"""The CPU time to start a component is taken to be this, until it was measured [s]."""
 MOVE = 0.001
 """What F grows by for each move: of placements that mend the same, few moves win."""
 
@@ -67,25 +70,27 @@ def decide(
     downtimes
         Component -> the downtime of its last move [s].
     """
+    facts = facts.within_reach()
     computers = facts.computers_left()
     robot = replace(facts.robot, computers=computers)
     robot_now = with_present_demands(robot, facts.demand_estimates)
     short = shortage(robot_now, facts.placement, computers)
-    if not short:
-        return Decision(
-            acts=False,
-            why="by their demands all components fit where they are: another "
-            "placement would not help. Is a component blocked, or its deadline too "
-            "short for its work?",
-        )
     robot = _barring(robot, facts.placement, barred)
+    wasted = 0.0
+    if not short:
+        relief = relieve(robot, facts, barred)
+        if not relief.homes:
+            return Decision(acts=False, why=relief.why)
+        robot, wasted = _held(robot, relief.homes), relief.wasted
     try:
         proposal = _propose(robot, facts)
     except RobotError as error:
-        return _with_fewer(robot, facts, str(error))
+        why = f"no placement can help: {late(facts)}{error}{_room(robot_now, facts)}"
+        unable = Decision(acts=False, why=why)
+        return _with_fewer(robot, facts, unable) if short else unable
     left = shortage(robot_now, proposal.placement, computers)
-    gain = (short - left) * HORIZON
-    cost = _cost(robot_now, proposal.steps, downtimes)
+    gain = (short - left + wasted) * HORIZON
+    cost = _cost(robot_now, proposal.steps, downtimes, _starts(facts))
     what = (
         f"{counted(len(proposal.steps), 'step')}: cost {cost:.2f} core-seconds, gain "
         f"{gain:.2f} within {HORIZON:g} s"
@@ -109,15 +114,38 @@ def _propose(robot: Robot, facts: Facts, *, fewer: bool = False) -> Proposal:
         facts.demand_estimates,
         MOVE,
         fewer=fewer,
+        is_quick=True,
     )
 
 
-def _with_fewer(robot: Robot, facts: Facts, why: str) -> Decision:
+def _held(robot: Robot, homes: Mapping[str, str]) -> Robot:
+    """Return the robot with components held to computers."""
+    return robot.with_components(
+        lambda c: replace(c, only=(homes[c.name],)) if c.name in homes else c
+    )
+
+
+def _room(robot: Robot, facts: Facts) -> str:
+    """Return what the components need and what there is for them, for people."""
+    needed = sum(
+        c.demand.get("cpu", 0.0)
+        for c in robot.components()
+        if c.name in facts.placement
+    )
+    usable = ", ".join(
+        f"'{c.name}' has {format_cores(c.usable('cpu'))}" for c in robot.computers
+    )
+    return (
+        f"; they need {format_cores(needed)} in all, and beside other programs and "
+        f"reserves {usable} (`poise balance --dry-run` looks for the limits in the way)"
+    )
+
+
+def _with_fewer(robot: Robot, facts: Facts, unable: Decision) -> Decision:
     """Return whether to put aside architectures for the sake of higher ones.
 
     Not all fits, so the work of the lowest priorities is given up, moves or not.
     """
-    unable = Decision(acts=False, why=f"no placement can help: {why}")
     try:
         proposal = _propose(robot, facts, fewer=True)
     except RobotError:
@@ -134,25 +162,46 @@ def _with_fewer(robot: Robot, facts: Facts, why: str) -> Decision:
     return Decision(acts=True, why=f"not all fits without {names}", proposal=proposal)
 
 
+def shortages_of(facts: Facts) -> dict[str, float]:
+    """Return what components of each computer need and it does not have [cores]."""
+    robot = with_present_demands(facts.robot, facts.demand_estimates)
+    return _shortages(robot, facts.placement, facts.computers_left())
+
+
 def shortage(
     robot: Robot, placement: Mapping[str, str], computers: Iterable[Computer]
 ) -> float:
     """Return the CPU that components need and their computers do not have [cores]."""
+    return sum(_shortages(robot, placement, tuple(computers)).values())
+
+
+def _shortages(
+    robot: Robot, placement: Mapping[str, str], computers: tuple[Computer, ...]
+) -> dict[str, float]:
     needs = {c.name: 0.0 for c in computers}
     for component in robot.components():
         if (computer := placement.get(component.name)) in needs:
             needs[computer] += component.demand.get("cpu", 0.0)
-    return sum(max(0.0, needs[c.name] - c.usable("cpu")) for c in computers)
+    return {c.name: max(0.0, needs[c.name] - c.usable("cpu")) for c in computers}
 
 
 def _cost(
-    robot: Robot, steps: Iterable[TransitionStep], downtimes: Mapping[str, float]
+    robot: Robot,
+    steps: Iterable[TransitionStep],
+    downtimes: Mapping[str, float],
+    starts: Mapping[str, float],
 ) -> float:
     demands = {c.name: c.demand.get("cpu", 0.0) for c in robot.components()}
     return sum(
-        START + demands[step.component] * downtimes.get(step.component, DOWNTIME)
+        starts.get(step.component, START)
+        + demands[step.component] * downtimes.get(step.component, DOWNTIME)
         for step in steps
     )
+
+
+def _starts(facts: Facts) -> dict[str, float]:
+    """Return how long components took to start, where that is known [s]."""
+    return {c.name: c.start for c in components_of(facts.statuses) if c.start}
 
 
 def _barring(

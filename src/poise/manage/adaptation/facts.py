@@ -55,6 +55,21 @@ class Facts(Struct, frozen=True, kw_only=True):
     statuses: Mapping[str, AgentStatus] = {}
     traffic: Mapping[str, ConnectorProfile] = {}
 
+    def within_reach(self) -> Facts:
+        """Return the same without what is out of reach: nothing moves from or to it."""
+        if not self.lost:
+            return self
+        robot, lost = self.robot, self.lost
+        return replace(
+            self,
+            robot=replace(
+                robot,
+                computers=tuple(c for c in robot.computers if c.name not in lost),
+                links=tuple(k for k in robot.links if lost.isdisjoint(k.between)),
+            ),
+            placement={n: at for n, at in self.placement.items() if at not in lost},
+        )
+
     def computers_left(self, *, is_cautious: bool = False) -> tuple[Computer, ...]:
         """Return the computers with what other programs leave of their CPU.
 
@@ -69,6 +84,16 @@ class Facts(Struct, frozen=True, kw_only=True):
             )
             for computer in self.robot.computers
         )
+
+    def situation(self) -> dict[str, float]:
+        """Return what decides on a placement: CPU that is left, and needed [cores]."""
+        left = {
+            f"on {computer.name}": computer.capacity.get("cpu", 0.0)
+            for computer in self.computers_left()
+            if computer.name not in self.lost
+        }
+        needed = {e.component: e.estimate.mean for e in self.demand_estimates}
+        return left | needed
 
 
 def _less_background(

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from poise.manage.adaptation.decision import Decision, decide
 from poise.manage.adaptation.facts import Facts
@@ -19,12 +20,19 @@ from poise.manage.adaptation.failover import fail_over
 from poise.manage.adaptation.move_limits import MoveLimits
 from poise.manage.adaptation.policies import Key, Policies, Symptom
 from poise.manage.adaptation.put_aside import PutAside
+from poise.manage.adaptation.replan import Proposal, propose
 from poise.manage.adaptation.subjects import values_of
-from poise.manage.migration.transition_run import start_together, transit
+from poise.manage.migration.transition import TransitionStep
+from poise.manage.migration.transition_run import (
+    TransitionReport,
+    start_together,
+    transit,
+)
 from poise.manage.observe.deviations import Deviation
 from poise.manage.run import Run
 from poise.model.policy.policy import Do
 from poise.model.policy.shipped import policies_of
+from poise.units import counted
 
 
 class Adaptation:
@@ -89,9 +97,37 @@ class Adaptation:
             self._move_limits.forget_nothing()
             return
         due = self._policies.due(bad, now)
-        if due and not self._move_limits.rests(now):
+        if due and not self._move_limits.rests(now, facts.situation()):
             decision = decide(facts, self._move_limits.barred(now), self._downtimes)
             self._carry_out(decision, due, facts, now)
+
+    def balance(
+        self, move: float, *, dry: bool
+    ) -> tuple[Proposal, TransitionReport | None]:
+        """Change the placement for a person who asks, whatever it gains.
+
+        Parameters
+        ----------
+        move
+            What F grows by for each move, plus as much for each MB of state.
+        dry
+            Whether to propose only.
+
+        Raises
+        ------
+        RobotError
+            Nothing fits, or there is no way to what does.
+        """
+        facts = self._facts().within_reach()
+        robot = replace(facts.robot, computers=facts.computers_left())
+        proposal = propose(
+            robot, facts.task, facts.placement, facts.demand_estimates, move
+        )
+        if dry or not proposal.steps:
+            return proposal, None
+        what = f"asked to balance: {counted(len(proposal.steps), 'step')}"
+        self._run.journal.note("decided", what, proposal=proposal, loads=facts.loads)
+        return proposal, self._transit(proposal.steps, self._clock())
 
     def _fail_over(self, facts: Facts, lost: set[str], now: float) -> bool:
         """Restart the components of lost computers elsewhere, once."""
@@ -130,14 +166,20 @@ class Adaptation:
                 loads=facts.loads,
             )
             self._policies.note_acted(due, now)
-            self._move_limits.note(steps, now)
-            report = transit(self._run, steps)
-            self._downtimes |= {m.component: m.downtime for m in report.moves}
+            report = self._transit(steps, now)
             if report.committed and decision.proposal:
                 self._put_aside.note(decision.proposal.aside, why, now)
             return
-        self._move_limits.note_nothing(now)
+        self._move_limits.note_nothing(now, facts.situation())
         self._report_why_not(why, decision)
+
+    def _transit(
+        self, steps: tuple[TransitionStep, ...], now: float
+    ) -> TransitionReport:
+        self._move_limits.note(steps, now)
+        report = transit(self._run, steps)
+        self._downtimes |= {m.component: m.downtime for m in report.moves}
+        return report
 
     def _report(self, symptoms: tuple[Symptom, ...]) -> None:
         """Journal each symptom when it has lasted, and when it has ended."""

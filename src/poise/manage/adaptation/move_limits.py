@@ -8,7 +8,7 @@ it left, for a time that doubles, too. At most `BUDGET` components move in a min
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from poise.manage.migration.transition import TransitionStep
 
@@ -28,6 +28,22 @@ twice as long, up to `LONGEST_REST`."""
 _MINUTE = 60.0
 
 
+Situation = Mapping[str, float]
+"""What a decision depends on: an amount for each thing [cores]."""
+_CHANGED = 0.1
+"""It is another one when an amount has changed by this share, and `_NOTICEABLE`."""
+_NOTICEABLE = 0.05
+"""[cores]"""
+
+
+def has_changed(before: Situation, now: Situation) -> bool:
+    """Return whether a decision may be another one now."""
+    return before.keys() != now.keys() or any(
+        abs(now[name] - amount) > max(_NOTICEABLE, _CHANGED * max(amount, now[name]))
+        for name, amount in before.items()
+    )
+
+
 class MoveLimits:
     """What the loop did lately, and so whether it may act now.
 
@@ -41,9 +57,22 @@ class MoveLimits:
         self._think_again = THINK_AGAIN
         self._moves: deque[float] = deque()
         self._left: dict[tuple[str, str], tuple[float, float]] = {}
+        self._in_vain: tuple[float, Situation] | None = None
 
-    def rests(self, now: float) -> bool:
-        """Return whether nothing is done yet after the last transition."""
+    def rests(self, now: float, situation: Situation | None = None) -> bool:
+        """Return whether nothing is done yet, after a transition or in vain.
+
+        Parameters
+        ----------
+        situation
+            What is thought about; when it is another than that in which nothing could
+            be done, that is thought about soon.
+        """
+        if self._in_vain is not None and situation is not None:
+            at, before = self._in_vain
+            if now >= at + THINK_AGAIN and has_changed(before, situation):
+                self.forget_nothing()
+                return False
         return now < self._rests_until
 
     def may_move(self, number: int, now: float) -> bool:
@@ -60,14 +89,16 @@ class MoveLimits:
                 found.setdefault(component, set()).add(computer)
         return found
 
-    def note_nothing(self, now: float) -> None:
+    def note_nothing(self, now: float, situation: Situation | None = None) -> None:
         """Remember that nothing could be done about what is wrong."""
+        self._in_vain = None if situation is None else (now, situation)
         self._rests_until = now + self._think_again
         self._think_again = min(2 * self._think_again, LONGEST_REST)
 
     def forget_nothing(self) -> None:
         """Think at once about what goes wrong next: nothing is wrong now."""
         self._think_again = THINK_AGAIN
+        self._in_vain = None
 
     def note(self, steps: Iterable[TransitionStep], now: float) -> None:
         """Remember a transition, whether it went well or not."""

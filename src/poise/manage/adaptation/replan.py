@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from time import perf_counter
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -16,6 +17,10 @@ from poise.model.robot import ComponentEntry, Computer, Robot
 
 SOLVE_FOR = 0.1
 """The planner searches for so long [s]; small robots are proven optimal before."""
+DECIDE_FOR = 0.02
+"""It searches for so long while the robot waits for a decision [s]."""
+EXPLAIN_FOR = 1.0
+"""Why nothing fits is looked for about as long at most [s]."""
 
 
 class PresentDemand(Struct, frozen=True, kw_only=True):
@@ -82,6 +87,7 @@ def propose(
     move: float,
     *,
     fewer: bool = False,
+    is_quick: bool = False,
 ) -> Proposal:
     """Return a better placement for a running robot, and the way to it.
 
@@ -98,6 +104,8 @@ def propose(
         its state; >= 0.
     fewer
         Whether architectures are put aside by priority when not all fit.
+    is_quick
+        Whether the robot waits: then why nothing fits is not looked for.
 
     Raises
     ------
@@ -111,9 +119,12 @@ def propose(
     problem = plan.problem_of(robot_now, task, present=now, move=move)
     # Of alternative architectures only one runs: keep to it.
     planner = plan.Planner(plan.keep_components(problem, now.keys()))
-    result = planner.decide(budget=SOLVE_FOR, fewer=fewer)
+    budget = DECIDE_FOR if is_quick else SOLVE_FOR
+    result = planner.decide(budget=budget, fewer=fewer)
     if not result.feasible or result.objective is None:
-        result.find_conflict()
+        if not is_quick:
+            give_up_at = perf_counter() + EXPLAIN_FOR
+            result.find_conflict(lambda: perf_counter() > give_up_at)
         needs = "".join(f"; {name} needs {demand}" for name, demand in shifted.items())
         raise RobotError(
             f"task '{task}' has no placement any more: {result.reason}{needs}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 
+from poise.manage.adaptation.decision import shortages_of
 from poise.manage.adaptation.facts import Facts
 from poise.model.policy.values import (
     ChainValues,
@@ -24,6 +25,7 @@ def values_of(facts: Facts, subject: Subject) -> tuple[Values, ...]:
 
 
 def _computers(facts: Facts) -> Iterator[Values]:
+    shortages = shortages_of(facts)
     for computer in facts.robot.computers:
         load = facts.loads.get(computer.name)
         status = facts.statuses.get(computer.name)
@@ -44,6 +46,11 @@ def _computers(facts: Facts) -> Iterator[Values]:
                 default=0.0,
             ),
             late=sum(e.is_late for e in facts.misses if e.computer == computer.name),
+            drifted=sum(
+                e.estimate.drift is not None and e.computer == computer.name
+                for e in facts.demand_estimates
+            ),
+            short=shortages[computer.name],
             memory=status.memory if status else 0.0,
             components=len(here),
         )

@@ -12,7 +12,13 @@ from poise.manage.observe.deadline_misses import OVER, is_late
 from poise.manage.statuses import Statuses, connectors_of
 from poise.model.robot import Chain, Robot
 from poise.units import format_seconds
-from poise.wire.records.status import ChainStatus, ComponentStatus, Side, Summary
+from poise.wire.records.status import (
+    ChainStatus,
+    ComponentStatus,
+    ConnectorStatus,
+    Side,
+    Summary,
+)
 
 _ENOUGH = 2
 """Ages are taken over `OVER`, or for so long that there are as many uses."""
@@ -27,12 +33,15 @@ class ChainHop(Struct, frozen=True, kw_only=True):
     ----------
     age
         At each use, from the stamp on; nothing at the first component [s].
+    wire
+        How long what came from the component before was under way [s].
     """
 
     component: str
     computer: str
     epoch: int = 0
     age: Summary = Summary()
+    wire: Summary = Summary()
 
 
 class ChainReport(Struct, frozen=True, kw_only=True):
@@ -73,6 +82,8 @@ class ChainAge(Struct, frozen=True, kw_only=True):
         How many seconds these are.
     ages
         Component -> the mean age when it used data [s], first to last.
+    wires
+        Component -> how long data was under way to it on a wire, in the mean [s].
     computers
         Component -> computer.
     """
@@ -83,6 +94,7 @@ class ChainAge(Struct, frozen=True, kw_only=True):
     missed: int
     seconds: float
     ages: Mapping[str, float]
+    wires: Mapping[str, float]
     computers: Mapping[str, str]
 
     @property
@@ -122,9 +134,9 @@ def chain_reports(robot: Robot, statuses: Statuses) -> tuple[ChainReport, ...]:
                 known = running.get(component.name)
                 if known is None or known[1].epoch <= component.epoch:
                     running[component.name] = computer, component
-    errors = {(end.name, end.end): end.latency_error for end in connectors_of(statuses)}
+    ends = {(end.name, end.end): end for end in connectors_of(statuses)}
     return tuple(
-        _report(robot, chain, running, errors)
+        _report(robot, chain, running, ends)
         for chain in robot.chains
         if running.keys() >= set(chain.through)
     )
@@ -134,14 +146,16 @@ def _report(
     robot: Robot,
     chain: Chain,
     running: Mapping[str, tuple[str, ComponentStatus]],
-    errors: Mapping[tuple[str, Side], float],
+    ends: Mapping[tuple[str, Side], ConnectorStatus],
 ) -> ChainReport:
+    came = dict(_came(robot, chain, ends))
     hops = tuple(
         ChainHop(
             component=name,
             computer=computer,
             epoch=component.epoch,
             age=_own(component, chain.name).age,
+            wire=came[name].latency if name in came else Summary(),
         )
         for name, (computer, component) in ((n, running[n]) for n in chain.through)
     )
@@ -151,7 +165,7 @@ def _report(
         deadline=chain.deadline,
         missed=last.missed,
         age=last.age,
-        error=sum(_errors(robot, chain, errors)),
+        error=sum(end.latency_error for end in came.values()),
         hops=hops,
     )
 
@@ -163,22 +177,24 @@ def _own(component: ComponentStatus, chain: str) -> ChainStatus:
     return ChainStatus(name=chain)
 
 
-def _errors(
-    robot: Robot, chain: Chain, errors: Mapping[tuple[str, Side], float]
-) -> Iterator[float]:
-    """Yield the error of the clock where a stamp comes in, for each step."""
+def _came(
+    robot: Robot, chain: Chain, ends: Mapping[tuple[str, Side], ConnectorStatus]
+) -> Iterator[tuple[str, ConnectorStatus]]:
+    """Yield each component and the end of a connector where its data comes in."""
     steps = set(pairwise(chain.through))
     for connector in robot.all_connectors():
         source, target = (end.component for end in connector.between)
         name = f"{connector.between[0]}-{connector.between[1]}"
-        if (source, target) in steps:
-            yield errors.get((name, "target"), 0.0)
-        elif (target, source) in steps:
-            yield errors.get((name, "source"), 0.0)
+        if (source, target) in steps and (name, "target") in ends:
+            yield target, ends[name, "target"]
+        elif (target, source) in steps and (name, "source") in ends:
+            yield source, ends[name, "source"]
 
 
-_Totals = tuple[float, int, int, tuple[tuple[int, float], ...]]
-"""When; uses and misses; and of each component uses and the sum of ages [s]."""
+_Sums = tuple[tuple[int, float], ...]
+"""Of each component a count, and a sum of times [s]."""
+_Totals = tuple[float, int, int, _Sums, _Sums]
+"""When; uses and misses; ages; times on a wire."""
 
 
 class ChainAges:
@@ -201,13 +217,14 @@ class ChainAges:
             # what moved counts from 0 again
             key = report.name, tuple(hop.epoch for hop in report.hops)
             totals = self._totals[key] = before.get(key, deque())
-            sums = tuple((h.age.count, h.age.count * h.age.mean) for h in report.hops)
+            ages = _sums(hop.age for hop in report.hops)
+            wires = _sums(hop.wire for hop in report.hops)
             if not totals or totals[-1][1] != report.age.count:
-                totals.append((now, report.age.count, report.missed, sums))
+                totals.append((now, report.age.count, report.missed, ages, wires))
             _forget(totals, now)
-            began, used, missed, sums_before = totals[0]
+            began, used, missed, ages_before, wires_before = totals[0]
             if report.age.count > used:
-                ages = zip(report.hops, sums, sums_before, strict=True)
+                names = [hop.component for hop in report.hops]
                 found.append(
                     ChainAge(
                         chain=report.name,
@@ -215,7 +232,8 @@ class ChainAges:
                         used=report.age.count - used,
                         missed=report.missed - missed,
                         seconds=max(OVER, now - began),
-                        ages={h.component: _mean(a, b) for h, a, b in ages},
+                        ages=_means(names, ages, ages_before),
+                        wires=_means(names, wires, wires_before),
                         computers={h.component: h.computer for h in report.hops},
                     )
                 )
@@ -231,6 +249,14 @@ def _forget(totals: deque[_Totals], now: float) -> None:
         totals.popleft()
 
 
-def _mean(after: tuple[int, float], before: tuple[int, float]) -> float:
-    count = after[0] - before[0]
-    return (after[1] - before[1]) / count if count else 0.0
+def _sums(summaries: Iterable[Summary]) -> _Sums:
+    return tuple((each.count, each.count * each.mean) for each in summaries)
+
+
+def _means(names: Iterable[str], after: _Sums, before: _Sums) -> dict[str, float]:
+    return {
+        name: (total - total_before) / max(1, count - count_before)
+        for name, (count, total), (count_before, total_before) in zip(
+            names, after, before, strict=True
+        )
+    }

@@ -24,6 +24,9 @@ class Misses(Struct, frozen=True, kw_only=True):
         Releases in the last seconds, and how many of these missed the deadline.
     seconds
         How many seconds these are.
+    deadline, takes
+        How long after its release a run must have ended, and how long runs take at the
+        99th percentile [s].
     """
 
     component: str
@@ -32,6 +35,8 @@ class Misses(Struct, frozen=True, kw_only=True):
     released: int
     missed: int
     seconds: float = OVER
+    deadline: float = 0.0
+    takes: float = 0.0
 
     @property
     def share(self) -> float:
@@ -88,6 +93,8 @@ class DeadlineMisses:
                                     released=released,
                                     missed=missed,
                                     seconds=seconds,
+                                    deadline=timer.deadline,
+                                    takes=timer.duration.p99,
                                 )
                             )
         return tuple(found)

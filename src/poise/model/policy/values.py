@@ -40,6 +40,12 @@ class ComputerValues(Struct, frozen=True, kw_only=True):
         Share, says("The largest share of jobs that a component there did not do.")
     ] = 0.0
     late: Annotated[int, says("Timers there that do not keep their rate.")] = 0
+    drifted: Annotated[
+        int, says("Components there that need other than they were placed by.")
+    ] = 0
+    short: Annotated[
+        Cores, says("What its components need and it does not have, reserves kept.")
+    ] = 0.0
     memory: Annotated[Bytes, says("Memory use of the robot's programs.")] = 0.0
     components: Annotated[int, says("Components that are placed there.")] = 0
 

@@ -20,6 +20,7 @@ from poise.plan.what_if.changed_problem import keep_components
 
 MOST_COMBINATIONS = 64
 """How many combinations of alternatives are tried; more are tried one change a time."""
+_SLACK = 1e-9
 MOST_DROPS = 256
 """How many sets of architectures are tried, before they are tried one by one."""
 
@@ -120,6 +121,11 @@ class _Admission:
         self._problem = problem
         self._decide = decide
         self._tried = 0
+        self._demand = {c.name: c.demand for c in problem.components}
+        resources = {r for h in problem.computers for r in h.capacity}
+        self._usable = {
+            r: sum(h.usable(r) for h in problem.computers) for r in resources
+        }
 
     def most(self, admitted: list[Need], levels: list[list[Need]]) -> list[Need]:
         """Return what fits of these levels, beside those admitted before."""
@@ -152,7 +158,20 @@ class _Admission:
 
     def _fits(self, kept: list[Need]) -> bool:
         self._tried += 1
+        if not self._may_fit(kept):
+            return False
         return _choose(self._problem, kept, self._decide, 0.02).feasible
+
+    def _may_fit(self, kept: list[Need]) -> bool:
+        """Return whether all computers together have enough, which is quick to say."""
+        return all(
+            sum(min(self._total(b, resource) for b in need) for need in kept)
+            <= usable + _SLACK
+            for resource, usable in self._usable.items()
+        )
+
+    def _total(self, bundle: Bundle, resource: str) -> float:
+        return sum(self._demand[n].get(resource, 0.0) for n in bundle.components)
 
 
 def _counts(admitted: list[Need], levels: list[list[Need]]) -> list[int]:
