@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+from poise.endpoint import Endpoint
 from poise.model.robot import (
     Architecture,
     ComponentEntry,
@@ -140,6 +141,9 @@ class FakeAgents:
     def take_refused(self) -> list[str]:
         refused, self.refused = self.refused, []
         return refused
+
+    def endpoint_of(self, computer: str) -> Endpoint:  # noqa: ARG002, nothing is there
+        return Endpoint("127.0.0.1", 0)
 
     def obey(self, computer: str) -> bool:
         return computer not in self.strangers

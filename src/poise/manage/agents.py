@@ -12,6 +12,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from poise.clock import Clock
+from poise.endpoint import Endpoint
 from poise.errors import RunError
 from poise.manage.agent_messages import (
     AgentAnswer,
@@ -132,6 +133,10 @@ class Agents(AgentReports):
     def close(self) -> None:
         """Leave the agents as they are."""
         self._session.close()  # type: ignore[no-untyped-call]
+
+    def endpoint_of(self, computer: str) -> Endpoint:
+        """Return where the agent of a computer listens."""
+        return Endpoint.parse(self._endpoints[computer].removeprefix("tcp/"))
 
     def obey(self, computer: str) -> bool:
         """Return whether an agent is reached and obeys this manager."""

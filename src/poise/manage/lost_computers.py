@@ -1,15 +1,27 @@
-"""Computers that are out of reach, or whose agents were restarted; brings them back."""
+"""Computers that are out of reach, or whose agents were restarted; brings them back.
+
+A computer whose agent was killed still answers: its containers go on, and the next
+agent adopts them. So nothing restarts elsewhere while that agent may come.
+"""
 
 from __future__ import annotations
 
+import socket
 import time
 
+from poise.endpoint import Endpoint
 from poise.errors import RunError
 from poise.manage.observe.deviations import Deviation
 from poise.manage.run import Run
+from poise.units import counted
+from poise.wire.records.container import RESTART_LIMIT
 
 _RETRY_AFTER = 1.0
 """A computer that came back, but refuses, is asked again after this time [s]."""
+_RESTART_LIMIT = RESTART_LIMIT + 1.0
+"""Nothing restarts elsewhere before what went on there without an agent was ended."""
+_PROBE_LIMIT = 0.1
+"""A computer answers within this time, if it is there [s]."""
 
 
 class LostComputers:
@@ -21,6 +33,8 @@ class LostComputers:
         self._retry_at: dict[str, float] = {}
         self._refusals: dict[str, Deviation] = {}
         self._lost_at: dict[str, float] = {}
+        self._restarting: dict[str, float] = {}
+        self._pids = _pids(run)
 
     def note(self) -> None:
         """Journal which computers were lost, and go on without them."""
@@ -30,8 +44,17 @@ class LostComputers:
             self._reached.discard(computer)
             run.excused.add(computer)
             self._lost_at[computer] = time.time()
-            back = f"computer '{computer}' was cut off, or its agent was restarted"
-            run.journal.note("wrong", run.unreached().get(computer, back))
+            what = f"computer '{computer}' was cut off, or its agent was restarted"
+            what = run.unreached().get(computer, what)
+            if _answers(run.agents.endpoint_of(computer)):
+                self._restarting[computer] = time.monotonic() + _RESTART_LIMIT
+                what = f"the agent of '{computer}' ended; its containers go on"
+            run.journal.note("wrong", what)
+
+    def restarting(self) -> frozenset[str]:
+        """Return the computers whose agent ended, and may yet be started again."""
+        now = time.monotonic()
+        return frozenset(c for c, until in self._restarting.items() if now < until)
 
     def deviations(self) -> list[Deviation]:
         """Return what is known of each; from any thread."""
@@ -80,6 +103,30 @@ class LostComputers:
             return
         self._refusals.pop(computer, None)
         self._reached.add(computer)
+        self._restarting.pop(computer, None)
         run.excused.discard(computer)
-        how = "" if is_same else "; its agent is another one: components restart"
-        run.journal.note("right", f"computer '{computer}' is reached again{how}")
+        pids_before, self._pids = self._pids, _pids(run)
+        what = f"computer '{computer}' is reached again"
+        if pids_before.get(computer) != self._pids[computer]:
+            adopted = run.agents.statuses()[computer].adopted
+            went_on = counted(adopted, "container") if adopted else "no container"
+            what = f"the agent of '{computer}' was restarted; {went_on} went on"
+        elif not is_same:
+            what += "; it obeyed another manager meanwhile"
+        run.journal.note("right", what)
+
+
+def _pids(run: Run) -> dict[str, int]:
+    """Return the processes of the agents, by computer."""
+    return {name: each.pid for name, each in run.agents.statuses().items()}
+
+
+def _answers(endpoint: Endpoint) -> bool:
+    """Return whether a computer is there, with or without an agent."""
+    try:
+        socket.create_connection((endpoint.host, endpoint.port), _PROBE_LIMIT).close()
+    except ConnectionRefusedError:
+        return True
+    except OSError:
+        return False
+    return True

@@ -238,7 +238,8 @@ class Manager:
             robot=run.robot,
             task=self._task,
             placement=run.placement(),
-            lost=frozenset(run.excused & run.agents.out_of_reach().keys()),
+            lost=frozenset(run.excused & run.agents.out_of_reach().keys())
+            - self._lost.restarting(),
             loads=self._estimates.loads.loads(),
             misses=self._misses.look(run.current(), time.monotonic()),
             chains=self._ages.look(

@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import threading
-import time
 from collections.abc import Iterator
 
 from poise.emulate import EmulatedSet, find_set
-from poise.emulate.registry import locked
-from poise.errors import PoiseError, UsageError
+from poise.errors import UsageError
 from poise.model.robot import Robot
-from poise.session.launch.emulated_agents import EmulatedAgents, emulated_agents
+from poise.session.launch.agent_keeper import keeping_agents
+from poise.session.launch.emulated_agents import emulated_agents
 from poise.session.launch.temporary_folders import scratch_folder
 from poise.session.say import Say, log
-
-_LOOK_EVERY = 0.1
-_MOST_DELAY = 5.0
-"""An agent that keeps ending is started again after this time at most [s]."""
-_STEADY = 10.0
-"""An agent that ran for this time [s] is started at once when it ends."""
 
 
 @contextlib.contextmanager
@@ -53,52 +45,7 @@ def emulated(robot: Robot, *, say: Say = log.info) -> Iterator[EmulatedSet]:
         emulated_agents(robot, folder / "computers", say, keep=True) as agents,
     ):
         kept = find_set(robot.name)
-        ending = threading.Event()
-        keeper = _Keeper(agents, kept, say)
-        thread = threading.Thread(
-            target=keeper.keep, args=[ending], name="keeper", daemon=True
-        )
-        thread.start()
-        try:
+        with keeping_agents(
+            agents, lambda computer, _: not kept.is_crashed(computer), say
+        ):
             yield kept
-        finally:
-            ending.set()
-            thread.join()
-
-
-class _Keeper:
-    """Starts agents again that have ended."""
-
-    def __init__(self, agents: EmulatedAgents, kept: EmulatedSet, say: Say) -> None:
-        self._agents = agents
-        self._kept = kept
-        self._say = say
-        self._delays = dict.fromkeys(agents.processes, 0.0)
-        self._starts = dict.fromkeys(agents.processes, time.monotonic())
-
-    def keep(self, ending: threading.Event) -> None:
-        """Look after all agents until the set ends."""
-        while not ending.wait(_LOOK_EVERY):
-            for name, process in list(self._agents.processes.items()):
-                if process.poll() is not None:
-                    self._look_after(name, process.returncode)
-
-    def _look_after(self, name: str, code: int) -> None:
-        lasted = time.monotonic() - self._starts[name]
-        if lasted > _STEADY:
-            self._delays[name] = 0.0
-        if lasted < self._delays[name]:
-            return
-        try:
-            with locked():  # or it might start while its computer is being crashed
-                if self._kept.is_crashed(name):
-                    self._delays[name] = 0.0
-                    return
-                self._starts[name] = time.monotonic()
-                delay = 2 * self._delays[name] + _LOOK_EVERY
-                self._delays[name] = min(_MOST_DELAY, delay)
-                self._agents.start(name)
-        except (PoiseError, OSError) as error:
-            self._say(f"the agent of '{name}' cannot be started again: {error}")
-        else:
-            self._say(f"the agent of '{name}' ended ({code}) and is started again")

@@ -16,7 +16,7 @@ from poise.cli.options import parse_option
 from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import UsageError
 from poise.runtime.agent.agent import Agent, AgentSetup, ignore
-from poise.session.launch.temporary_folders import scratch_folder
+from poise.session.launch.temporary_folders import agent_folder
 from poise.units import SECONDS
 from poise.wire.control_session import LEASE, locator
 
@@ -39,7 +39,8 @@ def agent_command(
         typer.Option(help="TCP port for connectors from other computers; 0: any."),
     ] = 0,
     folder: Annotated[
-        Path | None, typer.Option(help="Folder for its sockets; else a temporary one.")
+        Path | None,
+        typer.Option(help="Folder of its own for its sockets and what it must keep."),
     ] = None,
     sample_every: Annotated[
         str, typer.Option(help="How often to count what is used; 0: never.")
@@ -52,6 +53,9 @@ def agent_command(
     ] = LEASE,
 ) -> None:
     """Run the containers of this computer until Ctrl-C.
+
+    When it is killed, they go on for a minute, and are adopted when it is started again
+    with the same robot, address and port, or the same folder.
 
     Example: poise agent main --robot t-rot --address 10.0.0.1 --peer 10.0.0.2
     """
@@ -67,8 +71,8 @@ def agent_command(
     logging.getLogger("poise.component").setLevel("INFO")
     if lifeline is not None:  # its manager shows the faults already
         logging.getLogger("poise.runtime.agent.supervisor").setLevel("ERROR")
-    own = contextlib.nullcontext(folder) if folder else scratch_folder("poise-agent-")
-    with own as place, Interrupts() as interrupts:
+    place = folder or agent_folder(f"{robot} {computer} {Endpoint(address, port)}")
+    with Interrupts() as interrupts:
         agent = Agent(
             AgentSetup(
                 robot=robot,

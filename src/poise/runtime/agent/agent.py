@@ -1,12 +1,16 @@
 """The agent: on each computer, the program that runs its containers.
 
 It takes requests from the manager, lets its supervisor run the containers, and reports
-their status. When the manager is gone the containers go on. One thread owns all of
-this; zenoh's threads only queue requests.
+their status. When the manager is gone the containers go on. When the agent is killed
+they go on, too, and the next agent in the same folder adopts them. One thread owns all
+of this; zenoh's threads only queue requests.
 """
 
 from __future__ import annotations
 
+import contextlib
+import logging
+import os
 import signal
 import time
 from collections import deque
@@ -24,6 +28,7 @@ from poise.endpoint import Endpoint
 from poise.errors import RunError, UsageError
 from poise.priority import ahead, go_first
 from poise.runtime._calls import PageSampler
+from poise.runtime.agent.adoption import Adoption, AgentFolder, AgentState
 from poise.runtime.agent.clock_synchronisation import ClockSynchronisation
 from poise.runtime.agent.container_processes import STOP_LIMIT
 from poise.runtime.agent.fence import Fence
@@ -34,6 +39,7 @@ from poise.runtime.agent.sampler import Sampler
 from poise.runtime.agent.supervisor import Supervisor
 from poise.runtime.agent.watchdog import Silence
 from poise.runtime.container import zygote
+from poise.runtime.container.descendants import kill_all
 from poise.runtime.hosting.wiring import Place
 from poise.runtime.waker import Waker, wait_readable
 from poise.wire.connections.gateway import Gateway
@@ -52,6 +58,8 @@ from poise.wire.records.requests import (
 )
 from poise.wire.records.samples import SAMPLE_EVERY
 from poise.wire.records.status import AgentStatus
+
+log = logging.getLogger(__name__)
 
 REPORT_EVERY = 0.5
 """A status goes out at least this often [s]."""
@@ -77,7 +85,7 @@ class AgentSetup(Struct, frozen=True, kw_only=True):
     peers
         zenoh endpoints of the other computers' agents.
     folder
-        A folder of its own for sockets.
+        A folder of its own for sockets; the same one when it is started again.
     lifeline
         A file descriptor at whose end of file the agent ends; None: it runs on.
     lease
@@ -110,7 +118,7 @@ class Agent:
     Raises
     ------
     UsageError
-        The path of the folder is too long for sockets in it.
+        The path of the folder is too long for sockets in it, or another agent uses it.
     """
 
     def __init__(
@@ -123,7 +131,6 @@ class Agent:
         self._clock = clock or SystemClock()
         self._born = self._clock.now()
         self._stopping = False
-        self._gateway = ""
         self._trouble: Callable[[], str] = str
         self._clocks: Callable[[], Mapping[str, ClockStatus]] = dict
         self._usage: Callable[[], Usage] = dict
@@ -132,15 +139,25 @@ class Agent:
             socket_path(Path(setup.folder), "")
         except ValueError as error:
             raise UsageError(f"folder of agent '{setup.computer}': {error}") from error
-        Path(setup.folder).mkdir(parents=True, exist_ok=True)
+        folder = Path(setup.folder)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        self._folder = AgentFolder(folder)
+        left = self._folder.left()
+        self._gateway = left.gateway
         # before any thread, zenoh session or descriptor of the agent's own exists
         held = () if setup.lifeline is None else (setup.lifeline,)
         self._zygote, self._zygote_pid = zygote.start(closing=held)
-        self._supervisor = Supervisor(self._zygote, self._place, self._clock)
+        self._adoption = Adoption(folder, self._clock)
+        self._supervisor = Supervisor(
+            self._zygote, self._place, self._clock, self._adoption.awaits
+        )
+        if left.wanted is not None:
+            self._supervisor.take(left.wanted)
         self._relay = MigrationRelay(self._supervisor.processes)
         self._waker = Waker()
         self._requests = AgentInbox(setup.computer, self._waker.wake)
-        self._fence = Fence(setup.robot, setup.computer, self._waker.wake)
+        wake, before = self._waker.wake, (left.manager, left.token)
+        self._fence = Fence(setup.robot, setup.computer, wake, *before)
         self._locator = locator(Endpoint(setup.address, setup.port))
         self._say = say
         self._manager: ManagerId | None = None
@@ -167,7 +184,7 @@ class Agent:
     def _run_in(self, setup: AgentSetup) -> None:
         prefix = f"poise/{setup.robot}"
         with (
-            Gateway(Path(setup.folder), setup.address, setup.gateway) as gateway,
+            self._open_gateway() as gateway,
             open_session(
                 listen=[self._locator],
                 connect=setup.peers,
@@ -211,6 +228,25 @@ class Agent:
                 self._end_all()
                 for token in tokens:
                     token.undeclare()  # type: ignore[no-untyped-call]
+
+    def _open_gateway(self) -> Gateway:
+        """Open it where the agent before had it, so that connectors find it again."""
+        folder, setup = Path(self._setup.folder), self._setup
+        before = Endpoint.parse(self._gateway).port if self._gateway else 0
+        if before and not setup.gateway:
+            with contextlib.suppress(RunError):  # the port is another's now
+                return Gateway(folder, setup.address, before)
+        return Gateway(folder, setup.address, setup.gateway)
+
+    def _keep_state(self) -> None:
+        self._folder.keep(
+            AgentState(
+                gateway=self._gateway,
+                manager=self._fence.manager,
+                token=self._fence.token,
+                wanted=self._supervisor.wanted,
+            )
+        )
 
     def _sampler(self, samples: zenoh.Publisher) -> Sampler:
         def containers() -> list[tuple[str, int, PageSampler]]:
@@ -262,10 +298,12 @@ class Agent:
             self._wait(report_at)
             for request, query in self._requests.take():
                 self._attend(request, query)
+            self._keep_state()
             while self._silences:
                 self._supervisor.note_silence(self._silences.popleft())
             self._say_manager()
             self._relay.give_up(self._clock.now())
+            self._adoption.give_up()
             self._supervisor.reconcile()
             for process in self._supervisor.processes.values():
                 process.tell_clocks(self._clocks())
@@ -291,12 +329,16 @@ class Agent:
         processes = [p for p in supervisor.processes.values() if not p.is_deaf]
         by_fd = {process.connection.fileno(): process for process in processes}
         zygote_fd, lifeline = self._zygote.fileno(), self._setup.lifeline
-        fixed = [self._waker.fileno()]
+        of_adoption = self._adoption.files()
+        fixed = [self._waker.fileno(), *of_adoption]
         fixed += [] if supervisor.trouble else [zygote_fd]
         fixed += [] if self._stopping or lifeline is None else [lifeline]
         moments = [until, *self._relay.limits(), *supervisor.moments()]
+        moments.append(self._adoption.moment())
         limit = max(0.0, min(moments) - self._clock.now())
-        for fd in wait_readable([*fixed, *by_fd], limit):
+        ready = wait_readable([*fixed, *by_fd], limit)
+        self._adopt(ready)
+        for fd in ready.difference(of_adoption):
             if fd in by_fd:
                 outcome = supervisor.hear(by_fd[fd])
                 if outcome is not None:
@@ -309,6 +351,16 @@ class Agent:
             else:
                 self._stopping = True
 
+    def _adopt(self, ready: set[int]) -> None:
+        """Take over containers of an earlier agent, and note the ends of such."""
+        for pid in self._adoption.ended(ready):
+            self._supervisor.note_ended(pid, "ended (an earlier agent had started it)")
+        for orphan, connection, stats_page in self._adoption.orphans(ready):
+            name, pid = orphan.container, orphan.pid
+            if not self._supervisor.adopt(name, pid, connection, stats_page):
+                log.warning("container '%s' (process %d) is not adopted", name, pid)
+                kill_all({pid})
+
     def _status(self) -> AgentStatus:
         supervisor = self._supervisor
         statuses = supervisor.statuses()
@@ -317,6 +369,8 @@ class Agent:
         wanted = supervisor.wanted
         return AgentStatus(
             computer=self._setup.computer,
+            pid=os.getpid(),
+            adopted=self._adoption.num_adopted,
             generation=wanted.generation if wanted else 0,
             token=self._fence.token,
             manager=self._fence.manager,
@@ -325,7 +379,7 @@ class Agent:
             load=sum(cores for cores, _ in usage.values()),
             memory=sum(size for _, size in usage.values()),
             gateway=self._gateway,
-            trouble=self._trouble(),
+            trouble=self._trouble() or self._folder.trouble,
             cpu_weights=self._supervisor.cpu_weights.means,
             containers=statuses,
             faults=supervisor.health.faults(),
@@ -334,8 +388,12 @@ class Agent:
         )
 
     def _end_all(self) -> None:
-        """End every container in stages."""
+        """End every container in stages; in trouble leave them to the next agent."""
         self._stopping = True
+        if self._supervisor.trouble:
+            return
+        self._adoption.close()
+        self._folder.forget()
         self._supervisor.end()
         self._supervisor.reconcile()
         limit = self._clock.now() + STOP_LIMIT + 1

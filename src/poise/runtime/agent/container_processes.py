@@ -78,10 +78,16 @@ class ContainerProcess:
         Its control socket.
     stats_page
         The descriptor of its stats page; closed when it is not needed any more.
+    pid
+        Of one that runs already, and was told nothing yet; 0: it is being born.
     """
 
     def __init__(
-        self, spec: ContainerSpec, connection: socket.socket, stats_page: int
+        self,
+        spec: ContainerSpec,
+        connection: socket.socket,
+        stats_page: int,
+        pid: int = 0,
     ) -> None:
         self.name = spec.name
         self.spec = spec
@@ -97,7 +103,10 @@ class ContainerProcess:
         self.is_deaf = False
         self._why_ended = ""
         self._clocks: Mapping[str, ClockStatus] = {}
-        self._send(spec)
+        if pid:
+            self.note_born(pid)
+        else:
+            self._send(spec)
 
     def note_born(self, pid: int) -> None:
         """Take note of its process id."""

@@ -22,6 +22,9 @@ class Fence:
         The agent's, for messages.
     on_arrival
         Called when a manager came, on zenoh's threads; must not block.
+    manager, token
+        What an agent before it obeyed. That manager counts as gone until its
+        liveliness token is seen.
 
     Attributes
     ----------
@@ -30,15 +33,20 @@ class Fence:
     """
 
     def __init__(
-        self, robot: str, computer: str, on_arrival: Callable[[], None]
+        self,
+        robot: str,
+        computer: str,
+        on_arrival: Callable[[], None],
+        manager: ManagerId | None = None,
+        token: int = 0,
     ) -> None:
         self._on_arrival = on_arrival
         self.arrivals = 0
         self._robot = robot
         self._computer = computer
-        self._gone: set[str] = set()
-        self.manager: ManagerId | None = None
-        self.token = 0
+        self._gone: set[str] = set() if manager is None else {manager.key}
+        self.manager = manager
+        self.token = token
 
     def present_manager(self) -> ManagerId | None:
         """Return the manager that it obeys, unless that one is gone."""

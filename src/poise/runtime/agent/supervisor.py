@@ -1,7 +1,8 @@
 """Starts, watches and ends the container processes of one computer.
 
 It compares the containers that should run with those that run and takes the smallest
-step. A container that ended is started again after a delay that grows.
+step. A container that ended is started again after a delay that grows. Those that an
+earlier agent left are adopted (`Adoption`).
 """
 
 from __future__ import annotations
@@ -45,10 +46,16 @@ class Supervisor:
         The socket of the zygote, from `poise.runtime.container.zygote.start`.
     place
         Returns where a container of this name is.
+    awaits
+        Returns whether a container of an earlier agent still runs: then it is adopted.
     """
 
     def __init__(
-        self, zygote_socket: socket.socket, place: Callable[[str], Place], clock: Clock
+        self,
+        zygote_socket: socket.socket,
+        place: Callable[[str], Place],
+        clock: Clock,
+        awaits: Callable[[str], bool] = lambda _: False,
     ) -> None:
         self.processes: dict[str, ContainerProcess] = {}
         self.health = HealthRecords()
@@ -61,6 +68,7 @@ class Supervisor:
         self._backoffs: dict[str, BackOff] = {}
         self._oom_kills = OomKills()
         self.cpu_weights = CpuWeights(own_group())
+        self._awaits = awaits
         self._is_ending = False
 
     def take(self, wanted: Deployment) -> None:
@@ -82,7 +90,7 @@ class Supervisor:
         now, wanted = self._clock.now(), self._specs()
         self._oom_kills.look(now)
         for name, process in self.processes.items():
-            if name not in wanted:
+            if name not in wanted and self.wanted is not None:
                 process.stop(self._clock)
             if process.kill_at <= now:
                 process.kill()
@@ -92,7 +100,9 @@ class Supervisor:
             if name in self.processes:
                 if not self.processes[name].is_stopping:
                     self.processes[name].tell(spec)
-            elif name not in self._backoffs or self._backoffs[name].is_over(now):
+            elif name in self._backoffs and not self._backoffs[name].is_over(now):
+                continue
+            elif not self._awaits(name):
                 self._start(spec)
 
     def moments(self) -> Iterator[float]:
@@ -120,9 +130,7 @@ class Supervisor:
             self.trouble = f"{error}: no container can be started"
             return
         if isinstance(event, zygote.Ended):
-            by_pid = {process.pid: process for process in self.processes.values()}
-            if event.pid in by_pid:
-                self._forget(by_pid[event.pid], ProcessEnd(event.status))
+            self.note_ended(event.pid, ProcessEnd(event.status))
         elif process := self.processes.get(event.name):
             if isinstance(event, zygote.NotForked):
                 self._forget(process, event.reason)
@@ -132,6 +140,33 @@ class Supervisor:
                 process.note_born(event.pid)
             except (OSError, RuntimeError) as error:  # no memory is free
                 process.give_up(f"its counters cannot be read: {error}")
+
+    def note_ended(self, pid: int, how: ProcessEnd | str) -> None:
+        """Record that the process of a container ended."""
+        by_pid = {process.pid: process for process in self.processes.values()}
+        if pid in by_pid:
+            self._forget(by_pid[pid], how)
+
+    def adopt(
+        self, name: str, pid: int, connection: socket.socket, stats_page: int
+    ) -> bool:
+        """Take over a container of an earlier agent; return whether that is done.
+
+        It is not when there is another of its name, or no memory is free.
+        """
+        # it is told what to run, or to end, once that is known
+        unknown = ContainerSpec(name=name, folder="", components=(), connectors=())
+        process = None
+        if name not in self.processes:
+            with contextlib.suppress(OSError, RuntimeError):
+                process = ContainerProcess(unknown, connection, stats_page, pid)
+        if process is None:
+            connection.close()
+            os.close(stats_page)
+            return False
+        self.health.enter(name, "running")
+        self.processes[name] = process
+        return True
 
     def note_silence(self, silence: Silence) -> None:
         """Record that a container does not respond, or that it responds again."""

@@ -2,7 +2,7 @@
 
 Its agent sends what should run (`ContainerSpec`). The control thread makes it so, and
 reports what runs (`ContainerStatus`) at every change and once a second. It waits for no
-import and for no component.
+import and for no component. When the agent is killed, it works on (`AgentLink`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import os
 import signal
 import socket
 import sys
-import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -25,6 +24,7 @@ from msgspec import structs
 from poise.errors import PoiseError, RunError, Timeout, Unavailable
 from poise.priority import as_usual, go_first
 from poise.runtime.component.error_report import told
+from poise.runtime.container.agent_link import AgentLink
 from poise.runtime.container.descendants import Orphans
 from poise.runtime.container.preparation import prepare
 from poise.runtime.hosting.computer_clock import ComputerClock
@@ -32,12 +32,10 @@ from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.stats_page import ComponentKey, StatsPage
 from poise.runtime.hosting.wiring import Place, Transports, Wiring
 from poise.runtime.migration.executor import MigrationExecutor
-from poise.runtime.waker import Waker, is_writable, wait_readable
-from poise.wire import record_channel
+from poise.runtime.waker import Waker, wait_readable
 from poise.wire.codec import WireError
-from poise.wire.connections.fork import keep_private
 from poise.wire.records.clocks import Clocks
-from poise.wire.records.container import ContainerFailure, FromContainer, ToContainer
+from poise.wire.records.container import ContainerFailure, FromContainer
 from poise.wire.records.deployment import ComponentSpec, ContainerSpec
 from poise.wire.records.migration import (
     MigrationSteps,
@@ -76,9 +74,8 @@ class Container:
         self, name: str, agent: socket.socket, stats_page: int, place: Place
     ) -> None:
         self._name = name
-        self._agent = agent
-        keep_private(agent)
         self._clock = ComputerClock(place.computer)
+        self._link = AgentLink(name, agent, stats_page, place.folder, self._clock)
         self._transports = Transports(place)
         self._wiring = Wiring(self._transports, self._clock.ahead)
         self._wanted: ContainerSpec | None = None
@@ -90,13 +87,12 @@ class Container:
         self._steps = MigrationExecutor(self._runners, self._wiring, self._transports)
         # steps wait for components and for other computers; the control thread must not
         self._step_threads = ThreadPoolExecutor(_STEP_THREADS, "step", go_first)
-        self._telling = threading.Lock()
         self._stopping = False
         self._waker = Waker()
         self._stats_page = StatsPage(stats_page)
 
     def run(self) -> None:
-        """Work until the agent says to end, or is gone.
+        """Work until the agent says to end, or is gone for too long.
 
         Raises
         ------
@@ -112,8 +108,8 @@ class Container:
         try:
             go_first()
             self._serve()
-        except Unavailable:
-            log.warning("container '%s': the agent is gone", self._name)
+        except Unavailable as error:
+            log.warning("container '%s' ends: %s", self._name, error)
         except (RunError, Timeout, WireError) as error:
             self._tell_failure(error)
             raise
@@ -121,7 +117,7 @@ class Container:
             self._stop()
 
     def _tell_failure(self, error: PoiseError) -> None:
-        with contextlib.suppress(Timeout, Unavailable):
+        with contextlib.suppress(Timeout):
             self._tell(ContainerFailure(str(error)))
 
     def _on_signal(self, _signal: int, _frame: FrameType | None) -> None:
@@ -133,7 +129,9 @@ class Container:
         orphans = Orphans()
         while not self._stopping:
             self._stats_page.beat()
-            look_at = min(report_at, self._clock.now() + BEAT_EVERY)
+            self._link.look()
+            beat_at = self._clock.now() + BEAT_EVERY
+            look_at = min(report_at, beat_at, self._link.look_at)
             if unjoined:
                 look_at = min(look_at, self._clock.now() + _JOINING_EVERY)
             has_news = self._listen(max(0.0, look_at - self._clock.now()))
@@ -149,24 +147,27 @@ class Container:
 
         Migration steps and clocks are not: what they change is.
         """
-        agent, waker = self._agent.fileno(), self._waker.fileno()
-        ready = wait_readable([agent, waker], limit)
+        waker = self._waker.fileno()
+        ready = wait_readable([waker, *self._link.files()], limit)
         if waker in ready:
             self._waker.clear()
             for runner in self._runners.values():
                 if runner.reason_to_end:
                     raise RunError(runner.reason_to_end)
-        if agent in ready:
-            what = record_channel.receive(self._agent, ToContainer).what
-            self._hear(what)
-            if not isinstance(what, ContainerSpec) and len(ready) == 1:
-                return False
+        if ready - {waker}:
+            record = self._link.receive()
+            if record is not None:
+                self._hear(record.what)
+            elif self._wanted is None:
+                raise Unavailable("the agent ended while it started")
+            is_spec = record is not None and isinstance(record.what, ContainerSpec)
+            return is_spec or waker in ready
         return bool(ready)
 
     def _report(self, status: ContainerStatus) -> None:
         # an agent that is slow to listen gets the next status, not all of them; before
         # it has said what should run there is nothing to report
-        if self._wanted is not None and is_writable(self._agent.fileno()):
+        if self._wanted is not None and self._link.has_room():
             self._tell(status)
 
     def _hear(self, what: ContainerSpec | MigrationSteps | Clocks) -> None:
@@ -186,14 +187,13 @@ class Container:
 
     def _take_steps(self, take: Callable[[], StepsOutcome]) -> None:
         outcome = take()
-        with contextlib.suppress(Timeout, Unavailable):  # the agent gave up on us
+        with contextlib.suppress(Timeout):  # the agent gave up on us
             self._tell(outcome)
 
     def _tell(
         self, what: ContainerStatus | ContainerFailure | StepsDone | StepsFailed
     ) -> None:
-        with self._telling:
-            record_channel.send(self._agent, FromContainer(what))
+        self._link.tell(FromContainer(what))
 
     def _apply(self, spec: ContainerSpec) -> None:
         wanted = {(c.name, c.epoch): c for c in spec.components}
@@ -308,7 +308,7 @@ class Container:
         for (name, _), each in running.items():
             if not each.wait_ended(max(0.0, deadline - self._clock.now())):
                 log.warning("component '%s' did not end in time", name)
-        with contextlib.suppress(Timeout, Unavailable):  # nobody may be left to tell
+        with contextlib.suppress(Timeout):  # nobody may be left to tell
             self._report(self._status())
         self._step_threads.shutdown(wait=False, cancel_futures=True)
         self._wiring.close()

@@ -4,8 +4,10 @@ A fork costs milliseconds and a few MB, a fresh interpreter 40 to 100 ms and its
 copy of everything. The zygote has one thread and no zenoh session, so that what it
 forks starts clean. It is forked from the agent before the agent opens anything.
 
-No container outlives the agent: those that have not ended by themselves `PATIENCE`
-seconds after the agent are killed. No process that a container forked outlives it.
+An agent that ends in order ends its containers first. When it was killed, they go on,
+and the next agent adopts them; the zygote then stays until the last of them has ended,
+and kills those that do not end though no agent comes. No process that a container
+forked outlives it.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from msgspec import Struct
 
 from poise.errors import RunError, Unavailable
 from poise.priority import be_nice
+from poise.runtime.container.agent_link import ORPHAN_LIMIT, is_adopting
 from poise.runtime.container.container import Container
 from poise.runtime.container.descendants import (
     adopt_orphans,
@@ -39,10 +42,9 @@ from poise.wire import record_channel
 log = logging.getLogger(__name__)
 
 PATIENCE = 2.0
-"""Containers that still run so long after their agent are killed [s]."""
+"""Containers end within this time after they should have by themselves [s]."""
 _OOM_SCORE = "500"
 _LARGEST = 1 << 16
-_LOOK = 0.01
 _KILL_LIMIT = 1.0
 _PASSED = 2
 """Descriptors that come with the request for a container."""
@@ -151,7 +153,7 @@ def hear(zygote: socket.socket) -> Event:
 
 
 def end(zygote: socket.socket, pid: int) -> None:
-    """Let the zygote end, which takes what containers are left with it."""
+    """Let the zygote end, whose containers have ended."""
     zygote.close()
     pidfd = os.pidfd_open(pid)
     try:
@@ -195,9 +197,10 @@ class _Zygote:
         self._agent = agent
         self._waker = Waker()
         self._containers: set[int] = set()
+        self._folder = ""
 
     def serve(self) -> None:
-        """Fork what the agent asks for, until the agent is gone."""
+        """Fork what the agent asks for, until it and all containers are gone."""
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         adopt_orphans()
         # Blocked, not ignored: only the agent's end ends the zygote, and a container
@@ -211,7 +214,8 @@ class _Zygote:
         except (Unavailable, ConnectionError):
             pass
         finally:
-            self._end_containers()
+            self._outlive_agent()
+            end_children(_KILL_LIMIT)
 
     def _serve_one(self) -> None:
         ready = wait_readable([self._agent.fileno(), self._waker.fileno()], None)
@@ -250,6 +254,7 @@ class _Zygote:
         if not body:
             raise Unavailable("the agent is gone")
         wanted: Fork = record_channel.unpack(body, Fork)
+        self._folder = wanted.place.folder
         if len(fds) != _PASSED:
             for fd in fds:
                 os.close(fd)
@@ -283,10 +288,15 @@ class _Zygote:
         be_nice(wanted.nice)
         Container(wanted.name, connection, stats_page, wanted.place).run()
 
-    def _end_containers(self) -> None:
-        """Wait for the containers, which see that the agent is gone; kill the rest."""
-        deadline = time.monotonic() + PATIENCE
-        while self._containers and time.monotonic() < deadline:
+    def _outlive_agent(self) -> None:
+        """Reap the containers until there are none, or no agent wants them."""
+        self._agent.close()
+        look_at = time.monotonic() + ORPHAN_LIMIT + PATIENCE
+        while self._containers:
+            wait_readable([self._waker.fileno()], max(0, look_at - time.monotonic()))
+            self._waker.clear()
             self._ended()
-            time.sleep(_LOOK)
-        end_children(_KILL_LIMIT)
+            if time.monotonic() >= look_at:
+                if not is_adopting(self._folder):
+                    return
+                look_at += ORPHAN_LIMIT

@@ -41,13 +41,12 @@ class StatsPage:
     Parameters
     ----------
     memory
-        A descriptor from `new_memory`; it is closed here.
+        A descriptor from `new_memory`; it stays the caller's.
     """
 
     def __init__(self, memory: int) -> None:
         self._native = _calls.StatsPage(memory)
         self._sampler = PageSampler(memory, os.getpid())
-        os.close(memory)
         self._shown: set[ComponentCounters | Counts] = set()
 
     def beat(self) -> None:

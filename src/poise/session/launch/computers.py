@@ -12,6 +12,7 @@ from poise.emulate import EmulatedComputer, EmulatedSet, StarvationWatch, set_fo
 from poise.endpoint import Endpoint
 from poise.errors import RunError
 from poise.model.robot import Robot
+from poise.session.launch.agent_keeper import keeping_agents
 from poise.session.launch.emulated_agents import (
     UNCUT_LEASE,
     agent_of,
@@ -67,9 +68,9 @@ class Computers:
         return {name: computer.slowdown for name, computer in self.emulated.items()}
 
     def raise_if_ended(self) -> None:
-        """Raise RunError when the process of an agent ended."""
+        """Raise RunError when an agent ended by itself: one that is killed restarts."""
         for name, process in self._agents.items():
-            if (code := process.poll()) is not None:
+            if (code := process.poll()) is not None and code >= 0:
                 raise RunError(f"the agent of '{name}' ended with exit code {code}")
 
     def begin(self) -> None:
@@ -137,7 +138,10 @@ def computers_of(
         with _kept(kept, say) as computers:
             yield computers
         return
-    with emulated_agents(robot, folder, say, sample_every=sample_every) as agents:
+    with (
+        emulated_agents(robot, folder, say, sample_every=sample_every) as agents,
+        keeping_agents(agents, lambda _, code: code < 0, say),
+    ):
         yield Computers(
             _endpoints(agents.emulation.computers),
             agents.emulation.without,

@@ -13,6 +13,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
+from hashlib import blake2s
 from pathlib import Path
 
 from poise.errors import RunError
@@ -43,6 +44,27 @@ def scratch_folder(prefix: str) -> Iterator[Path]:
     finally:
         shutil.rmtree(folder, ignore_errors=True)
         os.close(lock)
+
+
+def agent_folder(of: str) -> Path:
+    """Return the folder of an agent, the same one each time it is started.
+
+    Parameters
+    ----------
+    of
+        Tells agents of this computer apart.
+
+    Raises
+    ------
+    RunError
+        Another user made it.
+    """
+    name = blake2s(of.encode(), digest_size=8).hexdigest()
+    folder = Path(tempfile.gettempdir()) / f"poise-agent-{os.getuid()}-{name}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    if folder.is_symlink() or folder.stat().st_uid != os.getuid():
+        raise RunError(f"the folder {folder} is not this user's: choose another")
+    return folder
 
 
 def _made(prefix: str) -> tuple[Path, int]:

@@ -37,6 +37,11 @@ def gateway_path(folder: Path, container: str) -> Path:
     return socket_path(folder, container).with_suffix(".gateway")
 
 
+def agent_path(folder: Path | str) -> Path:
+    """Return the path of the socket at which an agent adopts containers."""
+    return Path(folder) / "agent.sock"
+
+
 def connect(connection: socket.socket, path: Path, limit: float) -> None:
     """Connect an AF_UNIX socket; wait up to `limit` [s] for a place in the queue.
 

@@ -9,6 +9,10 @@ from poise.wire.records.deployment import ContainerSpec
 from poise.wire.records.migration import MigrationSteps, StepsDone, StepsFailed
 from poise.wire.records.status import ContainerStatus
 
+RESTART_LIMIT = 10.0
+"""An agent that was killed is started again within this time [s], or its computer
+counts as lost."""
+
 
 class ContainerFailure(Struct, frozen=True, tag=True):
     """The last words of a container that cannot go on."""

@@ -272,6 +272,10 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
         The manager that it obeys, or obeyed last, with that one's fencing token.
     cpu
         CPU time of the agent and all its containers, ended ones too [s].
+    pid
+        The agent's process.
+    adopted
+        How many containers of an earlier agent, which was killed, it took over.
     uptime
         Time since the agent started [s].
     load, memory
@@ -293,6 +297,8 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
 
     protocol: int = PROTOCOL
     computer: str
+    pid: int = 0
+    adopted: int = 0
     generation: int
     token: int = 0
     manager: ManagerId | None = None

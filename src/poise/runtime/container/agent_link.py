@@ -1,0 +1,171 @@
+"""A container's connection to its agent, made again after the agent was killed.
+
+A container without an agent works on. It tries to reach the agent that is started
+again at a socket in the folder of both, and hands over the other end of a new
+connection, and its stats page. One that finds no agent within `ORPHAN_LIMIT` ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import threading
+
+from msgspec import Struct
+
+from poise.clock import Clock
+from poise.errors import Unavailable
+from poise.runtime.waker import is_writable
+from poise.wire import record_channel
+from poise.wire.connections.fork import keep_private
+from poise.wire.connections.socket_path import agent_path
+from poise.wire.records.container import FromContainer, ToContainer
+
+ORPHAN_LIMIT = 60.0
+"""A container that has had no agent for this time ends [s]."""
+PASSED = 2
+"""Descriptors that an orphan hands over: a control socket and its stats page."""
+_FIRST_PAUSE = 0.02
+_LONGEST_PAUSE = 0.25
+_INBOX = 1 << 16
+
+
+class Orphan(Struct, frozen=True, kw_only=True):
+    """A container without an agent asks to be adopted."""
+
+    container: str
+    pid: int
+
+
+class AgentLink:
+    """The connection of one container to its agent; none while that is gone.
+
+    Parameters
+    ----------
+    connection
+        The control socket.
+    stats_page
+        The descriptor of the memory in which the container counts.
+    folder
+        The folder of its agent, for sockets.
+    """
+
+    def __init__(
+        self,
+        container: str,
+        connection: socket.socket,
+        stats_page: int,
+        folder: str,
+        clock: Clock,
+    ) -> None:
+        self._container = container
+        self._connection: socket.socket | None = connection
+        keep_private(connection)
+        self._stats_page = stats_page
+        self._path = os.fspath(agent_path(folder))
+        self._clock = clock
+        self._telling = threading.Lock()
+        self._lost_at = float("inf")
+        self._ask_at = 0.0
+        self._pause = _FIRST_PAUSE
+
+    def files(self) -> list[int]:
+        """Return the descriptor to wait for, if there is one now."""
+        return [] if self._connection is None else [self._connection.fileno()]
+
+    @property
+    def look_at(self) -> float:
+        """When `look` is to be called next [s]."""
+        return float("inf") if self._connection else self._ask_at
+
+    def look(self) -> None:
+        """Ask to be adopted when there is no agent, and it is time.
+
+        Raises
+        ------
+        Unavailable
+            There has been none for `ORPHAN_LIMIT`.
+        """
+        now = self._clock.now()
+        if self._connection is not None or now < self._ask_at:
+            return
+        if now - self._lost_at > ORPHAN_LIMIT:
+            raise Unavailable(f"there was no agent for {ORPHAN_LIMIT:g} s")
+        self._pause = min(2 * self._pause, _LONGEST_PAUSE)
+        self._ask_at = now + self._pause
+        self._ask()
+
+    def receive(self) -> ToContainer | None:
+        """Return what the agent tells; None: it is gone."""
+        if self._connection is None:
+            return None
+        try:
+            record = record_channel.receive(self._connection, ToContainer)
+        except Unavailable:
+            self._lose()
+            return None
+        self._lost_at, self._pause = float("inf"), _FIRST_PAUSE
+        return record
+
+    def tell(self, record: FromContainer) -> None:
+        """Tell the agent, if there is one; raises Timeout and WireError as `send`."""
+        # `receive` finds out that it is gone, on the control thread
+        with self._telling, contextlib.suppress(Unavailable):
+            if self._connection is not None:
+                record_channel.send(self._connection, record)
+
+    def has_room(self) -> bool:
+        """Return at once whether the agent would take another record."""
+        return self._connection is not None and is_writable(self.files()[0])
+
+    def _lose(self) -> None:
+        now = self._clock.now()
+        with self._telling:
+            if self._connection is not None:
+                self._connection.close()
+            self._connection = None
+        self._lost_at = min(self._lost_at, now)
+        self._ask_at = now
+
+    def _ask(self) -> None:
+        ours, theirs = socket.socketpair()
+        packet = record_channel.pack(Orphan(container=self._container, pid=os.getpid()))
+        with theirs, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
+            asking.setblocking(False)
+            try:
+                asking.connect(self._path)
+                socket.send_fds(asking, [packet], [theirs.fileno(), self._stats_page])
+            except OSError:  # no agent is there yet
+                ours.close()
+                return
+        keep_private(ours)
+        with self._telling:
+            self._connection = ours
+
+
+def is_adopting(folder: str) -> bool:
+    """Return whether an agent that works in this folder adopts containers."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
+        return asking.connect_ex(os.fspath(agent_path(folder))) == 0
+
+
+def receive_orphan(
+    listening: socket.socket,
+) -> tuple[Orphan, socket.socket, int] | None:
+    """Return the next container that asks to be adopted; None: there is none.
+
+    Returns
+    -------
+    It, the agent's end of its control socket, and the descriptor of its stats page.
+    """
+    try:
+        body, files, _, _ = socket.recv_fds(listening, _INBOX, PASSED)
+    except OSError:
+        return None
+    if len(files) != PASSED:  # no descriptor is free: it asks again
+        for file in files:
+            os.close(file)
+        return None
+    orphan: Orphan = record_channel.unpack(body, Orphan)
+    return orphan, socket.socket(fileno=files[0]), files[1]

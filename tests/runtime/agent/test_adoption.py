@@ -1,0 +1,180 @@
+"""Containers that outlive their agent, and the agent that adopts them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from poise.runtime.agent.adoption import AgentFolder, AgentState
+from poise.wire.records.deployment import Deployment
+from poise.wire.records.requests import Accepted, Claim, Refused
+from tests.runtime.agent.test_agent import (
+    Manager,
+    children,
+    manager_id,
+    wait_gone,
+)
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def manager() -> Iterator[Manager]:
+    with tempfile.TemporaryDirectory() as folder:  # pytest's are too long for sockets
+        manager = Manager(Path(folder))
+        yield manager
+        manager.close()
+
+
+def kill_agent(manager: Manager) -> None:
+    manager.process.kill()
+    manager.process.wait()
+    assert manager.process.stderr
+    manager.process.stderr.close()  # containers have it, too: it does not end
+
+
+def restart_agent(manager: Manager) -> None:
+    kill_agent(manager)
+    manager.process = manager.start_agent()
+
+
+@pytest.mark.parametrize("with_zygote", [True, False])
+def test_the_next_agent_adopts_what_a_killed_one_left(
+    manager: Manager, *, with_zygote: bool
+) -> None:
+    manager.deploy("quiet", "stubborn")
+    pids = {name: manager.wait_active(name).pid for name in ("quiet", "stubborn")}
+    if not with_zygote:
+        (zygote,) = children(manager.process.pid)
+        os.kill(manager.process.pid, signal.SIGSTOP)  # else it ends by itself
+        os.kill(zygote, signal.SIGKILL)
+    restart_agent(manager)
+    assert {name: manager.wait_adopted(name).pid for name in pids} == pids
+    status = manager.wait_active_status("quiet")
+    assert status.adopted == 2
+    assert status.manager == manager_id("first")  # it obeys whom the last one obeyed
+    assert not manager.faults(status)
+
+
+def test_an_adopted_container_is_restarted_when_it_dies_and_stopped_when_asked(
+    manager: Manager,
+) -> None:
+    manager.deploy("quiet")
+    container = manager.wait_active("quiet")
+    restart_agent(manager)
+    manager.wait_adopted("quiet")
+    os.kill(container.pid, signal.SIGKILL)
+    manager.wait_active("quiet", but_not=container.pid)
+    restart_agent(manager)  # now the parents of its containers are two dead agents
+    container = manager.wait_adopted("quiet")
+    manager.deploy()
+    manager.wait_for(lambda status: not status.containers)
+    wait_gone(container.pid)
+
+
+def test_what_died_with_the_agent_starts_anew_without_a_manager(
+    manager: Manager,
+) -> None:
+    manager.deploy("quiet", "stubborn")
+    pids = {name: manager.wait_active(name).pid for name in ("quiet", "stubborn")}
+    kill_agent(manager)
+    os.kill(pids["quiet"], signal.SIGKILL)
+    wait_gone(pids["quiet"])
+    manager.process = manager.start_agent()
+    assert manager.wait_adopted("stubborn").pid == pids["stubborn"]
+    manager.wait_active("quiet", but_not=pids["quiet"])
+
+
+def test_one_that_does_not_ask_is_killed_before_another_is_started(
+    manager: Manager,
+) -> None:
+    manager.deploy("quiet")
+    container = manager.wait_active("quiet")
+    os.kill(container.pid, signal.SIGSTOP)
+    restart_agent(manager)
+    manager.wait_active("quiet", but_not=container.pid)
+    wait_gone(container.pid)
+
+
+def test_what_ends_in_order_is_not_taken_up_again(manager: Manager) -> None:
+    manager.deploy("quiet")
+    container = manager.wait_active("quiet")
+    manager.process.terminate()
+    _, _ = manager.process.communicate(timeout=20)
+    assert manager.process.returncode == 0
+    wait_gone(container.pid)
+    assert not (manager.folder / "state").exists()
+    manager.process = manager.start_agent()
+    status = manager.wait_agent()
+    assert status.generation == status.adopted == 0
+    assert isinstance(manager.ask(Deployment(generation=1, containers=())), Refused)
+
+
+def test_what_is_not_known_to_be_wanted_waits_for_the_manager(
+    manager: Manager,
+) -> None:
+    manager.deploy("quiet")
+    container = manager.wait_active("quiet")
+    kill_agent(manager)
+    (manager.folder / "state").write_bytes(b"damaged")
+    manager.process = manager.start_agent()
+    manager.wait_agent()
+    assert manager.ask(Claim(manager_id("second")), token=9) == Accepted()
+    manager.token = 9
+    manager.deploy("quiet")
+    assert manager.wait_adopted("quiet").pid == container.pid
+
+
+def test_the_manager_of_before_is_obeyed_and_no_earlier_one(manager: Manager) -> None:
+    manager.deploy("quiet")
+    manager.wait_active("quiet")
+    restart_agent(manager)
+    manager.wait_adopted("quiet")
+    assert isinstance(manager.ask(Deployment(generation=9, containers=()), 0), Refused)
+    manager.deploy("quiet")  # with the token of before
+
+
+def test_a_second_agent_in_the_folder_is_refused(manager: Manager) -> None:
+    second = manager.start_agent()
+    _, said = second.communicate(timeout=20)
+    assert second.returncode == 2
+    assert "another agent uses the folder" in said
+
+
+def test_containers_end_when_no_agent_comes(
+    manager: Manager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(manager.folder))
+    (manager.folder / "sitecustomize.py").write_text(
+        "from poise.runtime.container import agent_link\n"
+        "agent_link.ORPHAN_LIMIT = 0.5\n"
+    )
+    restart_agent(manager)
+    manager.wait_agent()
+    manager.deploy("quiet", "stubborn")
+    pids = [manager.wait_active(name).pid for name in ("quiet", "stubborn")]
+    os.kill(pids[1], signal.SIGSTOP)  # the zygote kills that one
+    pids += children(manager.process.pid)
+    kill_agent(manager)
+    for pid in pids:
+        wait_gone(pid)
+
+
+def test_a_state_that_cannot_be_kept_is_not_kept_half(tmp_path: Path) -> None:
+    folder = AgentFolder(tmp_path)
+    wanted = Deployment(generation=1, containers=())
+    folder.keep(AgentState(token=3, wanted=wanted))
+    assert folder.left().token == 3
+    (tmp_path / "state.new").mkdir()
+    folder.keep(AgentState(token=4, wanted=wanted))
+    assert "cannot keep" in folder.trouble
+    assert folder.left() == AgentState()
+    (tmp_path / "state.new").rmdir()
+    folder.keep(AgentState(token=4, wanted=wanted))
+    assert not folder.trouble
+    assert folder.left().token == 4
