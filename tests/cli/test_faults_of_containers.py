@@ -150,7 +150,7 @@ def test_a_lack_of_file_descriptors_is_told_until_it_is_over(
     if who == "the gateway":  # it is in the agent, the parent of the zygote
         short = parent(parent(container))
     limits = resource.prlimit(short, resource.RLIMIT_NOFILE)
-    resource.prlimit(short, resource.RLIMIT_NOFILE, (4, limits[1]))
+    resource.prlimit(short, resource.RLIMIT_NOFILE, (8, limits[1]))
     try:
         wait_long(lambda: status().deviations)
         done = run_poise("status", "--robot", NAME)

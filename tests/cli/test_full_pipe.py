@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fcntl
 import os
-import re
 import select
 import signal
 import subprocess
@@ -68,6 +67,11 @@ def releases(computer: str) -> int:
     return sum(t.releases for c in container.components for t in c.timers)
 
 
+def adopted(computer: str) -> int:
+    agent = status().computers.get(computer)
+    return agent.adopted if agent else 0
+
+
 def agent_of(up: int, computer: str) -> int:
     children = Path(f"/proc/{up}/task").glob("*/children")
     for pid in " ".join(file.read_text() for file in children).split():
@@ -92,15 +96,12 @@ def test_a_killed_agent_is_noticed_though_nobody_reads(tmp_path: Path) -> None:
         wait_long(lambda: releases("left") > before + 200)
 
         os.kill(agent_of(up.pid, "right"), signal.SIGKILL)
-        wait_long(lambda: run_poise("status", "--robot", NAME).returncode == 1)
-        said = run_poise("status", "--robot", NAME).stdout
-        assert re.search("computer 'right' is out of reach since .* other may", said)
+        wait_long(lambda: adopted("right") == 1)
         before = releases("left")
         wait_long(lambda: releases("left") > before + 50)
 
         stopped = run_poise("stop", "--robot", NAME)
-        assert stopped.returncode == 1
-        assert "'right' is out of reach" in stopped.stderr
+        assert stopped.returncode == 0, stopped.stderr
         up.wait(LONG)
     finally:
         up.kill()

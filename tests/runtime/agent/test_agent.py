@@ -757,7 +757,7 @@ def test_memory_runs_out_for_containers_first(manager: Manager) -> None:
 
 
 def test_an_address_in_use_is_told(manager: Manager) -> None:
-    second = manager.start_agent()
+    second = manager.start_agent("--folder", str(manager.folder / "second"))
     _, said = second.communicate(timeout=LIMIT)
     assert second.returncode == 1
     assert "cannot listen on tcp/127.0.0.1:" in said
