@@ -44,9 +44,9 @@ class LostComputers:
             self._reached.discard(computer)
             run.excused.add(computer)
             self._lost_at[computer] = time.time()
-            what = f"computer '{computer}' was cut off, or its agent was restarted"
-            what = run.unreached().get(computer, what)
-            if _answers(run.agents.endpoint_of(computer)):
+            back = f"computer '{computer}' was cut off, or its agent was restarted"
+            what = run.unreached().get(computer, back)
+            if what != back and _answers(run.agents.endpoint_of(computer)):
                 self._restarting[computer] = time.monotonic() + _RESTART_LIMIT
                 what = f"the agent of '{computer}' ended; its containers go on"
             run.journal.note("wrong", what)
