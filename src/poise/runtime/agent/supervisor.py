@@ -164,6 +164,9 @@ class Supervisor:
             connection.close()
             os.close(stats_page)
             return False
+        if name in (specs := self._specs()):  # its group, if there are groups
+            self.cpu_weights.nice_of(specs[name])
+            self.cpu_weights.settle(specs[name], pid)
         self.health.enter(name, "running")
         self.processes[name] = process
         return True
