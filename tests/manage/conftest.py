@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from poise.endpoint import Endpoint
 from poise.model.robot import (
     Architecture,
     ComponentEntry,
@@ -88,6 +87,7 @@ class FakeAgents:
     def __init__(self, *computers: str, generation: int = 0) -> None:
         self.manager = ManagerId(key="k", user="ann", host="desk", pid=7, since=0.0)
         self.gone: set[str] = set()
+        self.answering: set[str] = set()
         self.returns = False
         self.claimed: list[str] = []
         self.is_forced = False
@@ -142,8 +142,8 @@ class FakeAgents:
         refused, self.refused = self.refused, []
         return refused
 
-    def endpoint_of(self, computer: str) -> Endpoint:  # noqa: ARG002, nothing is there
-        return Endpoint("127.0.0.1", 0)
+    def has_computer(self, computer: str) -> bool:
+        return computer in self.answering
 
     def obey(self, computer: str) -> bool:
         return computer not in self.strangers

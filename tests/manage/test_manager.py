@@ -116,6 +116,23 @@ def test_a_lost_computer_is_told_once(managed: Managed) -> None:
     assert len(said) == 1
 
 
+def test_nothing_restarts_elsewhere_while_an_agent_may_come_back(
+    managed: Managed,
+) -> None:
+    managed.agents.gone.add("right")
+    managed.agents.answering.add("right")
+    managed.manager.work(0.0)
+    said = [entry.what for entry in managed.journal.entries()]
+    assert "the agent of 'right' ended; its containers go on" in said
+    assert not managed.manager._facts().lost
+    managed.agents.gone.clear()
+    managed.manager.work(0.0)
+    managed.agents.gone.add("right")
+    managed.agents.answering.clear()
+    managed.manager.work(0.0)
+    assert managed.manager._facts().lost == {"right"}
+
+
 def test_why_a_record_of_an_agent_was_refused_is_told(managed: Managed) -> None:
     managed.agents.refused = ["a record at poise/tiny/status/left was refused: odd"]
     managed.manager.work(0.0)

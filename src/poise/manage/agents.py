@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import partial
 from queue import Empty, SimpleQueue
@@ -59,6 +60,8 @@ ANSWER_LIMIT = 2.0
 SEND_LIMIT = 2 * ANSWER_LIMIT
 """A claim or deployment that is not answered is sent again within this time [s]: the
 connection may just be made again, and receiving one twice is harmless."""
+_PROBE_LIMIT = 0.1
+"""A computer answers within this time, if it is there [s]."""
 _LOSS_DELAY = 0.5
 """The loss of an agent is known this long [s] after its connection ends, at most."""
 
@@ -134,9 +137,16 @@ class Agents(AgentReports):
         """Leave the agents as they are."""
         self._session.close()  # type: ignore[no-untyped-call]
 
-    def endpoint_of(self, computer: str) -> Endpoint:
-        """Return where the agent of a computer listens."""
-        return Endpoint.parse(self._endpoints[computer].removeprefix("tcp/"))
+    def has_computer(self, computer: str) -> bool:
+        """Return whether a computer answers, with or without an agent."""
+        at = Endpoint.parse(self._endpoints[computer].removeprefix("tcp/"))
+        try:
+            socket.create_connection((at.host, at.port), _PROBE_LIMIT).close()
+        except ConnectionRefusedError:
+            return True
+        except OSError:
+            return False
+        return True
 
     def obey(self, computer: str) -> bool:
         """Return whether an agent is reached and obeys this manager."""

@@ -6,10 +6,8 @@ agent adopts them. So nothing restarts elsewhere while that agent may come.
 
 from __future__ import annotations
 
-import socket
 import time
 
-from poise.endpoint import Endpoint
 from poise.errors import RunError
 from poise.manage.observe.deviations import Deviation
 from poise.manage.run import Run
@@ -20,8 +18,6 @@ _RETRY_AFTER = 1.0
 """A computer that came back, but refuses, is asked again after this time [s]."""
 _RESTART_LIMIT = RESTART_LIMIT + 1.0
 """Nothing restarts elsewhere before what went on there without an agent was ended."""
-_PROBE_LIMIT = 0.1
-"""A computer answers within this time, if it is there [s]."""
 
 
 class LostComputers:
@@ -46,7 +42,7 @@ class LostComputers:
             self._lost_at[computer] = time.time()
             back = f"computer '{computer}' was cut off, or its agent was restarted"
             what = run.unreached().get(computer, back)
-            if what != back and _answers(run.agents.endpoint_of(computer)):
+            if what != back and run.agents.has_computer(computer):
                 self._restarting[computer] = time.monotonic() + _RESTART_LIMIT
                 what = f"the agent of '{computer}' ended; its containers go on"
             run.journal.note("wrong", what)
@@ -119,14 +115,3 @@ class LostComputers:
 def _pids(run: Run) -> dict[str, int]:
     """Return the processes of the agents, by computer."""
     return {name: each.pid for name, each in run.agents.statuses().items()}
-
-
-def _answers(endpoint: Endpoint) -> bool:
-    """Return whether a computer is there, with or without an agent."""
-    try:
-        socket.create_connection((endpoint.host, endpoint.port), _PROBE_LIMIT).close()
-    except ConnectionRefusedError:
-        return True
-    except OSError:
-        return False
-    return True
