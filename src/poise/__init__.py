@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from poise.errors import UsageError as UsageError
     from poise.manage.journal import Entry as Entry
     from poise.manage.journal import read_journal as read_journal
+    from poise.model.policy.seen import PolicyAction as PolicyAction
+    from poise.model.policy.seen import Seen as Seen
     from poise.model.robot import Robot as Robot
     from poise.runtime.component.component import Component as Component
     from poise.runtime.component.deadline import time_left as time_left
@@ -61,6 +63,7 @@ else:
         "Message": "runtime.component.ports",
         "Placement": "session.placement",
         "PoiseError": "errors",
+        "PolicyAction": "model.policy.seen",
         "Profiling": "session.profiling.profile",
         "Provided": "runtime.component.ports",
         "Published": "runtime.component.ports",
@@ -72,6 +75,7 @@ else:
         "RunError": "errors",
         "RunReport": "session.report",
         "Running": "session.running",
+        "Seen": "model.policy.seen",
         "Stamp": "clock",
         "TakenOver": "errors",
         "Timeout": "errors",

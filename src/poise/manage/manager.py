@@ -181,6 +181,7 @@ class Manager:
         """
         remaining: tuple[str, ...] = ()
         self._stopping.set()
+        self._adaptation.close()
         try:
             self._run.stop()
         except RunError as error:

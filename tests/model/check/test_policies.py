@@ -78,3 +78,18 @@ def test_a_robot_file_changes_what_it_names(tmp_path: Path) -> None:
     assert found["mine"].cool_down == 60.0
     assert found["mine"].say == "robot '{name}': late > 3"
     assert list(found)[: len(shipped())] == [policy.name for policy in shipped()]
+
+
+def test_a_move_to_no_computer_is_found(refuse: Refuse) -> None:
+    text = "mine: {for each: timer, when: late, do: move, ▸to: lefd}"
+    refuse(ROBOT + text, "there is no computer 'lefd' (did you mean 'left'?)")
+
+
+def test_a_move_without_a_computer_is_found(refuse: Refuse) -> None:
+    text = "mine: {for each: timer, when: late, ▸do: move}"
+    refuse(ROBOT + text, "'move' needs 'to', a computer")
+
+
+def test_a_function_decides_alone(refuse: Refuse) -> None:
+    text = "mine: {call: 'a:b', ▸when: late}"
+    refuse(ROBOT + text, "a policy with `call` has no 'when': its function decides")

@@ -14,6 +14,8 @@ from functools import partial
 from msgspec import Struct
 from msgspec.structs import replace
 
+from poise.errors import PoiseError
+from poise.manage.adaptation.actions import Actions
 from poise.manage.adaptation.decision import Decision, decide
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.failover import fail_over
@@ -69,9 +71,11 @@ class Adaptation:
         self._put_aside = put_aside
         self._acts = acts
         self._clock = clock
-        self._policies = Policies(policies_of(run.robot))
+        self._policies = Policies(policies_of(run.robot), run.robot.folder)
         self._move_limits = MoveLimits()
+        self._actions = Actions(run, put_aside, self._move_limits)
         self._failover_limits = MoveLimits()
+        self._troubles: set[str] = set()
         self._downtimes: dict[str, float] = {}
         self._reported: dict[Key, _Reported] = {}
         self._missing: set[str] = set()
@@ -89,6 +93,8 @@ class Adaptation:
         if not self._failover_limits.rests(now) and self._fail_over(
             facts, {each.values.name for each in lost}, now
         ):
+            return
+        if self._act(self._policies.due(symptoms, now), facts, now):
             return
         bad = _about(symptoms, "replan")
         if self._put_aside.take_back(facts, now, is_calm=not bad):
@@ -128,6 +134,25 @@ class Adaptation:
         what = f"asked to balance: {counted(len(proposal.steps), 'step')}"
         self._run.journal.note("decided", what, proposal=proposal, loads=facts.loads)
         return proposal, self._transit(proposal.steps, self._clock())
+
+    def close(self) -> None:
+        """End what policies have started."""
+        self._policies.close()
+
+    def _act(self, due: Iterable[Symptom], facts: Facts, now: float) -> bool:
+        """Carry out the action of one policy about one subject, if there is any."""
+        symptom = next((s for s in due if self._actions.knows(s.policy.do)), None)
+        if symptom is None:
+            return False
+        self._policies.note_acted([symptom], now)
+        note, policy = self._run.journal.note, symptom.policy
+        what = f"policy '{policy.name}': {policy.do} '{symptom.values.name}'"
+        note("decided", f"{what}: {symptom.what}", policies=_seen([symptom]))
+        try:
+            self._actions.take(symptom, facts, now)
+        except PoiseError as error:
+            note("failed", f"{what}: {error}")
+        return True
 
     def _fail_over(self, facts: Facts, lost: set[str], now: float) -> bool:
         """Restart the components of lost computers elsewhere, once."""
@@ -184,6 +209,10 @@ class Adaptation:
     def _report(self, symptoms: tuple[Symptom, ...]) -> None:
         """Journal each symptom when it has lasted, and when it has ended."""
         note = self._run.journal.note
+        troubles = {*self._policies.troubles()}
+        for trouble in sorted(troubles - self._troubles):
+            note("wrong", trouble)
+        self._troubles = troubles
         for symptom in symptoms:
             # a computer that is out of reach is reported as such (`LostComputers`)
             if symptom.key not in self._reported and symptom.policy.do != "fail over":

@@ -10,7 +10,7 @@ from poise.model.policy.policy import ACTIONS, Policy
 from poise.model.policy.shipped import policies_of, shipped
 from poise.model.policy.values import SUBJECTS, Subject
 from poise.model.robot import Robot
-from poise.model.suggest import did_you_mean, listed
+from poise.model.suggest import did_you_mean, listed, unknown
 from poise.model.yaml.positions import Finding
 
 
@@ -29,6 +29,8 @@ def check_policies(robot: Robot) -> Iterator[Finding]:
                     f"Poise ships no policy '{policy.name}'"
                     f"{did_you_mean(policy.name, known)}; policies: {listed(known)}",
                 )
+        elif policy.call:
+            yield from _own_function(policy)
         else:
             yield from _one(robot, policy)
 
@@ -53,6 +55,29 @@ def _one(robot: Robot, policy: Policy) -> Iterator[Finding]:
         of = listed(ACTIONS[policy.do])
         text = f"'{policy.do}' is done for each {of}, not for each '{policy.for_each}'"
         yield _finding(policy, "do", text)
+    yield from _targets(robot, policy)
+
+
+def _own_function(policy: Policy) -> Iterator[Finding]:
+    for key, value in (
+        ("for each", policy.for_each),
+        ("when", policy.when),
+        ("do", policy.do),
+    ):
+        if value is not None:
+            text = f"a policy with `call` has no '{key}': its function decides"
+            yield _finding(policy, key, text)
+
+
+def _targets(robot: Robot, policy: Policy) -> Iterator[Finding]:
+    computers = [computer.name for computer in robot.computers]
+    names = [architecture.name for architecture in robot.architectures]
+    if policy.do == "move" and policy.to is None:
+        yield _finding(policy, "do", "'move' needs 'to', a computer")
+    if policy.to is not None and policy.to not in computers:
+        yield _finding(policy, "to", unknown("computer", policy.to, computers))
+    if policy.by is not None and policy.by not in names:
+        yield _finding(policy, "by", unknown("architecture", policy.by, names))
 
 
 def _choices(robot: Robot, subject: Subject) -> Mapping[str, tuple[str, ...]]:

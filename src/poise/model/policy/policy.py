@@ -7,14 +7,20 @@ from typing import Annotated, Literal, TypeAlias
 
 from msgspec import Struct
 
-from poise.model.file_keys import Name, Seconds, says, written
+from poise.model.file_keys import Name, Reference, Seconds, says, written
 from poise.model.policy.values import SUBJECTS, Subject
 
-Do: TypeAlias = Literal["replan", "fail over", "notify"]
+Do: TypeAlias = Literal[
+    "replan", "fail over", "move", "replace", "restart", "put aside", "notify"
+]
 
 ACTIONS: Mapping[Do, tuple[Subject, ...]] = {
     "replan": tuple(SUBJECTS),
     "fail over": ("computer",),
+    "move": ("component", "timer"),
+    "replace": ("component", "container", "timer"),
+    "restart": ("component", "container"),
+    "put aside": ("component", "container", "timer", "computer"),
     "notify": tuple(SUBJECTS),
 }
 """What may be done -> the subjects it can be done about."""
@@ -47,6 +53,22 @@ class Policy(Struct, frozen=True, kw_only=True):
     say: Annotated[
         str | None,
         says("A sentence for people, in which {used} stands for that value."),
+    ] = None
+    to: Annotated[Name | None, says("For move: the computer.")] = None
+    by: Annotated[
+        Name | None,
+        says("For replace: the architecture; without it, the best alternative."),
+    ] = None
+    force: Annotated[
+        bool,
+        says("Whether a move breaks limits, and a replacement drops the state."),
+    ] = False
+    call: Annotated[
+        Reference | None,
+        says(
+            "package.module:function that returns what is to be done, instead of a "
+            "condition."
+        ),
     ] = None
     off: bool = False
 

@@ -1,0 +1,153 @@
+"""What policies do about one subject, beside computing a new placement.
+
+None breaks a pin, a layer or a limit of a computer, moves more than the budget, or goes
+back too soon, unless its policy says `force`; nothing at all moves what may not run
+there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from poise.errors import RunError, UsageError
+from poise.manage.adaptation.admission import check_move
+from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.move_limits import MoveLimits
+from poise.manage.adaptation.policies import Symptom
+from poise.manage.adaptation.put_aside import PutAside
+from poise.manage.adaptation.replan import with_present_demands
+from poise.manage.migration.move import move
+from poise.manage.migration.replacement import replace_architecture
+from poise.manage.migration.transition import TransitionStep
+from poise.manage.migration.transition_run import transit
+from poise.manage.run import Run
+from poise.model.policy.policy import Do
+from poise.model.robot import Architecture
+
+
+class Actions:
+    """Carries out actions on a running robot.
+
+    `take` raises PoiseError when an action is refused or fails.
+    """
+
+    def __init__(self, run: Run, put_aside: PutAside, limits: MoveLimits) -> None:
+        self._run = run
+        self._put_aside = put_aside
+        self._limits = limits
+        self._by_name: Mapping[Do, Callable[[Symptom, Facts, float], None]] = {
+            "move": self._move,
+            "replace": self._replace,
+            "restart": self._restart,
+            "put aside": self._put,
+        }
+
+    def knows(self, do: Do | None) -> bool:
+        """Return whether an action is one of these."""
+        return do in self._by_name
+
+    def take(self, symptom: Symptom, facts: Facts, now: float) -> None:
+        """Carry out the action of a symptom's policy."""
+        do = symptom.policy.do
+        assert do is not None  # noqa: S101, `knows` looked
+        self._by_name[do](symptom, facts, now)
+
+    def _move(self, symptom: Symptom, facts: Facts, now: float) -> None:
+        policy, run = symptom.policy, self._run
+        component, target = _component(symptom), policy.to or ""
+        source = facts.placement.get(component, "")
+        if source == target:
+            return
+        if not policy.force:
+            if not self._limits.may_move(1, now):
+                raise RunError("the move is over the budget of a minute")
+            if target in self._limits.barred(now).get(component, ()):
+                raise RunError(f"'{component}' left '{target}' only lately")
+            robot = with_present_demands(facts.robot, facts.demand_estimates)
+            check_move(robot, facts.placement, component, target)
+        step = TransitionStep(
+            kind="move", component=component, source=source, target=target
+        )
+        self._limits.note([step], now)
+        report = move(run, component, target)
+        if not report.committed:
+            raise RunError(report.reason)
+
+    def _replace(self, symptom: Symptom, _facts: Facts, _now: float) -> None:
+        policy, run = symptom.policy, self._run
+        old = self._architecture(symptom)
+        others = [
+            a
+            for a in run.robot.architectures
+            if a.function == old.function and a.name != old.name
+        ]
+        best = max(others, key=lambda a: a.quality, default=None)
+        if not policy.by and best is None:
+            raise UsageError(f"architecture '{old.name}' has no alternative")
+        by = policy.by or (best.name if best else "")
+        report = replace_architecture(run, old.name, by, fresh=policy.force)
+        if not report.committed:
+            raise RunError(report.reason)
+
+    def _restart(self, symptom: Symptom, facts: Facts, _now: float) -> None:
+        run = self._run
+        if symptom.policy.for_each == "container":
+            components = [
+                name
+                for name, computer in facts.placement.items()
+                if computer == symptom.computer
+                and run.layout.container_of(name) == symptom.values.name
+            ]
+        else:
+            components = [_component(symptom)]
+        steps = []
+        for name in sorted(components):
+            at = facts.placement[name]
+            steps += [
+                TransitionStep(kind="stop", component=name, source=at),
+                TransitionStep(kind="start", component=name, target=at),
+            ]
+        report = transit(run, tuple(steps))
+        if not report.committed:
+            raise RunError(report.reason)
+
+    def _put(self, symptom: Symptom, facts: Facts, now: float) -> None:
+        if symptom.policy.for_each == "computer":
+            architecture = _lowest(facts, symptom.computer)
+        else:
+            architecture = self._architecture(symptom)
+        self._put_aside.put([architecture.name], symptom.what, now)
+
+    def _architecture(self, symptom: Symptom) -> Architecture:
+        layout, name = self._run.layout, symptom.values.name
+        is_container = symptom.policy.for_each == "container"
+        for architecture in self._run.robot.architectures:
+            for component in architecture.components:
+                inside = layout.container_of(component.name) if is_container else ""
+                if name in {inside, component.name} or (
+                    not is_container and _component(symptom) == component.name
+                ):
+                    return architecture
+        raise UsageError(f"no architecture has '{name}'")
+
+
+def _component(symptom: Symptom) -> str:
+    """Return the component that a symptom is about: its own, or that of a timer."""
+    return getattr(symptom.values, "component", symptom.values.name)
+
+
+def _lowest(facts: Facts, computer: str) -> Architecture:
+    """Return the lowest architecture on a computer, if another one is higher."""
+    here = [
+        a
+        for a in facts.robot.architectures
+        if any(facts.placement.get(c.name) == computer for c in a.components)
+    ]
+    lowest = min(
+        (a for a in here if a.layer == "sequencing"),
+        key=lambda a: a.priority,
+        default=None,
+    )
+    if lowest is None or lowest.priority == max(a.priority for a in here):
+        raise RunError(f"no architecture on '{computer}' has a lower priority")
+    return lowest
