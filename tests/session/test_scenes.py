@@ -26,3 +26,19 @@ def test_components_of_a_crashed_computer_go_on_elsewhere() -> None:
     assert scene["ok"]
     assert 0 < scene["detected_s"] <= scene["active_s"]
     assert "'left' loses power" in done.stderr
+
+
+@pytest.mark.slow
+def test_a_robot_outlives_its_manager_amid_a_move() -> None:
+    if reasons := look().without_network():
+        pytest.skip("; ".join(reasons))
+    done = run_poise(
+        "demo", "--scene", "manager-killed", "--json", "--examples", EXAMPLES
+    )
+    assert done.returncode == 0, done.stderr
+    scene = json.loads(done.stdout)
+    assert scene["ok"]
+    assert scene["back_s"] > 0
+    wrong = ("moved", "active_twice", "lost", "doubled", "reordered")
+    assert not any(scene[name] for name in wrong)
+    assert "'passer' from 'left' to 'right' was half done" in done.stderr

@@ -136,6 +136,8 @@ def _start(run: Run, adoption: Adoption, found: Sequence[Found]) -> None:
 def _move(run: Run, wanted: Mapping[str, str]) -> None:
     """Move what was kept to where the user wants it."""
     try:
-        transit(run, plan_transition(run.robot, run.placement(), wanted))
+        steps = plan_transition(run.robot, run.placement(), wanted)
+        if steps:
+            transit(run, steps)
     except PoiseError as error:
         run.journal.note("failed", f"the placement stays as it is: {error}")

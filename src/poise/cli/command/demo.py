@@ -85,7 +85,7 @@ class DemoReport(Struct, frozen=True, kw_only=True):
 def demo_command(
     as_json: AsJson = False,
     scene: Annotated[
-        Literal["overload", "lost-computer"] | None,
+        Literal["overload", "lost-computer", "manager-killed"] | None,
         typer.Option(help="Show instead how a running robot adapts."),
     ] = None,
     examples: Annotated[
@@ -98,7 +98,7 @@ def demo_command(
     the main computer, then where Poise puts them. Takes about a minute.
 
     With --scene, a small robot adapts by itself: another program overloads one of its
-    computers, or a computer loses power.
+    computers, a computer loses power, or the manager is killed amid a move.
 
     Examples
     --------
@@ -131,8 +131,9 @@ def demo_command(
 
 def _play(scene: str, examples: Path, *, as_json: bool) -> None:
     with Printer(STDERR) as printer, Interrupts() as interrupts:
-        robot = load(examples / "adapt" / "robot.yaml", say=printer.print)
-        report = SCENES[scene](robot, printer.print, interrupts.check)
+        example, play = SCENES[scene]
+        robot = load(examples / example / "robot.yaml", say=printer.print)
+        report = play(robot, printer.print, interrupts.check)
     if as_json:
         print_json(report)
     else:

@@ -7,11 +7,15 @@ from collections.abc import Callable, Mapping
 from poise.model.robot import Robot
 from poise.session.say import Check, Say
 from poise.session.scenes.lost_computer import LostComputerScene, lose_computer
+from poise.session.scenes.manager_killed import ManagerKilledScene, kill_manager
 from poise.session.scenes.overload import OverloadScene, overload
 
-SCENES: Mapping[str, Callable[[Robot, Say, Check], OverloadScene | LostComputerScene]]
-SCENES = {
-    "overload": overload,
-    "lost-computer": lose_computer,
+Played = OverloadScene | LostComputerScene | ManagerKilledScene
+Play = Callable[[Robot, Say, Check], Played]
+
+SCENES: Mapping[str, tuple[str, Play]] = {
+    "overload": ("adapt", overload),
+    "lost-computer": ("adapt", lose_computer),
+    "manager-killed": ("counted", kill_manager),
 }
-"""By name; each takes the robot of examples/adapt."""
+"""By name: the example whose robot plays it, and what plays it."""
