@@ -94,3 +94,28 @@ def test_a_cool_down_is_none_the_shorter_when_things_have_changed() -> None:
     limits.note_nothing(0.0, {"left": 1.0})
     limits.note([], 2.0)
     assert limits.rests(4.9, {"left": 0.5})
+
+
+def test_a_cold_move_bars_the_way_back_too() -> None:
+    limits = MoveLimits()
+    limits.note(
+        [
+            TransitionStep(kind="stop", component="a", source="left"),
+            TransitionStep(kind="move", component="b", source="right", target="left"),
+            TransitionStep(kind="start", component="a", target="right"),
+        ],
+        0.0,
+    )
+    assert limits.barred(1.0) == {"a": {"left"}, "b": {"right"}}
+
+
+def test_the_third_computer_of_an_intermediate_move_is_not_barred() -> None:
+    limits = MoveLimits()
+    limits.note(
+        [
+            TransitionStep(kind="move", component="a", source="left", target="third"),
+            TransitionStep(kind="move", component="a", source="third", target="right"),
+        ],
+        0.0,
+    )
+    assert limits.barred(1.0) == {"a": {"left"}}

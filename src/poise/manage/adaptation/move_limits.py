@@ -108,12 +108,22 @@ class MoveLimits:
         self._last = now
         self._rests_until = now + self._rest
         self._rest = min(2 * self._rest, LONGEST_REST)
-        for step in steps:
-            if step.kind != "move":
+        steps = tuple(steps)
+        self._moves.extend(now for step in steps if step.kind != "stop")
+        for component, (source, target) in _moves(steps).items():
+            if not source or not target or source == target:
                 continue
-            self._moves.append(now)
-            key = step.component, step.source
+            key = component, source
             until, away = self._left.get(key, (0.0, STAY_AWAY / 2))
             forgotten = now - until >= FORGET_AFTER
             away = STAY_AWAY if forgotten else 2 * away
             self._left[key] = now + away, away
+
+
+def _moves(steps: Iterable[TransitionStep]) -> dict[str, tuple[str, str]]:
+    """Return from where to where components go; a cold move is a stop and a start."""
+    moves: dict[str, tuple[str, str]] = {}
+    for step in steps:
+        source, _ = moves.get(step.component, (step.source, ""))
+        moves[step.component] = source, step.target
+    return moves
