@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from poise.session.emulated import emulated as emulated
     from poise.session.placement import Placement as Placement
     from poise.session.placement import place as place
+    from poise.session.policies import PolicyEvent as PolicyEvent
+    from poise.session.policies import test_policies as test_policies
     from poise.session.profiling.profile import Profiling as Profiling
     from poise.session.profiling.profile import profile as profile
     from poise.session.recordings.recorded_run import RecordedRun as RecordedRun
@@ -64,6 +66,7 @@ else:
         "Placement": "session.placement",
         "PoiseError": "errors",
         "PolicyAction": "model.policy.seen",
+        "PolicyEvent": "session.policies",
         "Profiling": "session.profiling.profile",
         "Provided": "runtime.component.ports",
         "Published": "runtime.component.ports",
@@ -95,6 +98,7 @@ else:
         "run": "session.run",
         "stop_without_manager": "session.stop",
         "subscribed": "runtime.component.ports",
+        "test_policies": "session.policies",
         "time_left": "runtime.component.deadline",
         "up": "session.up",
         "within": "runtime.component.deadline",

@@ -46,6 +46,7 @@ from poise.manage.observe.own_troubles import OwnTroubles
 from poise.manage.observe.recording import Recording
 from poise.manage.observe.watch import Watch
 from poise.manage.run import Run
+from poise.model.policy.seen import Seen
 from poise.wire.records.samples import AgentSample
 
 MOST_COMMANDS = 64
@@ -70,9 +71,11 @@ class Manager:
         Whether it changes the placement by itself.
     aside
         Why not all that the task needs runs; empty: it does.
+    keep
+        Takes what policies see, to record it; None: that is not computed.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - wired by hand, in one place
         self,
         run: Run,
         task: str,
@@ -82,6 +85,7 @@ class Manager:
         *,
         adapts: bool = False,
         aside: str = "",
+        keep: Callable[[Seen], object] | None = None,
     ) -> None:
         self._run = run
         self._task = task
@@ -100,7 +104,9 @@ class Manager:
         self._misses = DeadlineMisses()
         self._ages = ChainAges()
         self._put_aside = PutAside(run, task, aside)
-        self._adaptation = Adaptation(run, self._facts, self._put_aside, acts=adapts)
+        self._adaptation = Adaptation(
+            run, self._facts, self._put_aside, acts=adapts, keep=keep
+        )
         run.check = self._look  # moves wait long: what breaks meanwhile is said at once
 
     @property

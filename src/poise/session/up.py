@@ -171,7 +171,8 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     otel
         URL of an OpenTelemetry collector (OTLP/HTTP); None: none.
     record
-        A file for what agents say of what is used; None: it is not kept.
+        A file for what agents say of what is used, and for what policies see; None: it
+        is not kept.
     adapt
         Whether Poise changes the placement by itself when components miss their
         deadlines, or their computer is overloaded.
@@ -207,7 +208,12 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         if record is not None:
             stack.callback(
                 lambda: save(
-                    Recorded(robot=robot.name, samples=recording.take()), record
+                    Recorded(
+                        robot=robot.name,
+                        samples=recording.take(),
+                        seen=recording.take_seen(),
+                    ),
+                    record,
                 )
             )
         waiting = Recording()
@@ -245,6 +251,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
             samples.take,
             adapts=adapt,
             aside=placed.why_aside,
+            keep=recording.add_seen if record else None,
         )
         running = stack.enter_context(Up(it, manager, samples))
         server.start(manager.submit)

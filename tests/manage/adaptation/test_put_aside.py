@@ -14,6 +14,7 @@ from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.put_aside import CALM, FIRST, PutAside, not_running
 from poise.manage.agents import Agents
 from poise.manage.journal import Journal
+from poise.manage.observe.deadline_misses import Misses
 from poise.manage.observe.loads import Load
 from poise.manage.run import Run
 from poise.model.robot import (
@@ -70,15 +71,18 @@ class Robbed:
         self.run.start()
         self.aside = PutAside(self.run, "work", "not all fits")
 
-    def facts(self, background: float = 0.0, *lost: str) -> Facts:
-        """Return facts with a load of other programs on the computer."""
+    def facts(self, background: float = 0.0, *late: str) -> Facts:
+        """Return facts with a load of other programs, and late components."""
         load = Load(capacity=1.0, used=min(1.0, background), background=background)
         return Facts(
             robot=self.run.robot,
             task="work",
             placement=self.run.placement(),
             loads={"left": load},
-            lost=frozenset(lost),
+            misses=tuple(
+                Misses(component=name, computer="left", timer="t", released=9, missed=9)
+                for name in late
+            ),
         )
 
     def take_back(self, now: float, background: float = 0.0) -> bool:
@@ -172,7 +176,7 @@ def test_an_unknown_architecture_is_refused() -> None:
 
 
 def test_an_overload_that_no_placement_helps_puts_the_lowest_aside() -> None:
-    decision = decide(Robbed(robot_with()).facts(0.3), {}, {})
+    decision = decide(Robbed(robot_with()).facts(0.3, "high", "low"), {}, {})
     assert decision.acts
     assert decision.why == "not all fits without 'low-task' (priority 1)"
     assert decision.proposal is not None
@@ -180,15 +184,21 @@ def test_an_overload_that_no_placement_helps_puts_the_lowest_aside() -> None:
     assert [str(step) for step in decision.proposal.steps] == ["stop low on left"]
 
 
+def test_nothing_is_put_aside_while_the_higher_keep_their_deadlines() -> None:
+    decision = decide(Robbed(robot_with()).facts(0.3, "low"), {}, {})
+    assert not decision.acts
+    assert decision.why.startswith("no placement can help")
+
+
 def test_of_equal_priorities_none_is_put_aside() -> None:
-    decision = decide(Robbed(robot_with(1, 1)).facts(0.3), {}, {})
+    decision = decide(Robbed(robot_with(1, 1)).facts(0.3, "high", "low"), {}, {})
     assert not decision.acts
     assert decision.why.startswith("no placement can help")
 
 
 @pytest.mark.parametrize("layer", ["reactive", "deliberative"])
 def test_an_overload_puts_no_other_layer_aside(layer: str) -> None:
-    decision = decide(Robbed(robot_with(layer=layer)).facts(0.3), {}, {})
+    decision = decide(Robbed(robot_with(layer=layer)).facts(0.3, "high", "low"), {}, {})
     assert not decision.acts
 
 

@@ -48,7 +48,7 @@ def up_command(
     record: Annotated[
         Path | None,
         typer.Option(
-            help="File for what agents tell of what is used.", callback=to_write
+            help="File for what is used, and what policies see.", callback=to_write
         ),
     ] = None,
 ) -> None:

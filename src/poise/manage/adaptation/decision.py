@@ -30,6 +30,8 @@ DOWNTIME = 0.05
 """The downtime of a component that was not moved yet is taken to be this [s]."""
 START = 0.3
 """The CPU time to start a component is taken to be this, until it was measured [s]."""
+STARVED = 0.1
+"""A component suffers when it does not do this share of its jobs."""
 MOVE = 0.001
 """What F grows by for each move: of placements that mend the same, few moves win."""
 
@@ -144,19 +146,23 @@ def _room(robot: Robot, facts: Facts) -> str:
 def _with_fewer(robot: Robot, facts: Facts, unable: Decision) -> Decision:
     """Return whether to put aside architectures for the sake of higher ones.
 
-    Not all fits, so the work of the lowest priorities is given up, moves or not.
+    Not all fits, so the work of the lowest priorities is given up; but only when
+    higher ones suffer in spite of their CPU weights.
     """
     try:
         proposal = _propose(robot, facts, fewer=True)
     except RobotError:
         return unable
-    priorities = {
-        a.name: a.priority
-        for a in robot.architectures
-        if not facts.placement.keys().isdisjoint(c.name for c in a.components)
+    aside = {
+        a.name: a.priority for a in robot.architectures if a.name in proposal.aside
     }
-    aside = {name: priorities.pop(name) for name in proposal.aside}
-    if not priorities or not aside or max(aside.values()) >= max(priorities.values()):
+    suffers = _suffering(facts)
+    helped = [
+        a.priority
+        for a in robot.architectures
+        if a.name not in aside and any(c.name in suffers for c in a.components)
+    ]
+    if not aside or not helped or max(aside.values()) >= max(helped):
         return unable
     names = ", ".join(f"'{n}' (priority {p})" for n, p in sorted(aside.items()))
     return Decision(acts=True, why=f"not all fits without {names}", proposal=proposal)
@@ -166,6 +172,16 @@ def shortages_of(facts: Facts) -> dict[str, float]:
     """Return what components of each computer need and it does not have [cores]."""
     robot = with_present_demands(facts.robot, facts.demand_estimates)
     return _shortages(robot, facts.placement, facts.computers_left())
+
+
+def _suffering(facts: Facts) -> set[str]:
+    """Return the components that are starved, or miss deadlines."""
+    starved = {
+        each.component
+        for each in facts.demand_estimates
+        if each.estimate.starved >= STARVED
+    }
+    return starved | {each.component for each in facts.misses if each.is_late}
 
 
 def shortage(

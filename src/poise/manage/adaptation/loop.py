@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping
-from functools import partial
+from functools import cache, partial
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -33,6 +33,7 @@ from poise.manage.migration.transition_run import (
 from poise.manage.observe.deviations import Deviation
 from poise.manage.run import Run
 from poise.model.policy.policy import Do
+from poise.model.policy.seen import Seen
 from poise.model.policy.shipped import policies_of
 from poise.units import counted
 
@@ -48,6 +49,8 @@ class Adaptation:
         What does not run because not all fits.
     acts
         Whether it changes anything; else it only reports what is wrong.
+    keep
+        Takes what policies see, to record it; None: that is not computed.
     clock
         A time that never goes back [s].
 
@@ -64,12 +67,14 @@ class Adaptation:
         put_aside: PutAside,
         *,
         acts: bool = True,
+        keep: Callable[[Seen], object] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._run = run
         self._facts = facts
         self._put_aside = put_aside
         self._acts = acts
+        self._keep = keep
         self._clock = clock
         self._policies = Policies(policies_of(run.robot), run.robot.folder)
         self._move_limits = MoveLimits()
@@ -84,7 +89,10 @@ class Adaptation:
     def look(self) -> None:
         """Look at the robot once, and act if that is worth it."""
         now, facts = self._clock(), self._facts()
-        symptoms = self._policies.look(partial(values_of, facts), now)
+        read = cache(partial(values_of, facts))
+        if self._keep is not None:
+            self._keep(Seen.by(read, now))
+        symptoms = self._policies.look(read, now)
         self._report(symptoms)
         self._put_aside.look()
         if not self._acts:

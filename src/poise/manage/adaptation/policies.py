@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from functools import cache
 
 from msgspec import Struct, structs
 
@@ -19,7 +18,7 @@ from poise.model.policy.values import SUBJECTS, Subject, Values
 Key = tuple[str, str, str]
 """A policy, a subject, and the computer where that is."""
 Read = Callable[[Subject], tuple[Values, ...]]
-"""Returns the values of all subjects of a kind."""
+"""Returns the values of all subjects of a kind; called more than once for each."""
 
 
 class Symptom(Struct, frozen=True, kw_only=True):
@@ -96,7 +95,6 @@ class Policies:
         waits
             Whether to wait for functions; else what they said last counts.
         """
-        read = cache(read)
         found = {
             _key(policy, each): (policy, each)
             for policy, holds in self._policies

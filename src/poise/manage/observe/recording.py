@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import threading
+import zlib
 from pathlib import Path
 
 import msgspec
 
 from poise.errors import RunError, UsageError
+from poise.model.policy.seen import Seen
 from poise.wire.records.recorded import Recorded
 from poise.wire.records.samples import AgentSample
 
 MOST = 200_000
 """The most samples in a recording: eleven hours of one computer at 5 Hz."""
+MOST_SEEN = 256 * 2**20
+"""The most that is kept of what policies saw [bytes]."""
 
 
 class Recording:
@@ -20,6 +24,8 @@ class Recording:
 
     def __init__(self) -> None:
         self._samples: list[AgentSample] = []
+        self._seen: list[bytes] = []
+        self._seen_size = 0
         self._lock = threading.Lock()
 
     def add(self, sample: AgentSample) -> None:
@@ -33,6 +39,34 @@ class Recording:
         with self._lock:
             taken, self._samples = self._samples, []
         return taken
+
+    def add_seen(self, seen: Seen) -> None:
+        """Keep what policies saw, unless there are `MOST_SEEN` bytes already."""
+        packed = zlib.compress(msgspec.msgpack.encode(seen), level=1)
+        with self._lock:
+            if self._seen_size + len(packed) <= MOST_SEEN:
+                self._seen.append(packed)
+                self._seen_size += len(packed)
+
+    def take_seen(self) -> list[bytes]:
+        """Return what policies saw, oldest first, and forget it."""
+        with self._lock:
+            taken, self._seen, self._seen_size = self._seen, [], 0
+        return taken
+
+
+def unpacked(packed: bytes) -> Seen:
+    """Return what policies saw at one moment.
+
+    Raises
+    ------
+    UsageError
+        It is something else.
+    """
+    try:
+        return msgspec.msgpack.decode(zlib.decompress(packed), type=Seen)
+    except (zlib.error, msgspec.DecodeError) as error:
+        raise UsageError(f"the recording is damaged: {error}") from error
 
 
 def save(recorded: Recorded, path: Path) -> None:

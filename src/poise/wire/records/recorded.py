@@ -42,9 +42,13 @@ class Recorded(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         What the agents sampled.
     inputs
         What was published between architectures, and called.
+    seen
+        What policies saw, five times a second: `poise.model.policy.seen.Seen`, as
+        msgpack, compressed by zlib.
     """
 
     version: int = 1
     robot: str
     samples: list[AgentSample] = []
     inputs: list[Input] = []
+    seen: list[bytes] = []
