@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import get_args
 
 import msgspec
 import pytest
@@ -12,6 +13,7 @@ from poise.model import robot
 from poise.model.file_keys import keys_of
 from poise.model.policy.policy import ACTIONS, Policy
 from poise.model.policy.values import SUBJECTS, Subject
+from poise.model.tasks import steps
 
 Find = Callable[[str], tuple[FileProblem, ...]]
 
@@ -35,7 +37,9 @@ def test_the_example_is_a_right_robot_file(find: Find) -> None:
         (robot.Connector, "connectors"),
         (robot.Chain, "chains"),
         (robot.Task, "tasks"),
-        (robot.Action, "tasks"),
+        *((record, "tasks") for record in get_args(steps.Step)),
+        (steps.Retry, "tasks"),
+        (steps.UntilKeys, "tasks"),
         (robot.ObjectiveKeys, "objective"),
         (robot.Simulator, "simulator"),
         (robot.Workload, "workload"),

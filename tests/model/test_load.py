@@ -142,7 +142,7 @@ def test_reads_connectors_chains_tasks_and_the_rest(robot_file: Path) -> None:
     )
     assert robot.chains[0].through == ("scanner", "localiser")
     assert robot.chains[0].deadline == pytest.approx(0.2)
-    assert robot.task("fetch").functions == ("navigation",)
+    assert robot.functions_of("fetch") == ("navigation",)
     assert robot.objective == Objective(
         communication=5, balance=1, scale="paper", sizes={"memory": 3}
     )

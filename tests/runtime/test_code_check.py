@@ -113,6 +113,10 @@ class Vague(Component):
 class Forgetting(Component):
     def restore(self, state): ...
 
+class Walking(Component):
+    done: Published[bool]
+    at: Published[Pose]
+
 class Misspelt(Component):
     scan: Published["Sacn"]
 """
@@ -339,3 +343,21 @@ def test_accepts_a_ring_that_lets_others_in_or_does_not_wait(
     check: Check, classes: list[str]
 ) -> None:
     assert check(*ring(*classes)) == []
+
+
+@pytest.mark.parametrize(
+    ("port", "words"),
+    [
+        ("done", ()),
+        ("dome", ("has no port 'dome' (did you mean 'done'?)",)),
+        ("at", ("'walker.at' publishes Pose", "publishes bool")),
+    ],
+)
+def test_an_action_ends_by_a_published_bool(
+    check: Check, port: str, words: tuple[str, ...]
+) -> None:
+    task = f"{{name: walk, functions: [f], ends: walker.{port}}}"
+    more = 'walker: {implementation: "PACKAGE.nav:Walking"}'
+    found = check(more, f"\ntasks: {{t: {{actions: [{task}]}}}}")
+    assert len(found) == bool(words)
+    assert all(word in problem.message for problem in found for word in words)

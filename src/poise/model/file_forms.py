@@ -78,6 +78,7 @@ COMMAND = written(
     Annotated[str, note(min_length=1)] | Annotated[list[str], note(min_length=1)],
     _command,
 )
+END = written(EndText, _end)
 ENDS = written(tuple[EndText, EndText], lambda pair: [_end(text) for text in pair])
 PORTS = written(
     dict[

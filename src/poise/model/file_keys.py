@@ -9,7 +9,7 @@ msgspec ignores them.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, cached_property
 from typing import Annotated, Any
 
 from msgspec import Meta, Struct, structs
@@ -43,6 +43,27 @@ def note(**notes: object) -> Meta:
     return Meta(extra=notes)
 
 
+class Form:
+    """The form in which a field is written.
+
+    It is looked into when it is first asked for: records may contain themselves.
+    """
+
+    def __init__(self, form: object) -> None:
+        self._form = form
+
+    @cached_property
+    def kind(self) -> types.Type:
+        """Its type."""
+        return types.type_info(self._form)
+
+
+def form_of(kind: types.Metadata) -> types.Type:
+    """Return the type in which a value of a type with notes is written."""
+    form = (kind.extra or {}).get("form")
+    return form.kind if isinstance(form, Form) else kind.type
+
+
 def written(form: object, read: Callable[[Any], Any]) -> Meta:
     """Return a note that a field is written as `form`.
 
@@ -52,7 +73,7 @@ def written(form: object, read: Callable[[Any], Any]) -> Meta:
         Returns the field's value for the one that is written; raises ValueError when
         that is wrong.
     """
-    return Meta(extra={"form": types.type_info(form), "read": read})
+    return Meta(extra={"form": Form(form), "read": read})
 
 
 def entries(record: type[Struct]) -> Meta:

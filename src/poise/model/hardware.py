@@ -86,6 +86,9 @@ class Device(Struct, frozen=True, kw_only=True):
         str,
         says("A device node, or a socket of the simulator, for its components."),
     ] = ""
+    exclusive: Annotated[
+        bool, says("Whether only one action may use it at a time.")
+    ] = False
 
 
 class Link(Struct, frozen=True, kw_only=True):

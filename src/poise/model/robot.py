@@ -35,6 +35,7 @@ from poise.model.software import (
     DeclaredPort,
     Layer,
 )
+from poise.model.tasks.steps import Action, Task, actions_of
 
 __all__ = [
     "Action",
@@ -72,25 +73,6 @@ class Chain(Struct, frozen=True, kw_only=True):
         tuple[Name, ...], says("The components, first to last.", min_length=2)
     ]
     deadline: Annotated[Seconds, says("200 ms.", gt=0)]
-
-
-class Action(Struct, frozen=True, kw_only=True):
-    """A step of a task."""
-
-    name: Annotated[Name, says("What the step is called.")]
-    functions: Annotated[tuple[Name, ...], says("The functions that it needs.")]
-
-
-class Task(Struct, frozen=True, kw_only=True):
-    """A sequence of actions."""
-
-    name: str
-    actions: Annotated[tuple[Action, ...], says("In order.", min_length=1)]
-
-    @property
-    def functions(self) -> tuple[str, ...]:
-        """All functions that its actions need, each once, in order."""
-        return tuple(dict.fromkeys(f for a in self.actions for f in a.functions))
 
 
 class Objective(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -292,6 +274,16 @@ class Robot(Struct, frozen=True, kw_only=True):
     def task(self, name: str) -> Task:
         """Return the task called `name`; KeyError when there is none."""
         return _named(self.tasks, name)
+
+    def functions_of(self, task: str) -> tuple[str, ...]:
+        """Return all functions that a task needs, each once, in order.
+
+        Those of the tasks that it names are among them, and those of actions that are
+        done on failure. None when there is no such task.
+        """
+        tasks = {each.name: each for each in self.tasks}
+        every = (f for a in actions_of(tasks, task) for f in a.functions)
+        return tuple(dict.fromkeys(every))
 
     def computer(self, name: str) -> Computer:
         """Return the computer called `name`; KeyError when there is none."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from msgspec import inspect as types
 
-from poise.model.file_keys import FileKey, keys_of
+from poise.model.file_keys import FileKey, form_of, keys_of
 from poise.model.robot import Robot
 from poise.units import NUMBER
 
@@ -92,7 +92,7 @@ def _noted(
     kind: types.Metadata, around: Mapping[str, Any], records: dict[str, Schema]
 ) -> Schema:
     own = kind.extra or {}
-    made = _schema(own.get("form", kind.type), {**around, **own}, records)
+    made = _schema(form_of(kind), {**around, **own}, records)
     if "is_nullable" in own:
         made = {"anyOf": [*made.get("anyOf", [made]), {"type": "null"}]}
     if "examples" in own:

@@ -173,6 +173,9 @@ class Architecture(Struct, frozen=True, kw_only=True):
     home: Annotated[
         Name | None, says("The computer on which static placement puts it.")
     ] = None
+    exclusive: Annotated[
+        bool, says("Whether only one action may use its function at a time.")
+    ] = False
     components: Annotated[
         tuple[ComponentEntry, ...],
         by_name(ComponentEntry),

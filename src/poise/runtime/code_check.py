@@ -16,6 +16,7 @@ from poise.errors import PoiseError, RobotError
 from poise.model.check.cycles import check_cycles
 from poise.model.check.file_paths import components
 from poise.model.check.ports import KnownPort, check_ports, check_required
+from poise.model.check.tasks import check_ends
 from poise.model.check.workload import check_generated
 from poise.model.robot import ComponentEntry, PortKind, Robot
 from poise.model.yaml.positions import Finding, Path
@@ -86,6 +87,7 @@ def check_code(
     findings += check_required(robot, known)
     findings += check_cycles(robot, known, reentrant)
     findings += check_generated(robot, known)
+    findings += check_ends(robot, known)
     return findings
 
 

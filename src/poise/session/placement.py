@@ -10,6 +10,7 @@ from rich.console import RenderableType
 from poise import plan
 from poise.errors import RobotError, UsageError
 from poise.model.robot import Robot
+from poise.model.tasks.phases import phases_of
 from poise.plan.solvers.portfolio import METHODS as SOLVERS
 from poise.session.placement_rules import RULES, by_rule, is_rule
 from poise.session.render.plan import plan_parts
@@ -144,6 +145,17 @@ def ruled(
     if robot is None:
         raise UsageError(f"'{method}' needs a robot file: a plain problem has no homes")
     return plan.evaluate(problem, by_rule(method, robot, problem), method)
+
+
+def order_unused(robot: Robot, task: str) -> str:
+    """Return the sentence that a task does not run in its order; empty: it has none."""
+    count = len(phases_of(robot, task))
+    if count < 2:  # noqa: PLR2004
+        return ""
+    return (
+        f"task '{task}' has {count} phases, which are not run in order yet: all that "
+        "they need runs at once, the whole time"
+    )
 
 
 def runnable(robot: Robot, task: str, placement: Placement | None) -> Placement:

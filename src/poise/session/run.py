@@ -12,7 +12,7 @@ from poise.manage.journal import Journal
 from poise.manage.run import Run
 from poise.model.robot import Robot
 from poise.session.launch.start import Sampling, Started, started
-from poise.session.placement import Placement, runnable
+from poise.session.placement import Placement, order_unused, runnable
 from poise.session.recordings.record_run import keeping
 from poise.session.report import MeasuredRun, RunReport, reported
 from poise.session.robot_file import task_of
@@ -69,6 +69,8 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     """
     chosen = task_of(robot, task)
     placed = runnable(robot, chosen, placement)
+    if sentence := order_unused(robot, chosen):
+        say(sentence)
     with contextlib.ExitStack() as stack:
         book = Journal(journal or ":memory:")
         stack.callback(book.close)

@@ -22,7 +22,7 @@ from poise.manage.observe.recording import Recording, save
 from poise.manage.takeover import start_or_take_over
 from poise.model.robot import Robot
 from poise.session.launch.start import Sampling, Started, started
-from poise.session.placement import Placement, runnable
+from poise.session.placement import Placement, order_unused, runnable
 from poise.session.profiles import read_profile
 from poise.session.robot_file import task_of
 from poise.session.running import Running
@@ -197,6 +197,8 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         _check_outlives(robot)
     chosen = task_of(robot, task)
     placed = runnable(robot, chosen, placement)
+    if sentence := order_unused(robot, chosen):
+        say(sentence)
     send = _telemetry() if otel is not None else None
     with contextlib.ExitStack() as stack:
         server = stack.enter_context(ControlServer(robot.name, takes_over=take_over))

@@ -204,7 +204,7 @@ def not_running(robot: Robot, task: str, placed: Iterable[str]) -> list[Architec
     Of alternatives all are listed, the best one first.
     """
     there = set(placed)
-    functions = {f for each in robot.tasks if each.name == task for f in each.functions}
+    functions = {*robot.functions_of(task)}
     running = {
         a.function
         for a in robot.architectures

@@ -11,6 +11,7 @@ from poise.model.check.demands import check_demands
 from poise.model.check.names import check_names
 from poise.model.check.policies import check_policies
 from poise.model.check.ports import check_ports, declared_ports
+from poise.model.check.tasks import check_ends, check_tasks
 from poise.model.check.together_apart import check_together_apart
 from poise.model.check.workload import check_workload
 from poise.model.robot import Robot
@@ -29,3 +30,5 @@ def check(robot: Robot) -> Iterator[Finding]:
     yield from check_ports(robot, declared_ports(robot))
     yield from check_workload(robot)
     yield from check_policies(robot)
+    yield from check_tasks(robot)
+    yield from check_ends(robot, declared_ports(robot))

@@ -18,7 +18,6 @@ def check_names(robot: Robot) -> Iterator[Finding]:
     yield from _architectures(robot)
     yield from _never_chosen(robot)
     yield from _components(robot)
-    yield from _tasks(robot)
     yield from _resources(robot)
 
 
@@ -44,7 +43,7 @@ def _links(robot: Robot) -> Iterator[Finding]:
     first: dict[frozenset[str], int] = {}
     for index, link in enumerate(robot.links):
         path = ("links", index, "between")
-        yield from _each_known(path, "computer", link.between, _computers(robot))
+        yield from each_known(path, "computer", link.between, _computers(robot))
         ends = frozenset(link.between)
         if len(ends) == 1:
             yield Finding(path, f"a link joins '{link.between[0]}' to itself")
@@ -89,8 +88,8 @@ def _never_chosen(robot: Robot) -> Iterator[Finding]:
 def _components(robot: Robot) -> Iterator[Finding]:
     devices = [device.name for device in robot.devices]
     for path, _, component in components(robot):
-        yield from _each_known((*path, "devices"), "device", component.devices, devices)
-        yield from _each_known(
+        yield from each_known((*path, "devices"), "device", component.devices, devices)
+        yield from each_known(
             (*path, "only"), "computer", component.only, _computers(robot)
         )
         yield from _one_way_to_run(path, component)
@@ -111,14 +110,6 @@ def _one_way_to_run(path: Path, component: ComponentEntry) -> Iterator[Finding]:
         )
 
 
-def _tasks(robot: Robot) -> Iterator[Finding]:
-    functions = dict.fromkeys(a.function for a in robot.architectures)
-    for task in robot.tasks:
-        for index, action in enumerate(task.actions):
-            path: Path = ("tasks", task.name, "actions", index, "functions")
-            yield from _each_known(path, "function", action.functions, functions)
-
-
 def _resources(robot: Robot) -> Iterator[Finding]:
     known = dict.fromkeys(r for c in robot.computers for r in c.capacity)
     path: Path
@@ -136,7 +127,7 @@ def _computers(robot: Robot) -> list[str]:
     return [computer.name for computer in robot.computers]
 
 
-def _each_known(
+def each_known(
     path: Path, kind: str, names: Iterable[str], choices: Iterable[str]
 ) -> Iterator[Finding]:
     """Yield a finding at its own index for every unknown or duplicate name."""
@@ -162,4 +153,4 @@ def check_components_known(
     robot: Robot, path: Path, names: Iterable[str]
 ) -> Iterator[Finding]:
     """Yield a finding for every name that is no component, or is listed twice."""
-    yield from _each_known(path, "component", names, component_names(robot))
+    yield from each_known(path, "component", names, component_names(robot))

@@ -44,7 +44,7 @@ def _one(robot: Robot, policy: Policy) -> Iterator[Finding]:
         return
     record = SUBJECTS[policy.for_each]
     try:
-        parse_condition(policy.when, record, _choices(robot, policy.for_each))
+        parse_condition(policy.when, record, choices_of(robot, policy.for_each))
     except ValueError as error:
         yield _finding(policy, "when", str(error))
     try:
@@ -80,12 +80,17 @@ def _targets(robot: Robot, policy: Policy) -> Iterator[Finding]:
         yield _finding(policy, "by", unknown("architecture", policy.by, names))
 
 
-def _choices(robot: Robot, subject: Subject) -> Mapping[str, tuple[str, ...]]:
+def choices_of(robot: Robot, subject: Subject) -> Mapping[str, tuple[str, ...]]:
     """Return the names that values of a subject may have."""
     computers = tuple(computer.name for computer in robot.computers)
-    names = {"computer": computers, "component": component_names(robot)}
+    names = {
+        "computer": computers,
+        "component": component_names(robot),
+        "chain": tuple(chain.name for chain in robot.chains),
+    }
     return {
-        **names,
+        "computer": computers,
+        "component": names["component"],
         "architecture": tuple(each.name for each in robot.architectures),
         "name": names.get(subject, ()),
     }

@@ -70,7 +70,7 @@ def check_ports(robot: Robot, ports: Ports) -> Iterator[Finding]:
         found = [_find(end, ports) for end in connector.between]
         for index, end in enumerate(connector.between):
             if end.component in ports and found[index] is None:
-                message = _no_such_port(end, ports[end.component])
+                message = no_such_port(end, ports[end.component])
                 yield Finding((*between, index), message)
         yield from _misfit(between, connector, found)
         if found[0] is not None and found[0].kind == "requires":
@@ -112,7 +112,8 @@ def _find(end: ConnectorEnd, ports: Ports) -> KnownPort | None:
     return ports.get(end.component, {}).get(end.port)
 
 
-def _no_such_port(end: ConnectorEnd, ports: Mapping[str, KnownPort]) -> str:
+def no_such_port(end: ConnectorEnd, ports: Mapping[str, KnownPort]) -> str:
+    """Return the message for an end that is none of a component's ports."""
     choices = ", ".join(f"'{port.name}' ({port})" for port in ports.values()) or "none"
     if not end.port:
         return f"name the port of component '{end.component}' too; it has: {choices}"

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import operator
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 from msgspec import Struct
 from msgspec import inspect as types
 
 from poise.errors import FileProblem
-from poise.model.file_keys import FileKey, keys_of
+from poise.model.file_keys import FileKey, form_of, keys_of
 from poise.model.suggest import did_you_mean, listed
 from poise.model.yaml.tree import Location, Node, Scalar
 from poise.model.yaml.untyped_values import NULLS, plain_value
@@ -90,8 +90,7 @@ def _noted(node: Node, kind: types.Metadata, where: Where) -> Value:
     notes = kind.extra or {}
     if "is_nullable" in notes and _is_null(node):
         return None
-    form = notes.get("form", kind.type)
-    value = _value(node, form, where.noted(notes))
+    value = _value(node, form_of(kind), where.noted(notes))
     if value is _INVALID or "read" not in notes:
         return value
     try:
@@ -110,7 +109,7 @@ def _struct(node: Node, kind: types.StructType, where: Where) -> Value:
             f"the {noun} has the unknown key {quoted(name)}"
             f"{did_you_mean(name, keys)}; keys: {listed(keys)}"
         )
-    values: dict[str, Value] = {}
+    values: dict[str, Value] = {kind.tag_field: kind.tag} if kind.tag_field else {}
     is_right = True
     for name, key in keys.items():
         if name in node.value:
@@ -164,12 +163,40 @@ def _list(node: Node, kind: ListType, where: Where) -> Value:
 
 
 def _union(node: Node, kind: types.UnionType, where: Where) -> Value:
-    """Choose the member by the shape of the node: no two members share one."""
-    members = {_shape(member): member for member in kind.types}
+    """Choose the member by the shape of the node, and among records by their tags."""
+    records = [member for member in kind.types if _tag(member)]
+    members = {_shape(m): m for m in kind.types if m not in records}
+    if records and (isinstance(node.value, dict) or not members):
+        return _tagged(node, records, where)
     if None in members and _is_null(node):
         return None
     shape = type(node.value) if type(node.value) in members else next(iter(members))
     return _value(node, members[shape], where)
+
+
+def _tagged(node: Node, kinds: Sequence[types.Type], where: Where) -> Value:
+    """Choose among records by the one key that is the tag of one of them."""
+    tags = {_tag(kind): kind for kind in kinds}
+    if not isinstance(node.value, dict):
+        return where.wrong(
+            f"must be a mapping with one of {listed(tags)}, not {_kind(node)}"
+        )
+    present = [key for key in node.value if key in tags]
+    if len(present) != 1:
+        found = " and ".join(map(quoted, present or node.value)) or "nothing"
+        likely = "" if present else _likely(node.value, tags)
+        return where.wrong(f"has {found}{likely}; it takes one of {listed(tags)}")
+    return _value(node, tags[present[0]], where)
+
+
+def _likely(keys: Iterable[str], tags: Iterable[str]) -> str:
+    """Return a suggestion for the first key that is like a tag."""
+    return next(filter(None, (did_you_mean(key, tags) for key in keys)), "")
+
+
+def _tag(kind: types.Type) -> str:
+    """Return the key that tells a record from the others of its union, if any."""
+    return str(kind.tag or "") if isinstance(kind, types.StructType) else ""
 
 
 def _anything(node: Node, _kind: types.AnyType, where: Where) -> Value:
@@ -252,7 +279,7 @@ def _is_null(node: Node) -> bool:
 def _shape(kind: types.Type) -> type | None:
     """Return the type of `Node.value` in which a value of `kind` is written."""
     if isinstance(kind, types.Metadata):
-        return _shape((kind.extra or {}).get("form", kind.type))
+        return _shape(form_of(kind))
     return _SHAPES.get(type(kind), Scalar)
 
 

@@ -108,7 +108,7 @@ def _architectures(
             raise UsageError(
                 f"robot {robot.name!r} has no task {task!r} (its tasks: {choices})"
             )
-        functions = robot.task(task).functions
+        functions = robot.functions_of(task)
     wanted = set(functions)
     missing = sorted(wanted - {a.function for a in robot.architectures})
     if missing:
