@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any
 
 import pytest
@@ -88,6 +88,8 @@ class FakeAgents:
         self.manager = ManagerId(key="k", user="ann", host="desk", pid=7, since=0.0)
         self.gone: set[str] = set()
         self.answering: set[str] = set()
+        self.hearers: dict[str, str] = {}
+        self.revoked: list[str] = []
         self.returns = False
         self.claimed: list[str] = []
         self.is_forced = False
@@ -147,6 +149,19 @@ class FakeAgents:
 
     def obey(self, computer: str) -> bool:
         return computer not in self.strangers
+
+    def heard_by(self, computer: str) -> str:
+        return self.hearers.get(computer, "")
+
+    def holds_lease(self, computer: str) -> bool:  # noqa: ARG002, all do
+        return True
+
+    def is_cut_off(self, computer: str) -> bool:  # noqa: ARG002, none ever is
+        return False
+
+    def revoke(self, computers: Iterable[str]) -> bool:
+        self.revoked += sorted(computers)
+        return True
 
     def notify(self) -> None:
         pass

@@ -42,6 +42,7 @@ class AgentReports:
         self._statuses: dict[str, AgentStatus] = {}
         self._alive: set[str] = set()
         self._lost: dict[str, float] = {}
+        self._silent: dict[str, float] = {}
         self._refused: list[str] = []
         self._num_taken = 0
 
@@ -53,12 +54,12 @@ class AgentReports:
     def out_of_reach(self) -> dict[str, float]:
         """Return since when [s since 1970] agents that were there are not reached."""
         with self._changed:
-            return dict(self._lost)
+            return {**self._silent, **self._lost}
 
     def reached(self) -> set[str]:
         """Return the computers whose agents are there and have reported."""
         with self._changed:
-            return self._alive & self._statuses.keys()
+            return (self._alive & self._statuses.keys()) - self._silent.keys()
 
     def wait_news(self, is_enough: Callable[[], bool], limit: float) -> bool:
         """Wait until `is_enough` is true, evaluated at all news; return whether it is.
@@ -131,6 +132,9 @@ class AgentReports:
             elif self._identities.get(locator) == (robot, computer):
                 del self._identities[locator]
 
+    def _on_new_agent(self, computer: str) -> None:
+        """Know nothing of the agent of a computer that is back."""
+
     def on_alive(self, sample: zenoh.Sample) -> None:
         """Store that an agent came or went."""
         computer = str(sample.key_expr).rpartition("/")[2]
@@ -140,9 +144,18 @@ class AgentReports:
                 if self._lost.pop(computer, None) is not None:
                     # it may be another agent: what this one reports is to come
                     self._statuses.pop(computer, None)
+                    self._silent.pop(computer, None)
+                    self._on_new_agent(computer)
             elif computer in self._alive:
                 self._alive.discard(computer)
                 self._lost[computer] = time.time()
+            self._note_news()
+
+    def on_silent(self, computers: Iterable[str]) -> None:
+        """Store whose heartbeats do not come."""
+        with self._changed:
+            now = time.time()
+            self._silent = {c: self._silent.get(c, now) for c in computers}
             self._note_news()
 
     def _note_news(self) -> None:

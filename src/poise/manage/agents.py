@@ -15,6 +15,7 @@ from zenoh.handlers import Callback
 from poise.clock import Clock
 from poise.endpoint import Endpoint
 from poise.errors import RunError
+from poise.manage.agent_heartbeats import AgentHeartbeats
 from poise.manage.agent_messages import (
     AgentAnswer,
     answer_of,
@@ -62,6 +63,8 @@ SEND_LIMIT = 2 * ANSWER_LIMIT
 connection may just be made again, and receiving one twice is harmless."""
 _PROBE_LIMIT = 0.1
 """A computer answers within this time, if it is there [s]."""
+_REVOKED = 2
+"""A token that was revoked counts as one so much higher, which no agent has."""
 _LOSS_DELAY = 0.5
 """The loss of an agent is known this long [s] after its connection ends, at most."""
 
@@ -96,6 +99,10 @@ class Agents(AgentReports):
     ) -> None:
         super().__init__(robot, endpoints, clock)
         self.manager = manager_id()
+        self._agents = endpoints if lease <= LEASE else {}
+        self._heartbeats = AgentHeartbeats(
+            robot, self.manager.key, self._agents, clock, self.on_silent
+        )
         self._prefix = f"poise/{robot}"
         self._tokens: dict[str, int] = {}
         # no gossip: it talks to the agents that it knows, and to no other manager
@@ -135,18 +142,19 @@ class Agents(AgentReports):
 
     def close(self) -> None:
         """Leave the agents as they are."""
+        self._heartbeats.close()
         self._session.close()  # type: ignore[no-untyped-call]
 
     def has_computer(self, computer: str) -> bool:
-        """Return whether a computer answers, with or without an agent."""
+        """Return whether a computer answers that it runs no agent."""
         at = Endpoint.parse(self._endpoints[computer].removeprefix("tcp/"))
         try:
             socket.create_connection((at.host, at.port), _PROBE_LIMIT).close()
         except ConnectionRefusedError:
             return True
         except OSError:
-            return False
-        return True
+            pass
+        return False  # one that takes connections and is silent is frozen
 
     def obey(self, computer: str) -> bool:
         """Return whether an agent is reached and obeys this manager."""
@@ -156,6 +164,7 @@ class Agents(AgentReports):
             return (
                 status is not None
                 and computer not in self._lost
+                and computer not in self._silent
                 and status.token == token
             )
 
@@ -224,9 +233,10 @@ class Agents(AgentReports):
         """
         deployments = {}
         for computer in sorted(computers):
-            token = self._statuses[computer].token + 1
+            known = self._statuses[computer].token, self._tokens.get(computer, 0)
+            token = max(known) + 1
             self._tokens[computer] = token
-            claim = Claim(self.manager, take_over)
+            claim = Claim(self.manager, take_over, self._agents)
             answers, refusals = self._sent({computer: claim})
             if refusals:
                 raise RunError(refusals[computer])
@@ -237,7 +247,33 @@ class Agents(AgentReports):
                 lambda c=computer: self.obey(c),  # type: ignore[misc]
                 ANSWER_LIMIT,
             )
+        if self._agents:
+            self._heartbeats.start()
         return deployments
+
+    def heard_by(self, computer: str) -> str:
+        """Return a computer that still hears one out of reach; empty when none does."""
+        return self._heartbeats.heard_by(computer)
+
+    def holds_lease(self, computer: str) -> bool:
+        """Return whether an agent is heard and says that its lease is in force."""
+        return not self._agents or self._heartbeats.holds_lease(computer)
+
+    def is_cut_off(self, computer: str) -> bool:
+        """Return whether an agent says that its lease has ended."""
+        return self._heartbeats.is_cut_off(computer)
+
+    def revoke(self, computers: Iterable[str]) -> bool:
+        """Obtain that components of lost computers may be started elsewhere.
+
+        From then on the agents of these computers are to be claimed again. It fails,
+        and changes nothing, while the lease of one may not have ended yet.
+        """
+        tokens = {name: self._tokens.get(name, 0) for name in computers}
+        if not self._heartbeats.revoke(tokens):
+            return False
+        self._tokens |= {name: token + _REVOKED for name, token in tokens.items()}
+        return True
 
     def deploy(self, deployments: Mapping[str, Deployment]) -> dict[str, str]:
         """Send agents what should run, all at once; by computer.
@@ -280,6 +316,9 @@ class Agents(AgentReports):
                 left = max(0.0, began + limit - self._clock.now())
                 why = self._why_silent(computer, limit, min(_LOSS_DELAY, left))
             yield StepsFailed(steps.number, f"the agent of '{computer}' {why}")
+
+    def _on_new_agent(self, computer: str) -> None:
+        self._heartbeats.forget(computer)
 
     def _sent(
         self, requests: Mapping[str, Request]
@@ -350,10 +389,12 @@ class Agents(AgentReports):
                 key, reply = replies.get(timeout=_LOOK_EVERY)
             except Empty:
                 check()
-                if self._clock.now() < deadline:
+                away = self.out_of_reach().keys()
+                gone = [key for key in pending if asked[key][0] in away]
+                if not gone and self._clock.now() < deadline:
                     continue
                 # zenoh did not even report that the time is over
-                key, reply = next(iter(pending)), None
+                key, reply = next(iter(gone or pending)), None
             if key in pending:
                 pending.discard(key)
                 yield key, answer_of(reply)

@@ -10,6 +10,7 @@ from pathlib import PurePath
 from msgspec import Struct, structs
 
 from poise.manage.cpu_weights import cpu_weights
+from poise.model.pinned import leased_components
 from poise.model.robot import (
     Architecture,
     ComponentEntry,
@@ -107,6 +108,7 @@ class DeploymentPlan:
             for component in architecture.components
         }
         self._components = {c.name: c for c in robot.components()}
+        self._leased = leased_components(robot)
         # command-line components speak by their own means: nothing is joined to them
         commands = {c.name for c in robot.components() if c.command}
         self._joinable = [
@@ -265,6 +267,7 @@ class DeploymentPlan:
             weigh=self._weigh,
             gently=incarnation.gently,
             chains=self._parts.get(component.name, ()),
+            leased=component.name in self._leased,
         )
 
     def _connectors(

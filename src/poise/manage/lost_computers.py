@@ -52,6 +52,13 @@ class LostComputers:
         now = time.monotonic()
         return frozenset(c for c, until in self._restarting.items() if now < until)
 
+    def computers(self) -> frozenset[str]:
+        """Return those that nobody hears: what ran there may be started elsewhere."""
+        agents = self._run.agents
+        away = self._run.excused & agents.out_of_reach().keys()
+        away -= self.restarting()
+        return frozenset(name for name in away if not agents.heard_by(name))
+
     def deviations(self) -> list[Deviation]:
         """Return what is known of each; from any thread."""
         since = self._run.agents.out_of_reach()
@@ -84,7 +91,8 @@ class LostComputers:
 
     def _bring_back(self, computer: str, now: float) -> None:
         run = self._run
-        is_same = run.agents.obey(computer)
+        was_cut_off = run.agents.is_cut_off(computer)
+        is_same = run.agents.obey(computer) or was_cut_off
         try:
             run.synchronise(computer)
         except RunError as error:
@@ -109,6 +117,8 @@ class LostComputers:
             what = f"the agent of '{computer}' was restarted; {went_on} went on"
         elif not is_same:
             what += "; it obeyed another manager meanwhile"
+        elif was_cut_off:
+            what += "; its movable components were inactive meanwhile"
         run.journal.note("right", what)
 
 

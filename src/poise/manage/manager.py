@@ -245,8 +245,7 @@ class Manager:
             robot=run.robot,
             task=self._task,
             placement=run.placement(),
-            lost=frozenset(run.excused & run.agents.out_of_reach().keys())
-            - self._lost.restarting(),
+            lost=self._lost.computers(),
             loads=self._estimates.loads.loads(),
             misses=self._misses.look(run.current(), time.monotonic()),
             chains=self._ages.look(

@@ -175,7 +175,9 @@ class Run:
 
     def unreached(self) -> dict[str, str]:
         """Return what is known of each computer that is out of reach, in words."""
-        return unreached(self.agents.out_of_reach(), self.placement())
+        out_of_reach = self.agents.out_of_reach()
+        heard_by = {name: self.agents.heard_by(name) for name in out_of_reach}
+        return unreached(out_of_reach, self.placement(), heard_by)
 
     def cancel(self) -> None:
         """End what waits for agents: a change of the placement is rolled back."""
@@ -193,7 +195,7 @@ class Run:
     def _reclaim(self, computers: Iterable[str]) -> None:
         """Claim again those whose agents were restarted, and tell all of them again."""
         for computer in computers:
-            if not self.agents.obey(computer):
+            if not self.agents.obey(computer) or not self.agents.holds_lease(computer):
                 self.agents.claim({computer})
             self._told.pop(computer, None)
 

@@ -85,9 +85,17 @@ def containers_left(statuses: Statuses, computers: Iterable[str]) -> list[str]:
 
 
 def unreached(
-    out_of_reach: Mapping[str, float], placement: Mapping[str, str]
+    out_of_reach: Mapping[str, float],
+    placement: Mapping[str, str],
+    heard_by: Mapping[str, str],
 ) -> dict[str, str]:
-    """Return what is known of each computer that is out of reach, in words."""
+    """Return what is known of each computer that is out of reach, in words.
+
+    Parameters
+    ----------
+    heard_by
+        Computer -> another one that still hears it; empty: none does.
+    """
     sentences = {}
     for computer, since in sorted(out_of_reach.items()):
         began = time.strftime("%H:%M:%S", time.localtime(since))
@@ -95,5 +103,7 @@ def unreached(
         inside = ", ".join(sorted(n for n, at in placement.items() if at == computer))
         if inside:
             what = f"its components {inside} may run on without a manager"
+            if other := heard_by.get(computer):
+                what = f"'{other}' hears it: its components {inside} go on"
             sentences[computer] += f"; {what}"
     return sentences

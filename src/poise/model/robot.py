@@ -34,6 +34,7 @@ from poise.model.software import (
     ConnectorEnd,
     DeclaredPort,
     Layer,
+    WhenCutOff,
 )
 from poise.model.tasks.steps import Action, Task, actions_of
 
@@ -225,6 +226,13 @@ class Robot(Struct, frozen=True, kw_only=True):
         POLICIES,
         says("What is done when; `off` switches a shipped policy off."),
     ] = ()
+    when_cut_off: Annotated[
+        WhenCutOff,
+        says(
+            "What movable components do while their computer is cut off: stop, since "
+            "they may run elsewhere by then, or go on."
+        ),
+    ] = "stop"
     simulator: Annotated[
         Simulator | None, says("The simulated world of an emulated robot.")
     ] = None

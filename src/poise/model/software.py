@@ -23,6 +23,7 @@ from poise.model.file_keys import (
 )
 
 Layer = Literal["deliberative", "sequencing", "reactive"]
+WhenCutOff = Literal["stop", "go on"]
 
 
 class DeclaredPort(Struct, frozen=True, kw_only=True):
@@ -82,6 +83,10 @@ class ComponentEntry(Struct, frozen=True, kw_only=True):
     ] = ()
     movable: Annotated[bool, says("Whether it may be moved while it runs.")] = True
     isolated: Annotated[bool, says("Whether it gets a container of its own.")] = False
+    when_cut_off: Annotated[
+        WhenCutOff | None,
+        says("What it does while its computer is cut off. Default: the robot's."),
+    ] = None
     state: Annotated[Bytes, says("The size of its state, which a move transfers.")] = (
         0.0
     )

@@ -135,3 +135,8 @@ def parse_identity(key: str) -> tuple[str, str, str]:
 def locator(agent: Endpoint) -> str:
     """Return zenoh's name of an agent's address."""
     return f"tcp/{agent}"
+
+
+def endpoint_of(locator: str) -> Endpoint:
+    """Return an agent's address from zenoh's name of it."""
+    return Endpoint.parse(locator.removeprefix("tcp/"))

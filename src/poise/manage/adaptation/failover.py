@@ -9,6 +9,7 @@ from msgspec import Struct
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.room import placed_beside
 from poise.model.check.allowed_computers import allowed_computers
+from poise.model.pinned import pinned_components
 
 
 class Failover(Struct, frozen=True, kw_only=True):
@@ -35,15 +36,15 @@ def fail_over(facts: Facts, lost: Collection[str]) -> Failover:
         Computers that are out of reach.
     """
     allowed = allowed_computers(facts.robot)
-    movable = {c.name for c in facts.robot.components() if c.movable}
+    pinned = pinned_components(facts.robot)
     missing: dict[str, str] = {}
     homes: dict[str, tuple[str, ...]] = {}
     for name, computer in facts.placement.items():
         choices = tuple(sorted(allowed[name] - set(lost)))
         if computer not in lost:
             homes[name] = (computer,)
-        elif name not in movable:
-            missing[name] = "it is not movable (robot file)"
+        elif name in pinned:
+            missing[name] = pinned[name]
         elif not choices:
             here = " or ".join(sorted(allowed[name]))
             missing[name] = f"it may run on {here} only"

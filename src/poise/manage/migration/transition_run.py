@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Collection, Mapping, Sequence
 
 from msgspec import Struct, structs
 
@@ -13,6 +14,10 @@ from poise.manage.migration.move import MoveReport, move
 from poise.manage.migration.transition import TransitionStep
 from poise.manage.run import ACTIVE_LIMIT, READY_LIMIT, Run
 from poise.units import counted
+
+LEASE_LIMIT = 3.0
+"""The leases of lost computers end within this time [s], unless others hear them."""
+_LOOK_EVERY = 0.02
 
 
 class TransitionReport(Struct, frozen=True, kw_only=True):
@@ -51,17 +56,52 @@ def start_together(run: Run, placement: Mapping[str, str]) -> bool:
         )
         for name, computer in placement.items()
     ]
+    lost = {run.placed[name].computer for name in placement}
+    others = [each for name, each in run.placed.items() if name not in placement]
+    prepared = [each.with_goal("inactive") for each in new]
     try:
-        run.bring([each.with_goal("inactive") for each in new], READY_LIMIT)
-        run.bring(new, ACTIVE_LIMIT)
+        # one of the lost that comes back meanwhile must keep what it has
+        run.tell([*others, *prepared], run.computers() - lost)
+        run.wait(prepared, READY_LIMIT)
+        _revoke_leases(run, lost)
     except RunError as error:
         run.journal.note("failed", f"components did not start: {error}")
         with contextlib.suppress(RunError):  # agents out of reach get it later
             run.tell(run.placed.values())
         return False
     run.placed |= {each.component: each for each in new}
+    try:
+        run.bring(new, ACTIVE_LIMIT)
+    except RunError as error:
+        run.journal.note("failed", f"components did not restart: {error}")
+        return False
     run.journal.note("done", "they are at work", placement=run.placement())
     return True
+
+
+def _revoke_leases(run: Run, lost: Collection[str]) -> None:
+    """Wait until nothing of lost computers can be active there any more.
+
+    Raises
+    ------
+    RunError
+        One is reached again, or another computer still hears it.
+    """
+
+    def is_back() -> bool:
+        run.look()
+        return not run.computers().isdisjoint(lost)
+
+    deadline = time.monotonic() + LEASE_LIMIT
+    while not run.agents.revoke(lost):
+        if run.agents.wait_news(is_back, _LOOK_EVERY):
+            raise RunError(f"{_names(lost)} is reached again")
+        if time.monotonic() > deadline:
+            raise RunError(f"what was on {_names(lost)} may still be at work")
+
+
+def _names(computers: Collection[str]) -> str:
+    return " or ".join(f"'{name}'" for name in sorted(computers))
 
 
 def transit(run: Run, steps: tuple[TransitionStep, ...]) -> TransitionReport:

@@ -14,7 +14,7 @@ import os
 import signal
 import socket
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import msgspec
@@ -41,6 +41,8 @@ class AgentState(Struct, frozen=True, kw_only=True):
     ----------
     gateway
         Its IP address and TCP port.
+    agents
+        Those with which it exchanges heartbeats, as in `Claim`.
     boot
         When the computer has started since, nothing of it holds.
     """
@@ -49,6 +51,7 @@ class AgentState(Struct, frozen=True, kw_only=True):
     manager: ManagerId | None = None
     token: int = 0
     wanted: Deployment | None = None
+    agents: Mapping[str, str] = {}
     boot: str = ""
     protocol: int = PROTOCOL
 

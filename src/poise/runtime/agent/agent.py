@@ -33,6 +33,7 @@ from poise.runtime.agent.clock_synchronisation import ClockSynchronisation
 from poise.runtime.agent.container_processes import STOP_LIMIT
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.health import Usage
+from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
 from poise.runtime.agent.inbox import AgentInbox, answer
 from poise.runtime.agent.migration_relay import MigrationRelay
 from poise.runtime.agent.sampler import Sampler
@@ -143,7 +144,7 @@ class Agent:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._folder = AgentFolder(folder)
         left = self._folder.left()
-        self._gateway = left.gateway
+        self._gateway, self._agents_before = left.gateway, left.agents
         # before any thread, zenoh session or descriptor of the agent's own exists
         held = () if setup.lifeline is None else (setup.lifeline,)
         self._zygote, self._zygote_pid = zygote.start(closing=held)
@@ -158,7 +159,10 @@ class Agent:
         self._requests = AgentInbox(setup.computer, self._waker.wake)
         wake, before = self._waker.wake, (left.manager, left.token)
         self._fence = Fence(setup.robot, setup.computer, wake, *before)
-        self._locator = locator(Endpoint(setup.address, setup.port))
+        self._endpoint = Endpoint(setup.address, setup.port)
+        self._locator = locator(self._endpoint)
+        self._heartbeats: HeartbeatExchange
+        self._cut_off = 0.0
         self._say = say
         self._manager: ManagerId | None = None
 
@@ -213,6 +217,15 @@ class Agent:
             samples = session.declare_publisher(f"{prefix}/samples/{setup.computer}")
             sampler = self._sampler(samples)
             clocks = ClockSynchronisation(session, prefix, setup.computer, self._clock)
+            heartbeats = self._heartbeats = HeartbeatExchange(
+                setup.robot,
+                setup.computer,
+                self._endpoint,
+                self._fence,
+                self._clock,
+                self._waker.wake,
+            )
+            heartbeats.begin_again(self._agents_before)
             go_first()
             try:
                 sampler.start()
@@ -221,6 +234,7 @@ class Agent:
                 self._clocks = clocks.known
                 self._serve(publisher)
             finally:
+                heartbeats.close()
                 clocks.stop()
                 sampler.stop()
                 managers.undeclare()  # type: ignore[no-untyped-call]
@@ -245,6 +259,7 @@ class Agent:
                 manager=self._fence.manager,
                 token=self._fence.token,
                 wanted=self._supervisor.wanted,
+                agents=self._heartbeats.agents,
             )
         )
 
@@ -277,6 +292,8 @@ class Agent:
         wanted = self._supervisor.wanted
         if isinstance(request, Claim):
             refused = self._fence.claim(request, asked.token)
+            if refused is None:
+                self._heartbeats.begin(request.manager.key, request.agents)
             answer(query, refused or Claimed(wanted))
         elif isinstance(request, MigrationSteps):
             if refusal:
@@ -290,6 +307,7 @@ class Agent:
             answer(query, Refused(f"{older}{wanted.generation}"))
         else:
             self._supervisor.take(request)
+            self._note_told()
             answer(query, Accepted())
 
     def _serve(self, publisher: zenoh.Publisher) -> None:
@@ -302,6 +320,7 @@ class Agent:
             while self._silences:
                 self._supervisor.note_silence(self._silences.popleft())
             self._say_manager()
+            self._note_cut_off()
             self._relay.give_up(self._clock.now())
             self._adoption.give_up()
             self._supervisor.reconcile()
@@ -322,6 +341,24 @@ class Agent:
             self._say(f"{before} is gone; containers go on")
         if self._manager is not None:
             self._say(f"managed by {self._manager}")
+
+    def _note_cut_off(self) -> None:
+        """Make leased components inactive once the lease has ended."""
+        if self._heartbeats.is_cut_off and not self._cut_off:
+            self._cut_off = time.time()
+            self._fence.expire()
+            self._supervisor.is_cut_off = True
+            self._say(
+                "cut off from its manager, which may start movable components "
+                "elsewhere: they are inactive here until it says what runs where"
+            )
+
+    def _note_told(self) -> None:
+        """Do what the manager says, which knows what runs elsewhere."""
+        if self._cut_off:
+            self._cut_off = 0.0
+            self._supervisor.is_cut_off = self._heartbeats.is_cut_off = False
+            self._say("reached by its manager again")
 
     def _wait(self, until: float) -> None:
         """Wait for news until some moment [s], and take them in."""
@@ -385,6 +422,8 @@ class Agent:
             faults=supervisor.health.faults(),
             health=supervisor.records(usage),
             clocks=self._clocks(),
+            cut_off=self._cut_off,
+            links=self._heartbeats.links(),
         )
 
     def _end_all(self) -> None:
@@ -418,5 +457,5 @@ def _states(status: AgentStatus) -> tuple[object, ...]:
     ]
     health = [(health.name, health.state) for health in status.health]
     last = status.faults[-1].number if status.faults else 0
-    found = (status.generation, status.token, last)
+    found = (status.generation, status.token, last, bool(status.cut_off))
     return (*found, health, components, connectors)

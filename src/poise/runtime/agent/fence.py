@@ -47,21 +47,29 @@ class Fence:
         self._gone: set[str] = set() if manager is None else {manager.key}
         self.manager = manager
         self.token = token
+        self._ended: set[str] = set()
+        self._is_expired = False
 
     def present_manager(self) -> ManagerId | None:
         """Return the manager that it obeys, unless that one is gone."""
         manager = self.manager
         return None if manager is None or manager.key in self._gone else manager
 
+    def is_managed(self) -> bool:
+        """Return whether a manager may be at work, for all that is known."""
+        return self.manager is not None and self.manager.key not in self._ended
+
     def note_liveliness(self, sample: zenoh.Sample) -> None:
         """Note that a manager's liveliness token came or went; for zenoh's threads."""
         key = str(sample.key_expr).rpartition("/")[2]
         if sample.kind == zenoh.SampleKind.PUT:
             self._gone.discard(key)
+            self._ended.discard(key)
             self.arrivals += 1
             self._on_arrival()
         else:
             self._gone.add(key)
+            self._ended.add(key)
 
     def claim(self, claim: Claim, token: int) -> Refused | None:
         """Obey a manager from now on; return why not.
@@ -75,13 +83,20 @@ class Fence:
         is_later = token > self.token or (is_same and token == self.token)
         if not is_free or not is_later:
             return Refused(self._manages())
-        self.manager, self.token = claim.manager, token
+        self.manager, self.token, self._is_expired = claim.manager, token, False
         return None
+
+    def expire(self) -> None:
+        """Refuse the present manager, too, until it claims the agent again."""
+        self.token += 1
+        self._is_expired = True
 
     def refusal(self, token: int) -> str:
         """Return why a request with this token is refused; empty when it is not."""
         if self.manager is None:
             return f"no manager has claimed '{self._computer}' since its agent started"
+        if self._is_expired:
+            return f"the lease of '{self._computer}' ended: claim its agent again"
         return "" if token == self.token else self._manages()
 
     def _manages(self) -> str:

@@ -62,6 +62,7 @@ class Supervisor:
         self.wanted: Deployment | None = None
         self.cpu_of_ended = 0.0
         self.trouble = ""
+        self.is_cut_off = False
         self._zygote = zygote_socket
         self._place = place
         self._clock = clock
@@ -204,7 +205,10 @@ class Supervisor:
         return self.health.records(usage)
 
     def _specs(self) -> dict[str, ContainerSpec]:
-        return {c.name: c for c in self.wanted.containers} if self.wanted else {}
+        containers = self.wanted.containers if self.wanted else ()
+        if self.is_cut_off:
+            containers = tuple(map(_without_lease, containers))
+        return {each.name: each for each in containers}
 
     def _start(self, spec: ContainerSpec) -> None:
         with contextlib.ExitStack() as undo:
@@ -250,6 +254,19 @@ class Supervisor:
         self.health.enter(container, "restarting")
         backoff = self._backoffs.setdefault(container, BackOff())
         backoff.note_end(self._clock.now(), random.uniform(0.5, 1))  # noqa: S311, jitter
+
+
+def _without_lease(spec: ContainerSpec) -> ContainerSpec:
+    """Return a container whose leased components are inactive, with their state."""
+    return structs.replace(
+        spec,
+        components=tuple(
+            structs.replace(component, goal="inactive")
+            if component.leased
+            else component
+            for component in spec.components
+        ),
+    )
 
 
 def _unresponsive(status: ContainerStatus) -> ContainerStatus:

@@ -64,6 +64,8 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
         Whether it is prepared with the CPU time that others leave: they are at work.
     chains
         Those that it is part of.
+    leased
+        Whether it is inactive while its agent is cut off: it may be active elsewhere.
     """
 
     name: str
@@ -80,6 +82,7 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
     weigh: bool = False
     gently: bool = False
     chains: tuple[ChainPart, ...] = ()
+    leased: bool = False
 
 
 class ConnectorSpec(Struct, frozen=True, kw_only=True):

@@ -6,6 +6,7 @@ The steps of migrations stand in `poise.wire.records.migration`.
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 
 from msgspec import Struct
 
@@ -42,10 +43,20 @@ class ManagerId(Struct, frozen=True, kw_only=True):
 
 
 class Claim(Struct, frozen=True, tag=True):
-    """Obey this manager from now on; `take_over`: even if another one is obeyed."""
+    """Obey this manager from now on.
+
+    Parameters
+    ----------
+    take_over
+        Even if another one is obeyed.
+    agents
+        Computer -> zenoh endpoint, of all agents of the robot: they exchange
+        heartbeats. Empty: they do not, and nothing is leased.
+    """
 
     manager: ManagerId
     take_over: bool = False
+    agents: Mapping[str, str] = {}
 
 
 class Claimed(Struct, frozen=True, tag=True):

@@ -9,6 +9,7 @@ from msgspec import Struct
 
 from poise.wire.records.clocks import ClockStatus
 from poise.wire.records.deployment import ConnectorKind
+from poise.wire.records.heartbeats import LinkQuality
 from poise.wire.records.requests import PROTOCOL, ManagerId
 
 State = Literal[
@@ -293,6 +294,11 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
     cpu_weights
         What gives containers their CPU weights: ``cgroup v2``, ``cgroup v1`` or
         ``nice``; empty: all have the same.
+    cut_off
+        Since when its leased components are inactive, because its lease has ended
+        [s since 1970]; 0: they are not.
+    links
+        How the ways to other computers are, by name.
     """
 
     protocol: int = PROTOCOL
@@ -313,3 +319,5 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
     faults: tuple[Fault, ...] = ()
     health: tuple[ContainerHealth, ...] = ()
     clocks: Mapping[str, ClockStatus] = {}
+    cut_off: float = 0.0
+    links: Mapping[str, LinkQuality] = {}

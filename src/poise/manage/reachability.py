@@ -1,0 +1,107 @@
+"""Which agents are silent. Pure: moments are passed in.
+
+Only time in which the manager itself ran counts as silence: while it was stalled, or
+the whole machine was, nobody could be heard.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import NamedTuple
+
+from poise.wire.contacts import (
+    ASK_AFTER,
+    DETECTED,
+    EVERY,
+    SURELY_ENDED,
+    Contacts,
+)
+
+_STALLED = 1.5 * EVERY
+"""Between two looks no more than this counts [s]."""
+_INFORMED = 0.3
+"""An agent's heartbeat says of the manager's up to so long ago that it came [s]."""
+
+
+class _Silence:
+    """For how long no sign came, of the time that counts."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self._last = float("-inf")
+
+    def look(self, sign: float, now: float, counted: float) -> None:
+        """Take in when the last sign came."""
+        if sign > self._last:
+            self._last, self.seconds = sign, 0.0
+        self.seconds = min(self.seconds + counted, max(0.0, now - sign))
+
+
+class _Agent(NamedTuple):
+    direct: _Silence
+    any: _Silence
+
+
+class Reachability:
+    """Which agents the manager hears, itself or by way of other agents.
+
+    An agent of which no heartbeat answered one of the manager is not judged: datagrams
+    may not get through.
+    """
+
+    def __init__(self, contacts: Contacts) -> None:
+        self._contacts = contacts
+        self._agents: dict[str, _Agent] = {}
+        self._looked_at: float | None = None
+
+    def forget(self, computer: str) -> None:
+        """Know nothing of an agent, until it is heard again: it may be another one."""
+        self._contacts.forget(computer)
+        self._agents.pop(computer, None)
+
+    def look(self, computers: Collection[str], now: float) -> None:
+        """Judge all agents at `now` [s], when all that came was taken in."""
+        last = now if self._looked_at is None else self._looked_at
+        counted, self._looked_at = min(now - last, _STALLED), now
+        for name in computers:
+            contact = self._contacts.get(name)
+            if contact is None or contact.acked is None:
+                continue
+            # its lease was extended at this moment at the latest, on any clock
+            unanswered = self._contacts.unanswered_since(name)
+            sign = min(contact.heard_at, unanswered + _INFORMED)
+            relayed = self._contacts.relayed(name, now)
+            known = self._agents.setdefault(name, _Agent(_Silence(), _Silence()))
+            known.direct.look(sign, now, counted)
+            known.any.look(max(sign, relayed[1]) if relayed else sign, now, counted)
+
+    def asks(self) -> list[str]:
+        """Return whom to ask for a sign of life."""
+        return [
+            name
+            for name, agent in self._agents.items()
+            if ASK_AFTER <= agent.direct.seconds < DETECTED
+        ]
+
+    def silent(self) -> set[str]:
+        """Return whose heartbeats do not come, or who does not hear the manager."""
+        return {
+            name
+            for name, agent in self._agents.items()
+            if agent.direct.seconds >= DETECTED
+        }
+
+    def heard_by(self, computer: str, now: float) -> str:
+        """Return another agent that hears this one; empty when none does."""
+        agent = self._agents.get(computer)
+        relayed = self._contacts.relayed(computer, now)
+        if agent is None or relayed is None or agent.any.seconds >= DETECTED:
+            return ""
+        return relayed[0]
+
+    def have_leases_ended(self, computers: Collection[str]) -> bool:
+        """Return whether agents' leases have surely ended, so far as they have any."""
+        return all(
+            name not in self._agents or self._agents[name].any.seconds >= SURELY_ENDED
+            for name in computers
+        )

@@ -1,0 +1,160 @@
+"""An agent's heartbeats: to its manager and to the other agents of its robot."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import uuid
+from collections.abc import Callable, Mapping
+
+from poise.clock import Clock
+from poise.endpoint import Endpoint
+from poise.runtime.agent.fence import Fence
+from poise.runtime.agent.lease import Lease
+from poise.wire.contacts import ASK_AFTER, ASK_EVERY, EVERY, Contacts
+from poise.wire.control_session import endpoint_of
+from poise.wire.heartbeats import Address, Heartbeats
+from poise.wire.records.heartbeats import MANAGER, Heartbeat, LinkQuality
+
+log = logging.getLogger(__name__)
+
+_STALLED = 0.3
+"""An agent that did not run for so long [s] asks before it judges who is silent."""
+_GRACE = 0.15
+
+
+class HeartbeatExchange:
+    """The heartbeats of one agent, from the moment when a manager claims it.
+
+    Parameters
+    ----------
+    fence
+        Says whom it obeys.
+    on_cut_off
+        Called once when its lease has ended, on the thread of the heartbeats.
+
+    Attributes
+    ----------
+    is_cut_off
+        Whether the lease has ended, and no manager has said since what runs elsewhere.
+    agents
+        With whom it exchanges heartbeats, as in `Claim`.
+    """
+
+    def __init__(
+        self,
+        robot: str,
+        computer: str,
+        listen: Endpoint,
+        fence: Fence,
+        clock: Clock,
+        on_cut_off: Callable[[], object],
+    ) -> None:
+        self.is_cut_off = False
+        self.agents: Mapping[str, str] = {}
+        self._computer = computer
+        self._fence = fence
+        self._clock = clock
+        self._on_cut_off = on_cut_off
+        self._contacts = Contacts(robot, computer, uuid.uuid4().hex)
+        self._lease = Lease(self._contacts)
+        self._targets: dict[str, Address] = {}
+        self._claimed_by = ""
+        self._lock = threading.Lock()
+        self._looked_at = clock.now()
+        self._grace_until = 0.0
+        self._heartbeats: Heartbeats | None = None
+        try:
+            self._heartbeats = Heartbeats(
+                clock, self._hear, self._next_beat, listen, is_ipv6=":" in listen.host
+            )
+        except OSError as error:
+            log.warning("no heartbeats: UDP port %d: %s", listen.port, error)
+
+    def close(self) -> None:
+        """Send no more."""
+        if self._heartbeats is not None:
+            self._heartbeats.close()
+
+    def begin_again(self, agents: Mapping[str, str]) -> None:
+        """Go on in the place of an agent that was killed."""
+        manager = self._fence.manager
+        if manager is not None and agents:
+            self.begin(manager.key, agents, self._clock.now())
+
+    def begin(
+        self, key: str, agents: Mapping[str, str], since: float | None = None
+    ) -> None:
+        """Send heartbeats from now on to those whom a manager names.
+
+        Parameters
+        ----------
+        key
+            The manager's.
+        agents
+            As in `Claim`.
+        since
+            As for `Lease.begin`.
+        """
+        self.agents = agents
+        others = {
+            name: endpoint_of(where)
+            for name, where in agents.items()
+            if name != self._computer
+        }
+        with self._lock:
+            is_first = not self._claimed_by
+            is_new = key != self._claimed_by
+            self._claimed_by = key
+            self._lease.begin(others.keys(), since)
+            if is_new:
+                self._contacts.forget(MANAGER)
+                self._targets.clear()
+            self._targets |= {name: (e.host, e.port) for name, e in others.items()}
+        if self._heartbeats is not None and is_first and agents:
+            self._heartbeats.send_to(self._targets)
+            self._heartbeats.start()
+
+    def links(self) -> Mapping[str, LinkQuality]:
+        """Return how the ways to the other computers are."""
+        with self._lock:
+            return self._contacts.qualities(self._clock.now())
+
+    def _hear(self, beat: Heartbeat, source: Address) -> bool:
+        """Take in a heartbeat; return whether it asks for one at once."""
+        with self._lock:
+            if beat.sender == MANAGER:
+                if beat.key != self._claimed_by:
+                    return False
+                self._targets[MANAGER] = source
+            elif beat.sender not in self._targets:
+                return False
+            is_news = self._contacts.note(beat, self._clock.now())
+        return is_news and self._computer in beat.asks
+
+    def _next_beat(self) -> tuple[Heartbeat, float]:
+        with self._lock:
+            return self._beat_at(self._clock.now())
+
+    def _beat_at(self, now: float) -> tuple[Heartbeat, float]:
+        if now - self._looked_at > _STALLED:  # it could hear nobody meanwhile
+            self._grace_until = now + _GRACE
+        self._looked_at = now
+        is_managed = self._fence.is_managed()
+        if is_managed and not self.is_cut_off and self._has_ended(now):
+            self.is_cut_off = True
+            self._on_cut_off()
+        is_late = ASK_AFTER < self._lease.age(now) < 2 * ASK_AFTER
+        beat = self._contacts.next_beat(
+            now,
+            managed=self._lease.managed(now) if is_managed else None,
+            is_cut_off=self.is_cut_off,
+            asks=(MANAGER,) if is_late else (),
+            revoked=self._lease.revoked(),
+        )
+        return beat, ASK_EVERY if is_late else EVERY
+
+    def _has_ended(self, now: float) -> bool:
+        if self._lease.is_revoked(self._computer, self._fence.token):
+            return True
+        return now >= self._grace_until and not self._lease.is_held(now)

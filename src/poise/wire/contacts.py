@@ -1,0 +1,182 @@
+"""Whom one participant hears, and who hears it. Pure: all moments are passed in.
+
+A heartbeat names the last heartbeats that its sender has heard. So each participant
+knows up to which of its own heartbeats the others have heard it, on its own clock: no
+clock is compared with another.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Mapping
+from statistics import median
+
+from poise.wire.records.heartbeats import (
+    MANAGER,
+    Echo,
+    Heartbeat,
+    LinkQuality,
+)
+
+EVERY = 0.1
+"""A heartbeat goes out this often [s]."""
+ASK_AFTER = 0.2
+"""Who is silent for longer is asked for a heartbeat [s]."""
+ASK_EVERY = 0.025
+DETECTED = 0.4
+"""Who is silent for longer is out of reach [s]."""
+LEASE = 0.7
+"""An agent that its manager has not heard for longer is cut off [s]."""
+SURELY_ENDED = 0.95
+"""The lease of an agent that is silent for longer has ended, on its clock, too [s]."""
+_WINDOW = 50
+"""Loss is counted over so many heartbeats."""
+_DELAYS = 15
+_FORGOTTEN = 3.0
+"""Who is silent for longer is named no more [s]."""
+
+
+class Contact:
+    """What one participant knows of another.
+
+    Attributes
+    ----------
+    last
+        The other's last heartbeat.
+    began, heard_at
+        When the first and the last came [s].
+    acked
+        The time of the last own heartbeat that the other has heard [s]; None: none.
+    """
+
+    def __init__(self, beat: Heartbeat, now: float) -> None:
+        self.last = beat
+        self.began = self.heard_at = now
+        self.acked: float | None = None
+        self._numbers: deque[int] = deque(maxlen=_WINDOW)
+        self._delays: deque[float] = deque(maxlen=_DELAYS)
+
+    def note(self, beat: Heartbeat, echo: Echo | None, now: float) -> None:
+        """Take in a heartbeat, which says what the other has heard of this side."""
+        self.last, self.heard_at = beat, now
+        self._numbers.append(beat.number)
+        if echo is not None and (self.acked is None or echo.sent > self.acked):
+            self.acked = echo.sent
+            self._delays.append(max(0.0, now - echo.sent - echo.held) / 2)
+
+    def quality(self, now: float) -> LinkQuality:
+        """Return how the way from and to the other is."""
+        silent = now - self.heard_at
+        missed = max(0, int(silent / EVERY) - 1)
+        due = missed + 1
+        if self._numbers:
+            due += self._numbers[-1] - self._numbers[0]
+        return LinkQuality(
+            delay=median(self._delays) if self._delays and silent < LEASE else None,
+            loss=max(0.0, 1 - len(self._numbers) / due) if self._numbers else 0.0,
+            silent=silent,
+        )
+
+
+class Contacts:
+    """Whom one participant hears.
+
+    Parameters
+    ----------
+    name
+        This side's: a computer's, or `MANAGER`.
+    key
+        Of this start.
+    """
+
+    def __init__(self, robot: str, name: str, key: str) -> None:
+        self._robot = robot
+        self._name = name
+        self._key = key
+        self._number = 0
+        self._sent: deque[float] = deque(maxlen=_WINDOW)
+        self._contacts: dict[str, Contact] = {}
+
+    def note(self, beat: Heartbeat, now: float) -> bool:
+        """Take in a heartbeat at `now` [s]; return whether it was news."""
+        if beat.robot != self._robot or beat.sender == self._name:
+            return False
+        contact = self._contacts.get(beat.sender)
+        is_same = contact is not None and contact.last.key == beat.key
+        if contact is None or not is_same:
+            contact = self._contacts[beat.sender] = Contact(beat, now)
+        elif beat.number <= contact.last.number:
+            return False  # it was overtaken
+        contact.note(beat, beat.heard.get(self._name), now)
+        return True
+
+    def forget(self, name: str) -> None:
+        """Know nothing of another any more, until it is heard again."""
+        self._contacts.pop(name, None)
+
+    def next_beat(
+        self,
+        now: float,
+        *,
+        managed: float | None = 0.0,
+        is_cut_off: bool = False,
+        asks: Iterable[str] = (),
+        revoked: Mapping[str, int] | None = None,
+    ) -> Heartbeat:
+        """Return this side's heartbeat at `now` [s]."""
+        self._number += 1
+        self._sent.append(now)
+        return Heartbeat(
+            robot=self._robot,
+            sender=self._name,
+            key=self._key,
+            number=self._number,
+            sent=now,
+            heard={
+                name: Echo(
+                    contact.last.sent, now - contact.heard_at, contact.last.is_cut_off
+                )
+                for name, contact in self._contacts.items()
+                if now - contact.heard_at < _FORGOTTEN
+            },
+            managed=managed,
+            is_cut_off=is_cut_off,
+            asks=tuple(asks),
+            revoked=revoked or {},
+        )
+
+    def get(self, name: str) -> Contact | None:
+        """Return what is known of another; None: it was never heard."""
+        return self._contacts.get(name)
+
+    def unanswered_since(self, name: str) -> float:
+        """Return when the first own heartbeat went out that another has not heard [s].
+
+        Infinite when it has heard all.
+        """
+        contact = self._contacts.get(name)
+        acked = contact.acked if contact is not None else None
+        sent = (at for at in self._sent if acked is None or at > acked)
+        return next(sent, float("inf"))
+
+    def relayed(self, name: str, now: float) -> tuple[str, float] | None:
+        """Return who heard another last, and when at the latest [s], but for itself."""
+        found = [
+            (contact.heard_at - echo.held, other)
+            for other, contact in self._contacts.items()
+            if other not in {name, MANAGER} and now - contact.heard_at < DETECTED
+            for echo in [contact.last.heard.get(name)]
+            if echo is not None and not echo.is_cut_off
+        ]
+        if not found:
+            return None
+        at, other = max(found)
+        return other, at
+
+    def qualities(self, now: float) -> Mapping[str, LinkQuality]:
+        """Return how the ways to all other computers are."""
+        return {
+            name: contact.quality(now)
+            for name, contact in sorted(self._contacts.items())
+            if name != MANAGER
+        }
