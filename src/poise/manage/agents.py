@@ -173,7 +173,9 @@ class Agents(AgentReports):
         with self._changed:
             for computer, token in self._tokens.items():
                 status = self._statuses.get(computer)
-                if status is not None and status.token > token:
+                if status is None or status.manager is None or status.token <= token:
+                    continue
+                if status.manager.key != self.manager.key:  # else its lease ended
                     return status.manager
         return None
 

@@ -6,6 +6,7 @@ agent adopts them. So nothing restarts elsewhere while that agent may come.
 
 from __future__ import annotations
 
+import contextlib
 import time
 
 from poise.errors import RunError
@@ -14,6 +15,8 @@ from poise.manage.run import Run
 from poise.units import counted
 from poise.wire.records.container import RESTART_LIMIT
 
+_MOMENT = 1.0
+"""A command waits so long for a computer that has just been cut off [s]."""
 _RETRY_AFTER = 1.0
 """A computer that came back, but refuses, is asked again after this time [s]."""
 _RESTART_LIMIT = RESTART_LIMIT + 1.0
@@ -88,6 +91,20 @@ class LostComputers:
             is_there = computer in run.agents.statuses()
             if is_there and self._retry_at.get(computer, 0.0) <= now:
                 self._bring_back(computer, now)
+
+    def settle(self) -> None:
+        """Wait for computers that were cut off for a moment: a command is to come."""
+        run, now = self._run, time.time()
+        self.note()
+        lost = {n for n, at in self._lost_at.items() if now - at < _MOMENT}
+        lost -= self._reached
+        if lost:
+            run.agents.wait_news(lambda: lost <= run.computers(), _MOMENT)
+            self.bring_back()
+            back = lost & self._reached
+            here = [each for each in run.placed.values() if each.computer in back]
+            with contextlib.suppress(RunError):  # the command itself says so
+                run.wait(here, _MOMENT)
 
     def _bring_back(self, computer: str, now: float) -> None:
         run = self._run

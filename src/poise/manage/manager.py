@@ -223,6 +223,7 @@ class Manager:
 
     def _done(self, command: Command) -> Result:
         run = self._run
+        self._lost.settle()
         match command:
             case MoveCommand(component, computer, force):
                 if not force:

@@ -19,6 +19,9 @@ from poise.wire.contacts import (
 
 _STALLED = 1.5 * EVERY
 """Between two looks no more than this counts [s]."""
+_LATER = 0.15
+"""Another agent hears one that the manager does not when its last sign came so much
+later [s]: of one that is gone, last signs come within a heartbeat of each other."""
 _INFORMED = 0.3
 """An agent's heartbeat says of the manager's up to so long ago that it came [s]."""
 
@@ -28,12 +31,12 @@ class _Silence:
 
     def __init__(self) -> None:
         self.seconds = 0.0
-        self._last = float("-inf")
+        self.last = float("-inf")
 
     def look(self, sign: float, now: float, counted: float) -> None:
         """Take in when the last sign came."""
-        if sign > self._last:
-            self._last, self.seconds = sign, 0.0
+        if sign > self.last:
+            self.last, self.seconds = sign, 0.0
         self.seconds = min(self.seconds + counted, max(0.0, now - sign))
 
 
@@ -97,7 +100,8 @@ class Reachability:
         relayed = self._contacts.relayed(computer, now)
         if agent is None or relayed is None or agent.any.seconds >= DETECTED:
             return ""
-        return relayed[0]
+        other, at = relayed
+        return other if at - agent.direct.last > _LATER else ""
 
     def have_leases_ended(self, computers: Collection[str]) -> bool:
         """Return whether agents' leases have surely ended, so far as they have any."""

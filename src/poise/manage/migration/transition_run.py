@@ -56,7 +56,8 @@ def start_together(run: Run, placement: Mapping[str, str]) -> bool:
         )
         for name, computer in placement.items()
     ]
-    lost = {run.placed[name].computer for name in placement}
+    old = [run.placed[name] for name in placement.keys() & run.placed.keys()]
+    lost = {each.computer for each in old}
     others = [each for name, each in run.placed.items() if name not in placement]
     prepared = [each.with_goal("inactive") for each in new]
     try:
@@ -73,7 +74,12 @@ def start_together(run: Run, placement: Mapping[str, str]) -> bool:
     try:
         run.bring(new, ACTIVE_LIMIT)
     except RunError as error:
-        run.journal.note("failed", f"components did not restart: {error}")
+        run.journal.note("failed", f"components did not start: {error}")
+        if not lost:
+            for name in placement:
+                del run.placed[name]
+            run.tell(run.placed.values())
+        # else they stay placed here: where they were, they have no lease any more
         return False
     run.journal.note("done", "they are at work", placement=run.placement())
     return True
