@@ -144,7 +144,7 @@ class Chaos:
             self._load,
         ]
         if len(self._lasting) >= AT_ONCE:
-            self._end_one(self._chance.choice(list(self._lasting)))
+            self._end_one(self._chance.choice(self._mendable()))
         else:
             event = self._chance.choice([*momentary, *momentary, *lasting])
             with contextlib.suppress(UsageError):  # such as two faults of one link
@@ -239,13 +239,18 @@ class Chaos:
 
     def _end_one(self, event: str) -> None:
         end = self._lasting.pop(event)
-        with contextlib.suppress(UsageError):  # a crash ends what was there before
+        with contextlib.suppress(UsageError):  # a crash has ended it already
             end()
         self._say(f"  no more: {event}")
 
+    def _mendable(self) -> list[str]:
+        """Return what can be mended: cables only where no computer is crashed."""
+        events = list(self._lasting)
+        return [each for each in events if each.startswith("crash")] or events
+
     def _heal(self) -> None:
-        for event in list(self._lasting):
-            self._end_one(event)
+        while self._lasting:
+            self._end_one(self._mendable()[0])
 
     def _settle(self) -> None:
         """Wait until all is well and stays so for a while; note what is not."""
