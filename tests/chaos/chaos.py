@@ -16,7 +16,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from msgspec import Struct
@@ -170,8 +170,10 @@ class Chaos:
 
     def _kill_agent(self) -> str:
         computer = self._chance.choice(COMPUTERS)
-        for pid in self._agents(computer):
-            _kill(pid)
+        status = self._status()
+        if status is None or computer not in status.computers:
+            raise UsageError("its process is not known")
+        _kill(status.computers[computer].pid)
         return f"agent of {computer} killed"
 
     def _kill_manager(self) -> str:
@@ -317,10 +319,15 @@ class Chaos:
         ]
         for name, computer in status.computers.items():
             known = {container.pid for container in computer.containers}
-            # an agent and its zygote
-            extra = set(self._computers.computers[name].running()) - known
-            if len(extra) != 2:
-                wrong.append(f"beside containers on '{name}': {_described(extra)}")
+            # beside containers: agent, its zygote, and zygotes of adopted containers
+            left = [
+                pid
+                for pid in self._computers.computers[name].running()
+                if pid not in {computer.pid, *known, *map(_parent, known)}
+                and _parent(pid) != computer.pid
+            ]
+            if left:
+                wrong.append(f"left over on '{name}': {_described(left)}")
         return wrong
 
     def _look_for(self, seconds: float) -> None:
@@ -372,18 +379,7 @@ class Chaos:
                 if age > WARM or pid in self._memory:
                     now = _private_memory(pid)
                     first = self._memory.get(pid, ("", now, now))[1]
-                    self._memory[pid] = _described({pid}), first, now
-
-    def _agents(self, computer: str) -> list[int]:
-        """Return the processes of a computer that are neither container nor zygote."""
-        found = []
-        running = set(self._computers.computers[computer].running())
-        for pid in running:
-            with contextlib.suppress(OSError):
-                words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2]
-                if int(words.split()[1]) not in running:
-                    found.append(pid)
-        return found
+                    self._memory[pid] = _described([pid]), first, now
 
     def _status(self) -> Status | None:
         try:
@@ -408,13 +404,22 @@ def _kill(pid: int) -> None:
         os.kill(pid, signal.SIGKILL)
 
 
+def _parent(pid: int) -> int:
+    """Return a process's parent; 0: it has ended."""
+    try:
+        words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2]
+    except OSError:
+        return 0
+    return int(words.split()[1])
+
+
 def _private_memory(pid: int) -> int:
     """Return the memory that only this process has [bytes]."""
     lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
     return sum(int(x.split()[1]) << 10 for x in lines if x.startswith("Private"))
 
 
-def _described(pids: set[int]) -> str:
+def _described(pids: Iterable[int]) -> str:
     found = []
     for pid in sorted(pids):
         with contextlib.suppress(OSError):
