@@ -42,3 +42,16 @@ def test_a_robot_outlives_its_manager_amid_a_move() -> None:
     wrong = ("moved", "active_twice", "lost", "doubled", "reordered")
     assert not any(scene[name] for name in wrong)
     assert "'passer' from 'left' to 'right' was half done" in done.stderr
+
+
+@pytest.mark.slow
+def test_what_was_cut_off_is_active_elsewhere_and_never_twice() -> None:
+    if reasons := look().without_network():
+        pytest.skip("; ".join(reasons))
+    done = run_poise("demo", "--scene", "cut-link", "--json", "--examples", EXAMPLES)
+    assert done.returncode == 0, done.stderr
+    scene = json.loads(done.stdout)
+    assert scene["ok"]
+    assert 0 < scene["detected_s"] <= scene["active_s"]
+    assert not any(scene[name] for name in ("active_twice", "doubled", "reordered"))
+    assert scene["lost"] > 0

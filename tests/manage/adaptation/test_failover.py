@@ -59,3 +59,37 @@ def test_what_runs_elsewhere_stays(facts: Make, two: Robot) -> None:
     robot = with_first(two, only=("left",))
     found = fail_over(facts(APART, robot=robot), {"right"})
     assert found.placement == {"b": "left"}
+
+
+def test_of_what_does_not_fit_whole_architectures_are_dropped_by_priority(
+    facts: Make, two: Robot
+) -> None:
+    """Each needs more than half of what is left beside the other."""
+    (work,) = two.architectures
+    names = {c.name: c for c in work.components}
+    parts = tuple(
+        replace(
+            work,
+            name=f"work_{name}",
+            function=f"work_{name}",
+            priority=priority,
+            components=(replace(names[name], demand={"cpu": 0.3}),),
+        )
+        for name, priority in (("a", 2), ("b", 1))
+    )
+    robot = replace(two, architectures=parts, connectors=())
+    found = fail_over(facts({"a": "left", "b": "left"}, robot=robot), {"left"})
+    assert found.placement == {"a": "right"}
+    assert found.missing["b"].startswith("it fits nowhere beside what runs: ")
+    assert found.waits_for_room
+
+
+def test_what_belongs_to_another_layer_is_missing(facts: Make, two: Robot) -> None:
+    (work,) = two.architectures
+    robot = replace(two, architectures=(replace(work, layer="reactive", home="left"),))
+    found = fail_over(facts({"a": "left", "b": "left"}, robot=robot), {"left"})
+    assert found.placement == {}
+    assert set(found.missing.values()) == {
+        "it belongs to the reactive layer, which stays"
+    }
+    assert not found.waits_for_room

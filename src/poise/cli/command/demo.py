@@ -85,7 +85,7 @@ class DemoReport(Struct, frozen=True, kw_only=True):
 def demo_command(
     as_json: AsJson = False,
     scene: Annotated[
-        Literal["overload", "lost-computer", "manager-killed"] | None,
+        Literal["overload", "lost-computer", "cut-link", "manager-killed"] | None,
         typer.Option(help="Show instead how a running robot adapts."),
     ] = None,
     examples: Annotated[

@@ -37,6 +37,9 @@ from poise.model.policy.seen import Seen
 from poise.model.policy.shipped import policies_of
 from poise.units import counted
 
+_ROOM_EVERY = 5.0
+"""Whether components of a lost computer fit meanwhile is tried this often [s]."""
+
 
 class Adaptation:
     """Watches a running robot, and changes its placement when that helps.
@@ -84,6 +87,7 @@ class Adaptation:
         self._downtimes: dict[str, float] = {}
         self._reported: dict[Key, _Reported] = {}
         self._missing: set[str] = set()
+        self._tries_again = float("inf")
         self.deviations: tuple[Deviation, ...] = ()
 
     def look(self) -> None:
@@ -166,12 +170,15 @@ class Adaptation:
         """Restart the components of lost computers elsewhere, once."""
         stranded = {n for n, c in facts.placement.items() if c in lost}
         self._missing &= stranded
-        if stranded <= self._missing:
+        if stranded <= self._missing and now < self._tries_again:
             return False
         found = fail_over(facts, lost)
-        self._missing = set(found.missing)
+        before, self._missing = self._missing, set(found.missing)
+        self._tries_again = now + _ROOM_EVERY if found.waits_for_room else float("inf")
         note = self._run.journal.note
         for component, why in sorted(found.missing.items()):
+            if component in before:
+                continue
             where = facts.placement[component]
             note("wrong", f"component '{component}' of '{where}' is missing: {why}")
         if found.placement:
@@ -180,7 +187,7 @@ class Adaptation:
                 self._failover_limits.forget_nothing()
             else:
                 self._failover_limits.note_nothing(now)
-        return True
+        return bool(found.placement or self._missing - before)
 
     def _carry_out(
         self, decision: Decision, due: tuple[Symptom, ...], facts: Facts, now: float

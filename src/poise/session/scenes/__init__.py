@@ -6,16 +6,18 @@ from collections.abc import Callable, Mapping
 
 from poise.model.robot import Robot
 from poise.session.say import Check, Say
+from poise.session.scenes.cut_link import CutLinkScene, cut_link
 from poise.session.scenes.lost_computer import LostComputerScene, lose_computer
 from poise.session.scenes.manager_killed import ManagerKilledScene, kill_manager
 from poise.session.scenes.overload import OverloadScene, overload
 
-Played = OverloadScene | LostComputerScene | ManagerKilledScene
+Played = OverloadScene | LostComputerScene | CutLinkScene | ManagerKilledScene
 Play = Callable[[Robot, Say, Check], Played]
 
 SCENES: Mapping[str, tuple[str, Play]] = {
     "overload": ("adapt", overload),
     "lost-computer": ("adapt", lose_computer),
+    "cut-link": ("counted", cut_link),
     "manager-killed": ("counted", kill_manager),
 }
 """By name: the example whose robot plays it, and what plays it."""

@@ -19,7 +19,13 @@ from poise.model.robot import Robot
 from poise.session.emulated import emulated
 from poise.session.running import Running
 from poise.session.say import Check, Say
-from poise.session.scenes.waiting import WARM_UP, active_components, wait, wait_until
+from poise.session.scenes.waiting import (
+    WARM_UP,
+    active_components,
+    measures,
+    wait,
+    wait_until,
+)
 
 _MOVED, _HOME, _TARGET = "passer", "left", "right"
 _AMID = 0.4
@@ -94,7 +100,7 @@ def _outcome(
     times = Counter(active_components(running))
     twice = sum(count > 1 for count in times.values())
     moved = sum(before[n] != after.get(n) for n in before if n != _MOVED)
-    counts = _measures(running)
+    counts = measures(running)
     wrong = [counts[name] for name in ("lost", "doubled", "reordered")]
     return ManagerKilledScene(
         ok=times.keys() == before.keys() and not any([moved, twice, *wrong]),
@@ -165,13 +171,4 @@ def _places(running: Running) -> Places:
         for computer, status in running.status().computers.items()
         for container in status.containers
         for component in container.components
-    }
-
-
-def _measures(running: Running) -> dict[str, int]:
-    """Return the largest value of each measure of all components."""
-    return {
-        name: int(summary.maximum)
-        for component in components_of(running.status().computers)
-        for name, summary in component.measures.items()
     }

@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable
 
 from poise.errors import RunError
+from poise.manage.statuses import components_of
 from poise.session.running import Running
-from poise.session.say import Check
 
 WARM_UP = 4.0
 LOOK_EVERY = 0.1
@@ -27,7 +27,9 @@ def active_components(running: Running, lost: str = "") -> list[str]:
     ]
 
 
-def wait_until(holds: Callable[[], bool], began: float, check: Check) -> float:
+def wait_until(
+    holds: Callable[[], bool], began: float, check: Callable[[], object]
+) -> float:
     """Return how long after `began` something held [s]; RunError when it never did."""
     while not holds():
         wait(LOOK_EVERY / 5, check)
@@ -36,9 +38,18 @@ def wait_until(holds: Callable[[], bool], began: float, check: Check) -> float:
     return time.monotonic() - began
 
 
-def wait(seconds: float, check: Check) -> None:
+def wait(seconds: float, check: Callable[[], object]) -> None:
     """Wait, and call `check` meanwhile."""
     end = time.monotonic() + seconds
     while (left := end - time.monotonic()) > 0:
         check()
         time.sleep(min(left, LOOK_EVERY))
+
+
+def measures(running: Running) -> dict[str, int]:
+    """Return the largest value of each measure of all components."""
+    return {
+        name: int(summary.maximum)
+        for component in components_of(running.status().computers)
+        for name, summary in component.measures.items()
+    }
