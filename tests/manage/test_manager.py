@@ -86,7 +86,7 @@ def test_a_move_to_a_computer_that_is_out_of_reach_is_refused_at_once(
 def test_a_bug_in_a_command_is_refused_and_the_robot_goes_on(
     managed: Managed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def break_down(*_: object) -> None:
+    def break_down(*_: object, **__: object) -> None:
         managed.run.tell([])  # in the middle of a change
         raise KeyError("odd")
 

@@ -231,7 +231,7 @@ class Manager:
                         run.robot, self._estimates.demand_estimates()
                     )
                     check_move(robot, run.placement(), component, computer)
-                return Moved(move(run, component, computer))
+                return Moved(move(run, component, computer, force=force))
             case ReplaceCommand(component, by, adapt, fresh) if ":" in by:
                 return Moved(replace(run, component, by, adapt, fresh=fresh))
             case ReplaceCommand(what, by, adapt, fresh):

@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from poise.errors import UsageError
 from poise.manage.adaptation.decision import decide
 from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.failover import fail_over
 from poise.manage.adaptation.put_aside import CALM, FIRST, PutAside, not_running
 from poise.manage.agents import Agents
 from poise.manage.journal import Journal
@@ -214,3 +215,51 @@ def test_of_alternatives_the_best_that_fits_is_taken_back() -> None:
     assert robbed.run.placement() == BOTH
     robbed.aside.look()
     assert not robbed.aside.deviations()
+
+
+def test_a_lost_computer_puts_lower_priorities_aside_for_higher_ones() -> None:
+    robot = robot_with()
+    high, low = robot.architectures
+    middle = replace(
+        low,
+        name="middle-task",
+        function="middle",
+        priority=5,
+        components=(replace(low.components[0], name="middle"),),
+    )
+    right = Computer(name="right", capacity={"cpu": 1.0, "memory": 1e9})
+    robot = replace(
+        robot,
+        computers=(*robot.computers, right),
+        architectures=(high, low, middle),
+    )
+    facts = Facts(
+        robot=robot,
+        task="work",
+        placement={"high": "right", "middle": "left", "low": "left"},
+        lost=frozenset({"right"}),
+    )
+    found = fail_over(facts, {"right"})
+    assert (found.placement, found.aside) == ({"high": "left"}, ("low-task",))
+    assert not found.missing
+    # the lowest itself gets only what is left
+    swapped = replace(
+        facts, placement={"low": "right", "middle": "left", "high": "left"}
+    )
+    found = fail_over(swapped, {"right"})
+    assert (found.placement, found.aside) == ({}, ())
+    assert found.missing["low"].startswith("it fits nowhere beside what runs")
+
+
+def test_of_what_was_lost_the_higher_is_restarted_when_not_all_fits() -> None:
+    robot = robot_with()
+    left = Computer(name="small", capacity={"cpu": 0.5, "memory": 1e9})
+    facts = Facts(
+        robot=replace(robot, computers=(*robot.computers, left)),
+        task="work",
+        placement=BOTH,
+        lost=frozenset({"left"}),
+    )
+    found = fail_over(facts, {"left"})
+    assert found.placement == {"high": "small"}
+    assert set(found.missing) == {"low"}

@@ -39,7 +39,11 @@ def move_command(
     component: Annotated[str, typer.Argument(help="The component.")],
     computer: Annotated[str, typer.Argument(help="Where it is to run.")],
     force: Annotated[
-        bool, typer.Option("--force", help="Move it even where it does not fit.")
+        bool,
+        typer.Option(
+            "--force",
+            help="Move it even where it does not fit, or in spite of its layer.",
+        ),
     ] = False,
     robot: Robot = None,
     as_json: AsJson = False,

@@ -181,6 +181,9 @@ class Adaptation:
                 continue
             where = facts.placement[component]
             note("wrong", f"component '{component}' of '{where}' is missing: {why}")
+        if found.aside:
+            why = "components of a lost computer that have a higher priority need room"
+            self._put_aside.put(found.aside, why, now)
         if found.placement:
             note("decided", _sentence(found.placement), placement=found.placement)
             if start_together(self._run, found.placement):

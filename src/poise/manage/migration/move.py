@@ -16,7 +16,7 @@ from poise.manage.journal import Kind
 from poise.manage.migration.coordinator import Migration, MigrationReport
 from poise.manage.run import ACTIVE_LIMIT, READY_LIMIT, Run
 from poise.model.check.allowed_computers import allowed_computers
-from poise.model.robot import ComponentEntry
+from poise.model.robot import ComponentEntry, Layer
 
 
 class MoveReport(MigrationReport, frozen=True, kw_only=True):
@@ -37,8 +37,14 @@ class MoveReport(MigrationReport, frozen=True, kw_only=True):
     cold: bool = False
 
 
-def move(run: Run, component: str, computer: str) -> MoveReport:
+def move(run: Run, component: str, computer: str, *, force: bool = False) -> MoveReport:
     """Move a running component to a computer; it stays where it is when that fails.
+
+    Parameters
+    ----------
+    force
+        Whether it goes even when it is in the reactive or the deliberative layer; only
+        people may ask so.
 
     Raises
     ------
@@ -46,7 +52,7 @@ def move(run: Run, component: str, computer: str) -> MoveReport:
         There is no such component or computer, or it may not run there.
     """
     old = _placed(run, component)
-    _check_target(run, component, computer)
+    _check_target(run, component, computer, force=force)
     if old.computer == computer:
         raise UsageError(f"component '{component}' runs on '{computer}' already")
     new = Incarnation(
@@ -83,9 +89,14 @@ def replace(
     Raises
     ------
     UsageError
-        There is no such component.
+        There is no such component, or its layer stays as it is.
     """
     old = _placed(run, component)
+    if (layer := _layer(run, component)) != "sequencing":
+        raise UsageError(
+            f"component '{component}' is in the {layer} layer, which stays as it is: "
+            "stop the robot to change it"
+        )
     if _component(run, component).command:
         raise UsageError(
             f"component '{component}' is a command line: it has no implementation"
@@ -174,11 +185,17 @@ def _placed(run: Run, component: str) -> Incarnation:
         raise UsageError(f"no component '{component}' runs ({known} do)") from None
 
 
-def _check_target(run: Run, component: str, computer: str) -> None:
+def _check_target(run: Run, component: str, computer: str, *, force: bool) -> None:
     known = [each.name for each in run.robot.computers]
     if computer not in known:
         raise UsageError(f"no computer '{computer}' (there are {', '.join(known)})")
-    allowed = allowed_computers(run.robot)[component]
+    layer = _layer(run, component)
+    if layer != "sequencing" and not force:
+        raise UsageError(
+            f"component '{component}' is in the {layer} layer, which does not move; "
+            "`--force` moves it nevertheless"
+        )
+    allowed = allowed_computers(run.robot, layers_stay=False)[component]
     if computer not in allowed:
         raise UsageError(
             f"component '{component}' may not run on '{computer}', only on "
@@ -186,6 +203,14 @@ def _check_target(run: Run, component: str, computer: str) -> None:
         )
     if not _component(run, component).movable:
         raise UsageError(f"component '{component}' is not movable (robot file)")
+
+
+def _layer(run: Run, component: str) -> Layer:
+    return next(
+        a.layer
+        for a in run.robot.architectures
+        if component in {c.name for c in a.components}
+    )
 
 
 def _component(run: Run, name: str) -> ComponentEntry:

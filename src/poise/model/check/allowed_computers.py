@@ -12,12 +12,19 @@ from poise.model.yaml.positions import Finding
 Names = frozenset[str]
 
 
-def allowed_computers(robot: Robot) -> Mapping[str, Names]:
-    """Return component -> the computers it may run on; names must be known."""
+def allowed_computers(robot: Robot, *, layers_stay: bool = True) -> Mapping[str, Names]:
+    """Return component -> the computers it may run on; names must be known.
+
+    Parameters
+    ----------
+    layers_stay
+        Whether reactive and deliberative architectures stay at home: only people may
+        move them.
+    """
     everywhere = frozenset(computer.name for computer in robot.computers)
     return {
         component.name: everywhere.intersection(
-            *_limits(robot, architecture, component).values()
+            *_limits(robot, architecture, component, layers_stay=layers_stay).values()
         )
         for _, architecture, component in components(robot)
     }
@@ -36,7 +43,11 @@ def check_allowed_computers(robot: Robot) -> Iterator[Finding]:
 
 
 def _limits(
-    robot: Robot, architecture: Architecture, component: ComponentEntry
+    robot: Robot,
+    architecture: Architecture,
+    component: ComponentEntry,
+    *,
+    layers_stay: bool = True,
 ) -> dict[str, Names]:
     """Return what limits a component, for people, -> the computers it leaves.
 
@@ -49,7 +60,8 @@ def _limits(
         if device.name in component.devices
     }
     limits["`only` allows"] = frozenset(component.only)
-    if architecture.layer != "sequencing" and architecture.home is not None:
+    is_fixed = layers_stay and architecture.layer != "sequencing"
+    if is_fixed and architecture.home is not None:
         reason = f"the {architecture.layer} layer stays at its home"
         limits[reason] = frozenset({architecture.home})
     return {reason: hosts for reason, hosts in limits.items() if hosts & known}

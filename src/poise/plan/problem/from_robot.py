@@ -172,9 +172,12 @@ def _pins(
     for name in component.devices:
         where = robot.device(name).computer
         yield (where,), f"device {name} is on {where}"
-    if architecture.layer != "sequencing" and architecture.home is not None:
+    is_fixed = architecture.layer != "sequencing"
+    if is_fixed and now is None and architecture.home is not None:
         yield (architecture.home,), f"{architecture.layer} layer of {architecture.home}"
-    if now is not None and not component.movable:
+    if now is not None and is_fixed:
+        yield (now,), f"runs on {now}, and the {architecture.layer} layer does not move"
+    elif now is not None and not component.movable:
         yield (now,), f"runs on {now} and may not be moved"
 
 
