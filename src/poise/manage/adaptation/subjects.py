@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from typing import Any
 
 from poise.manage.adaptation.decision import shortages_of
 from poise.manage.adaptation.facts import Facts
@@ -17,6 +18,9 @@ from poise.model.policy.values import (
     TimerValues,
     Values,
 )
+
+_CUT = 0.7
+"""A link over which no heartbeat came for so long is cut [s]."""
 
 
 def values_of(facts: Facts, subject: Subject) -> tuple[Values, ...]:
@@ -74,7 +78,26 @@ def _links(facts: Facts) -> Iterator[Values]:
             bandwidth=link.bandwidth,
             traffic=traffic.get(frozenset(link.between), 0.0),
             trip=clock.trip if clock else 0.0,
+            latency=link.latency,
+            **_quality(facts, first, second),
         )
+
+
+def _quality(facts: Facts, first: str, second: str) -> Mapping[str, Any]:
+    """Return how a link is now, by the heartbeats in both directions."""
+    ends = {first: second, second: first}
+    sides = [
+        status.links[there]
+        for here, there in ends.items()
+        if (status := facts.statuses.get(here)) and there in status.links
+    ]
+    if facts.lost & ends.keys() or not sides:
+        return {}
+    return {
+        "delay": max(side.delay or 0.0 for side in sides),
+        "loss": max(side.loss for side in sides),
+        "cut": max(side.silent for side in sides) > _CUT,
+    }
 
 
 def _components(facts: Facts) -> Iterator[Values]:

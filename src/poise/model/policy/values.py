@@ -57,6 +57,14 @@ class LinkValues(Struct, frozen=True, kw_only=True):
     bandwidth: Annotated[Bandwidth, says("Each way, by the robot file.")] = 0.0
     traffic: Annotated[Bandwidth, says("What connectors carry over it now.")] = 0.0
     trip: Annotated[Seconds, says("The quickest of the last round trips.")] = 0.0
+    latency: Annotated[Seconds, says("One way, by the robot file.")] = 0.0
+    delay: Annotated[
+        Seconds, says("One way, in the median of the last heartbeats.")
+    ] = 0.0
+    loss: Annotated[Share, says("Heartbeats of the last 5 s that did not come.")] = 0.0
+    cut: Annotated[
+        bool, says("Whether computers that the manager reaches do not hear each other.")
+    ] = False
 
 
 class ComponentValues(Struct, frozen=True, kw_only=True):
