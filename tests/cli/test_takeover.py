@@ -13,6 +13,7 @@ import pytest
 
 from poise.emulate import look
 from tests.command import robot_up, run_poise
+from tests.waiting import wait_long
 
 pytestmark = pytest.mark.slow
 
@@ -98,6 +99,22 @@ def test_a_manager_that_is_replaced_leaves_the_robot_and_says_by_whom(
         assert first.returncode == 3
         assert "has taken the robot over, which goes on" in said
         assert containers(status()) == containers(before)
+
+
+def test_a_computer_that_is_lost_meanwhile_keeps_no_manager_from_the_rest(
+    file: Path,
+) -> None:
+    assert (
+        run_poise("up", "--detach", "--placement", "round-robin", file).returncode == 0
+    )
+    before = status()
+    assert set(before["placement"].values()) == {"left", "right"}
+    os.kill(before["manager"]["pid"], signal.SIGKILL)
+    assert run_poise("emulate", "crash", "right", "--robot", NAME).returncode == 0
+    done = run_poise("up", "--detach", file)
+    assert done.returncode == 0, done.stderr
+    wait_long(lambda: set(status()["placement"].values()) == {"left"})
+    assert "right" in status()["out_of_reach"]
 
 
 def test_an_error_of_a_detached_start_is_said(file: Path) -> None:

@@ -158,6 +158,13 @@ class AgentReports:
             self._silent = {c: self._silent.get(c, now) for c in computers}
             self._note_news()
 
+    def go_on_without_missing(self) -> None:
+        """Count agents that are not there as lost."""
+        with self._changed:
+            missing = self._endpoints.keys() - self._alive
+            self._lost |= dict.fromkeys(missing, time.time())
+            self._note_news()
+
     def _note_news(self) -> None:
         self._version += 1
         self._changed.notify_all()

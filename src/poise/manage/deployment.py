@@ -35,6 +35,9 @@ one Python process share one core."""
 _STRANGERS = {"stay", "inactive"}
 """The source and the target of a migration are not connected with each other."""
 
+_NOT_KNOWN = "0.0.0.0:1"
+"""The gateway of a computer that was never reached: nobody is there."""
+
 Placement = Mapping[str, str]
 
 
@@ -138,7 +141,7 @@ class DeploymentPlan:
         container = self._containers[target.component]
         if target.computer == computer:
             return container
-        return f"{gateways[target.computer]}/{container}"
+        return f"{gateways.get(target.computer, _NOT_KNOWN)}/{container}"
 
     def specs(
         self,

@@ -48,6 +48,7 @@ def start_or_take_over(run: Run, *, is_rule: bool = False, by_force: bool) -> No
     if not found:
         run.start_all()
         return
+    run.excused |= run.agents.out_of_reach().keys()
     said = next((f" of {manager}" for manager in before if manager), "")
     run.journal.note("seen", f"the robot{said} runs: taking over")
     planned = run.placement()
@@ -63,6 +64,8 @@ def start_or_take_over(run: Run, *, is_rule: bool = False, by_force: bool) -> No
     run.adopt(adoption.kept, _last_epochs(found))
     _note(run, adoption)
     run.tell(run.placed.values())
+    for sentence in run.unreached().values():
+        run.journal.note("wrong", sentence)
     seconds = time.monotonic() - began
     run.journal.note("done", "took over", placement=run.placement(), seconds=seconds)
     _start(run, adoption, found)
@@ -114,11 +117,13 @@ def _note(run: Run, adoption: Adoption) -> None:
 
 def _start(run: Run, adoption: Adoption, found: Sequence[Found]) -> None:
     """Start what does not go on; what cannot start is a deviation from then on."""
-    new = [
+    starts = [
         Incarnation(component=name, computer=computer, epoch=run.next_epoch(name))
         for name, computer in adoption.starts.items()
     ]
-    if not new:
+    # what is out of reach starts elsewhere, if it may, or once it is reached
+    new = [each for each in starts if each.computer in run.computers()]
+    if not starts:
         return
     try:
         for each in found:
@@ -126,10 +131,11 @@ def _start(run: Run, adoption: Adoption, found: Sequence[Found]) -> None:
                 run.wait_ended(each.incarnation)
         run.bring([each.with_goal("inactive") for each in new], READY_LIMIT)
         run.bring(new, ACTIVE_LIMIT)
-        run.journal.note("done", f"started {counted(len(new), 'component')}")
+        if new:
+            run.journal.note("done", f"started {counted(len(new), 'component')}")
     except RunError as error:
         run.journal.note("failed", f"not all that is missing started: {error}")
-    run.placed |= {each.component: each for each in new}
+    run.placed |= {each.component: each for each in starts}
     run.tell(run.placed.values())
 
 

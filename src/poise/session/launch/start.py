@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 
 from msgspec import Struct
 
@@ -26,6 +26,9 @@ from poise.session.say import Check, Say, log, nothing
 from poise.wire.records.samples import SAMPLE_EVERY, AgentSample
 
 _STEP = 0.2
+MISSING_LIMIT = 2.0
+"""The agents of a robot that is to be taken over are there within this time [s], or
+their computers are lost."""
 AGENT_LIMIT = 20.0
 """All agents are there within this time [s]."""
 
@@ -86,7 +89,7 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
     check: Check = nothing,
     *,
     use_kept: bool = False,
-    begin: Callable[[Run], object] = Run.start,
+    begin: Callable[[Run], object] | None = None,
 ) -> Iterator[Started]:
     """Start a robot's components on its computers; stop and remove all afterwards.
 
@@ -100,7 +103,7 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
     use_kept
         Whether computers that ``poise emulate`` keeps are used, if there are.
     begin
-        Starts the components.
+        Starts the components, or takes over those that run; None: all are started.
 
     Raises
     ------
@@ -137,12 +140,29 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
             check()
             computers.raise_if_ended()
 
-        agents.wait_alive(computers.endpoints, AGENT_LIMIT, look_around)
+        if begin is None or not _is_at_work(agents, computers.endpoints, look_around):
+            agents.wait_alive(computers.endpoints, AGENT_LIMIT, look_around)
         run = Run(robot, placement, agents, journal, str(folder), weigh=look.weigh)
-        stack.enter_context(_running(run, check, begin))
+        stack.enter_context(_running(run, check, begin or Run.start))
         stack.callback(at_work.clear)
         at_work.set()
         yield Started(run, computers, world)
+
+
+def _is_at_work(
+    agents: Agents, computers: Collection[str], look_around: Callable[[], object]
+) -> bool:
+    """Return whether components run; computers that are missing are lost then."""
+
+    def is_there() -> bool:
+        look_around()
+        return agents.reached() >= set(computers)
+
+    agents.wait_news(is_there, MISSING_LIMIT)
+    if not any(status.containers for status in agents.statuses().values()):
+        return False
+    agents.go_on_without_missing()
+    return True
 
 
 def _check_runnable(robot: Robot, placed: Iterable[str]) -> None:
