@@ -105,6 +105,7 @@ class Agents(AgentReports):
         )
         self._prefix = f"poise/{robot}"
         self._tokens: dict[str, int] = {}
+        self._claimed: dict[str, int] = {}
         # no gossip: it talks to the agents that it knows, and to no other manager
         with ahead():  # zenoh's threads do nothing but carry messages
             self._session = open_session(
@@ -171,7 +172,7 @@ class Agents(AgentReports):
     def successor(self) -> ManagerId | None:
         """Return the manager that agents obey instead of this one; None: none."""
         with self._changed:
-            for computer, token in self._tokens.items():
+            for computer, token in self._claimed.items():
                 status = self._statuses.get(computer)
                 if status is None or status.manager is None or status.token <= token:
                     continue
@@ -242,6 +243,7 @@ class Agents(AgentReports):
             answers, refusals = self._sent({computer: claim})
             if refusals:
                 raise RunError(refusals[computer])
+            self._claimed[computer] = token
             answer = answers[computer]
             if isinstance(answer, Claimed) and answer.deployment is not None:
                 deployments[computer] = answer.deployment
