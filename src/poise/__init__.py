@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from poise.errors import Timeout as Timeout
     from poise.errors import Unavailable as Unavailable
     from poise.errors import UsageError as UsageError
+    from poise.estimate.success import Situation as Situation
     from poise.manage.journal import Entry as Entry
     from poise.manage.journal import read_journal as read_journal
     from poise.model.policy.seen import PolicyAction as PolicyAction
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from poise.session.calibration.calibrate import Calibration as Calibration
     from poise.session.calibration.calibrate import calibrate as calibrate
     from poise.session.emulated import emulated as emulated
+    from poise.session.learning import note_outcome as note_outcome
     from poise.session.placement import Placement as Placement
     from poise.session.placement import place as place
     from poise.session.policies import PolicyEvent as PolicyEvent
@@ -79,6 +81,7 @@ else:
         "RunReport": "session.report",
         "Running": "session.running",
         "Seen": "model.policy.seen",
+        "Situation": "estimate.success",
         "Stamp": "clock",
         "TakenOver": "errors",
         "Timeout": "errors",
@@ -91,6 +94,7 @@ else:
         "every": "runtime.component.ports",
         "load": "session.robot_file",
         "loan": "wire.connections.blocks",
+        "note_outcome": "session.learning",
         "oneway": "runtime.component.ports",
         "place": "session.placement",
         "profile": "session.profiling.profile",

@@ -24,7 +24,8 @@ DOCUMENTS = [
 
 def written(text: str) -> Iterator[str]:
     """Yield the command lines in blocks for a shell, and in table cells."""
-    for block in re.findall(r"```(?:sh|console)?\n(.*?)```", text, re.DOTALL):
+    fences = re.findall(r"^```(\w*)\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    for block in (block for kind, block in fences if kind in {"", "sh", "console"}):
         for line in block.splitlines():
             found = re.match(
                 r"(?:\$ |\.venv/bin/)?(poise [a-z].*?)\s*(?:[&>|#].*)?$", line

@@ -92,7 +92,7 @@ class DeploymentPlan:
         folder: str,
         *,
         weigh: bool = False,
-        code_version: Callable[[ComponentEntry, str], str] = lambda *_: "",
+        code_version: Callable[..., str] = lambda *_: "",
     ) -> None:
         self._robot = robot
         self._code_version = code_version
@@ -167,6 +167,7 @@ class DeploymentPlan:
                     folder=self._robot.folder,
                     weight=self._weights[container].weight,
                     nice=self._weights[container].nice,
+                    repository=self._robot.repository,
                     components=tuple(map(self.component_spec, inside)),
                     connectors=tuple(self._connectors(inside, placed, gateways)),
                 )
@@ -251,7 +252,9 @@ class DeploymentPlan:
             code = structs.replace(
                 component, implementation=implementation, parameters={}
             )
-            self._code[key] = self._code_version(code, self._robot.folder)
+            self._code[key] = self._code_version(
+                code, self._robot.folder, *self._robot.repository
+            )
         return ComponentSpec(
             name=component.name,
             epoch=incarnation.epoch,

@@ -9,6 +9,7 @@ from msgspec import Struct
 
 from poise.errors import FileProblem, RobotError
 from poise.model.check import check
+from poise.model.repository import Repository, with_repository
 from poise.model.robot import Robot
 from poise.model.yaml.include import read_tree
 from poise.model.yaml.positions import Positions
@@ -17,10 +18,11 @@ from poise.units import quoted
 
 
 class Source(Struct, frozen=True):
-    """A robot and the locations of its parts in its files."""
+    """A robot, the locations of its parts in its files, and what the repository has."""
 
     robot: Robot
     positions: Positions
+    repository: Repository = Repository()
 
 
 def load(path: str | Path) -> Robot:
@@ -50,9 +52,12 @@ def load_source(path: str | Path) -> Source:
         raise RobotError(problems=sorted(problems))
     values["folder"] = str(path.resolve().parent)
     values["quality_weight"] = values.get("objective", {}).pop("quality", 1.0)
-    robot = msgspec.convert(values, Robot)
+    own = msgspec.convert(values, Robot)
+    robot, repository = with_repository(own, root, problems)
     positions = Positions(root)
-    problems += [positions.problem(finding) for finding in check(robot)]
+    problems += [positions.problem(finding) for finding in check(robot, repository)]
     if problems:
         raise RobotError(problems=sorted(problems))
-    return Source(robot, positions)
+    folders = tuple(str(Path(folder).resolve()) for folder in robot.repository)
+    robot = msgspec.structs.replace(robot, repository=folders)
+    return Source(robot, positions, repository)

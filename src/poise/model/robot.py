@@ -203,6 +203,20 @@ class Robot(Struct, frozen=True, kw_only=True):
     connectors: Annotated[
         tuple[Connector, ...], says("Connectors between architectures.")
     ] = ()
+    repository: Annotated[
+        tuple[str, ...],
+        says(
+            "Folders of architecture files, relative to this one: they provide "
+            "functions that tasks name."
+        ),
+    ] = ()
+    explore: Annotated[
+        bool,
+        says(
+            "Whether alternatives are tried at random, in proportion to what they "
+            "promise, so that more is learned of them."
+        ),
+    ] = False
     chains: Annotated[
         tuple[Chain, ...], by_name(Chain), says("End-to-end deadlines.")
     ] = ()

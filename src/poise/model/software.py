@@ -155,7 +155,10 @@ class Connector(Struct, frozen=True, kw_only=True):
 class Architecture(Struct, frozen=True, kw_only=True):
     """Provides one function by a set of components and connectors.
 
-    Several architectures may provide the same function.
+    Several architectures may provide the same function. `file` and `package` say where
+    one from the repository is from; both are empty for the robot file's own. `success`
+    is the share of actions that succeed with it, as learned (`poise.estimate.success`);
+    it weighs its quality.
     """
 
     name: str
@@ -189,3 +192,6 @@ class Architecture(Struct, frozen=True, kw_only=True):
     connectors: Annotated[
         tuple[Connector, ...], says("Connectors between its own components.")
     ] = ()
+    file: str = ""
+    package: str = ""
+    success: float = 1.0

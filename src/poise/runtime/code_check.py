@@ -21,7 +21,12 @@ from poise.model.check.workload import check_generated
 from poise.model.robot import ComponentEntry, PortKind, Robot
 from poise.model.yaml.positions import Finding, Path
 from poise.runtime.component.fingerprint import fingerprint
-from poise.runtime.component.implementation import find, find_type, load_module
+from poise.runtime.component.implementation import (
+    find,
+    find_type,
+    load_module,
+    search_also,
+)
 from poise.runtime.component.ports import (
     Port,
     is_oneway,
@@ -56,6 +61,7 @@ def check_code(
         Called with the name of each component before its code is imported, and with an
         empty name after the last.
     """
+    search_also(robot.repository)
     findings: list[Finding] = []
     known: _Known = {}
     reentrant: set[str] = set()

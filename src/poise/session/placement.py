@@ -9,9 +9,11 @@ from rich.console import RenderableType
 
 from poise import plan
 from poise.errors import RobotError, UsageError
+from poise.estimate.success import Situation
 from poise.model.robot import Robot
 from poise.model.tasks.phases import phases_of
 from poise.plan.solvers.portfolio import METHODS as SOLVERS
+from poise.session.learning import WELL, learned
 from poise.session.placement_rules import RULES, by_rule, is_rule
 from poise.session.render.plan import plan_parts
 from poise.session.render.shown import Shown
@@ -49,6 +51,15 @@ class Placement(Shown, Struct, frozen=True, kw_only=True):
         return self.result.placement
 
     @property
+    def architectures(self) -> Mapping[str, str]:
+        """Function -> the architecture that provides it."""
+        return {
+            bundle.function: bundle.name
+            for bundle in self.problem.architectures
+            if self.where.keys() >= {*bundle.components}
+        }
+
+    @property
     def why_aside(self) -> str:
         """Why architectures are put aside; empty when all of the task runs."""
         return f"not all fits: {self.reason}" if self.result.aside else ""
@@ -79,7 +90,7 @@ class Placement(Shown, Struct, frozen=True, kw_only=True):
         return plan_parts(self.result)
 
 
-def place(
+def place(  # noqa: PLR0913 - each is a choice of the user
     robot: Robot,
     task: str | None = None,
     *,
@@ -87,8 +98,10 @@ def place(
     budget: float = 0.1,
     seed: int = 0,
     fewer: bool = False,
+    situation: Situation = WELL,
+    explore: bool = False,
 ) -> Placement:
-    """Decide where the components of a task run.
+    """Decide where the components of a task run, and which alternatives do.
 
     Parameters
     ----------
@@ -101,9 +114,14 @@ def place(
     budget
         Time to decide [s].
     seed
-        Of the search.
+        Of the search, and of what is drawn to explore.
     fewer
         Whether architectures of low priority are put aside when not all fits.
+    situation
+        For which success was learned (`poise.note_outcome`).
+    explore
+        Whether alternatives are tried in proportion to what they promise; the robot
+        file's `explore` does the same.
 
     Returns
     -------
@@ -116,6 +134,7 @@ def place(
     RobotError
         A component can run nowhere, or an architecture has no home.
     """
+    robot = learned(robot, task, situation=situation, explore=explore, seed=seed).robot
     problem = plan.problem_of(robot, task)
     result = ruled(method, robot, problem)
     if result is None:

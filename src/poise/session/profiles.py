@@ -112,5 +112,5 @@ def stale(robot: Robot, profile: Profile) -> list[str]:
         for component in robot.components()
         if component.name in profile.components
         and profile.components[component.name].version
-        != version_of(component, robot.folder)
+        != version_of(component, robot.folder, *robot.repository)
     ]

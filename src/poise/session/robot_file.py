@@ -6,7 +6,7 @@ from os import PathLike
 from pathlib import Path
 
 from poise.errors import FileProblem, RobotError
-from poise.model.load import load_source
+from poise.model.load import Source, load_source
 from poise.model.robot import Robot
 from poise.runtime.isolated_check import check_code_isolated
 from poise.session.profiles import profiled
@@ -40,15 +40,17 @@ def load(file: str | PathLike[str], *, say: Say = log.info) -> Robot:
     file
         The robot file.
     say
-        Takes sentences: where demands are from, and which are missing or stale.
+        Takes sentences: where demands are from, which are missing or stale, and which
+        architectures of the repository do not fit.
 
     Raises
     ------
     RobotError
         The file or its code is wrong; `problems` has all that was found.
     """
-    found = profiled(load_bare(file))
-    for sentence in found.says:
+    source = _checked(file)
+    found = profiled(source.robot)
+    for sentence in (*source.repository.passed_over, *found.says):
         say(sentence)
     return found.robot
 
@@ -61,10 +63,14 @@ def load_bare(file: str | PathLike[str]) -> Robot:
     RobotError
         The file or its code is wrong; `problems` has all that was found.
     """
+    return _checked(file).robot
+
+
+def _checked(file: str | PathLike[str]) -> Source:
     source = load_source(Path(file))
     if findings := check_code_isolated(source.robot):
         raise RobotError(problems=sorted(map(source.positions.problem, findings)))
-    return source.robot
+    return source
 
 
 def task_of(robot: Robot, task: str | None) -> str:

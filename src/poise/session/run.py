@@ -15,6 +15,7 @@ from poise.session.launch.start import Sampling, Started, started
 from poise.session.placement import Placement, order_unused, runnable
 from poise.session.recordings.record_run import keeping
 from poise.session.report import MeasuredRun, RunReport, reported
+from poise.session.repository import note_architectures
 from poise.session.robot_file import task_of
 from poise.session.say import Check, Say, log, nothing
 
@@ -75,6 +76,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         book = Journal(journal or ":memory:")
         stack.callback(book.close)
         book.note("decided", f"task '{chosen}', {placed.method} placement")
+        note_architectures(book, robot, placed)
         for name in placed.result.aside:
             sentence = f"architecture '{name}' is put aside: {placed.why_aside}"
             book.note("wrong", sentence)

@@ -22,8 +22,10 @@ from poise.manage.observe.recording import Recording, save
 from poise.manage.takeover import start_or_take_over
 from poise.model.robot import Robot
 from poise.session.launch.start import Sampling, Started, started
+from poise.session.learning import learned
 from poise.session.placement import Placement, order_unused, runnable
 from poise.session.profiles import read_profile
+from poise.session.repository import note_architectures
 from poise.session.robot_file import task_of
 from poise.session.running import Running
 from poise.session.say import Check, Say, log, nothing
@@ -196,6 +198,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     if take_over:
         _check_outlives(robot)
     chosen = task_of(robot, task)
+    robot = learned(robot, chosen).robot
     placed = runnable(robot, chosen, placement)
     if sentence := order_unused(robot, chosen):
         say(sentence)
@@ -204,6 +207,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         server = stack.enter_context(ControlServer(robot.name, takes_over=take_over))
         book = Journal(journal or ":memory:", lambda entry: say(str(entry)))
         stack.callback(book.close)
+        note_architectures(book, robot, placed)
         emulated = all(computer.address is None for computer in robot.computers)
         estimates = Estimates(robot, read_profile(robot), emulated=emulated)
         recording = Recording()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,8 +14,10 @@ from poise import plan, units
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import AsJson, print_json
 from poise.errors import UsageError
+from poise.estimate.success import Situation
 from poise.model import load
 from poise.model.robot import Computer, Robot
+from poise.session.learning import learned
 from poise.session.placement import ruled
 from poise.session.profiles import profiled
 from poise.session.render.plan import (
@@ -69,6 +71,10 @@ def plan_command(
     smallest: Annotated[
         bool, typer.Option("--smallest", help="The cheapest computers that do.")
     ] = False,
+    explore: Annotated[
+        bool,
+        typer.Option("--explore", help="Try alternatives by what they promise."),
+    ] = False,
     json: AsJson = False,
 ) -> None:
     """Decide where each component runs, say why, and ask what if.
@@ -90,7 +96,9 @@ def plan_command(
             "take it with --method"
         )
     notes = Console(stderr=True, highlight=False)
-    robot, problem = read(file, task, notes.print)
+    robot, problem = read(
+        file, task, notes.print, lost=without or (), explore=explore, seed=seed
+    )
     problem = _changed(problem, without or [], add or [], scale or [])
 
     def solved(name: str) -> plan.Result:
@@ -126,20 +134,36 @@ def plan_command(
 
 
 def read(
-    file: Path, task: str | None, say: Callable[[str], None]
+    file: Path,
+    task: str | None,
+    say: Callable[[str], None],
+    *,
+    lost: Sequence[str] = (),
+    explore: bool = False,
+    seed: int = 0,
 ) -> tuple[Robot | None, plan.Problem]:
     """Return the problem in `file`, and the robot when it describes one.
 
     Parameters
     ----------
     say
-        Told where a robot's demands are from.
+        Told where a robot's demands are from, and what was learned of alternatives.
+    lost
+        The computers that are out of reach: the situation in which success counts.
+    explore, seed
+        Whether success is drawn from what was learned, and by which numbers.
     """
     if file.suffix != ".json":
         found = profiled(load(file))
-        for sentence in found.says:
+        situation = Situation(lost=tuple(lost))
+        known = learned(
+            found.robot, task, situation=situation, explore=explore, seed=seed
+        )
+        for sentence in (*found.says, *known.says):
             say(sentence)
-        return found.robot, plan.problem_of(found.robot, task)
+        return known.robot, plan.problem_of(known.robot, task)
+    if explore:
+        raise UsageError(f"--explore: {file} is a plain problem: nothing is learned")
     if task is not None:
         raise UsageError(f"--task {task}: {file} is a plain problem and has no tasks")
     return None, plan.load(file)

@@ -16,18 +16,19 @@ from poise.model.robot import ComponentEntry
 _MOST_FILES = 2000
 
 
-def version_of(component: ComponentEntry, folder: str) -> str:
+def version_of(component: ComponentEntry, *folders: str) -> str:
     """Return a fingerprint that changes when the component's code does.
 
     It covers the parameters, the implementation's module and all modules that it
-    imports from the robot's folder; of a command, the program and its arguments that
-    are files. Installed packages are not covered.
+    imports from these folders, the robot's and the repository's; of a command, the
+    program and its arguments that are files. Installed packages are not covered.
     """
     digest = hashlib.sha256()
     digest.update(component.implementation.encode())
     digest.update(msgspec.json.encode([component.command, component.parameters]))
-    for file in sorted(_files(component, Path(folder))):
-        digest.update(file.read_bytes())
+    for folder in folders:
+        for file in sorted(_files(component, Path(folder))):
+            digest.update(file.read_bytes())
     return digest.hexdigest()[:16]
 
 

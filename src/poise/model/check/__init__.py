@@ -14,12 +14,19 @@ from poise.model.check.ports import check_ports, declared_ports
 from poise.model.check.tasks import check_ends, check_tasks
 from poise.model.check.together_apart import check_together_apart
 from poise.model.check.workload import check_workload
+from poise.model.repository import Repository
 from poise.model.robot import Robot
 from poise.model.yaml.positions import Finding
 
 
-def check(robot: Robot) -> Iterator[Finding]:
-    """Yield every problem of `robot` that shows without its code."""
+def check(robot: Robot, repository: Repository) -> Iterator[Finding]:
+    """Yield every problem of `robot` that shows without its code.
+
+    Parameters
+    ----------
+    repository
+        Where functions were looked for that the robot file does not provide.
+    """
     yield from check_names(robot)
     yield from check_addresses(robot)
     yield from check_allowed_computers(robot)
@@ -30,5 +37,5 @@ def check(robot: Robot) -> Iterator[Finding]:
     yield from check_ports(robot, declared_ports(robot))
     yield from check_workload(robot)
     yield from check_policies(robot)
-    yield from check_tasks(robot)
+    yield from check_tasks(robot, repository)
     yield from check_ends(robot, declared_ports(robot))

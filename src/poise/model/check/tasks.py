@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from poise.model.check.file_paths import component_names
-from poise.model.check.names import each_known
 from poise.model.check.policies import choices_of
 from poise.model.check.ports import Ports, no_such_port
 from poise.model.policy.condition import parse_condition
 from poise.model.policy.values import SUBJECTS
+from poise.model.repository import Repository
 from poise.model.robot import ConnectorEnd, Robot
 from poise.model.suggest import unknown
 from poise.model.tasks.exclusive import clashes
@@ -18,9 +18,17 @@ from poise.model.tasks.steps import Action, Repeat, Subtask, Task, Until, walk
 from poise.model.yaml.positions import Finding, Path
 
 
-def check_tasks(robot: Robot) -> Iterator[Finding]:
-    """Yield what is wrong with the tasks of a robot."""
-    found = [finding for task in robot.tasks for finding in _names(robot, task)]
+def check_tasks(robot: Robot, repository: Repository) -> Iterator[Finding]:
+    """Yield what is wrong with the tasks of a robot.
+
+    Parameters
+    ----------
+    repository
+        Where functions were looked for that the robot file does not provide.
+    """
+    found = [
+        finding for task in robot.tasks for finding in _names(robot, task, repository)
+    ]
     yield from found
     for task in robot.tasks:
         for path, until in _conditions(task):
@@ -54,8 +62,7 @@ def check_ends(robot: Robot, ports: Ports) -> Iterator[Finding]:
 _ENDS = {("publishes", "bool"), ("publishes", "builtins:bool")}
 
 
-def _names(robot: Robot, task: Task) -> Iterator[Finding]:
-    functions = dict.fromkeys(a.function for a in robot.architectures)
+def _names(robot: Robot, task: Task, repository: Repository) -> Iterator[Finding]:
     tasks = [each.name for each in robot.tasks]
     seen: set[str] = set()
     for path, step in walk(task):
@@ -65,9 +72,7 @@ def _names(robot: Robot, task: Task) -> Iterator[Finding]:
                 text = f"there is an action '{step.name}' in this task already"
                 yield Finding((*where, "name"), text)
             seen.add(step.name)
-            yield from each_known(
-                (*where, "functions"), "function", step.functions, functions
-            )
+            yield from _functions(robot, (*where, "functions"), step, repository)
             if step.ends is not None:
                 yield from _end(robot, (*where, "ends"), step, step.ends)
         elif isinstance(step, Subtask):
@@ -76,6 +81,19 @@ def _names(robot: Robot, task: Task) -> Iterator[Finding]:
             elif way := _way_back(robot, task.name, step.task):
                 text = f"a task cannot be a step of itself: {' -> '.join(way)}"
                 yield Finding((*where, "task"), text)
+
+
+def _functions(
+    robot: Robot, path: Path, action: Action, repository: Repository
+) -> Iterator[Finding]:
+    """Yield the functions that nobody provides, or that are listed twice."""
+    provided = dict.fromkeys(a.function for a in robot.architectures)
+    for index, name in enumerate(action.functions):
+        if name not in provided:
+            text = unknown("function", name, [*provided, *repository.functions])
+            yield Finding((*path, index), text + repository.searched)
+        elif name in action.functions[:index]:
+            yield Finding((*path, index), f"the function '{name}' is listed twice")
 
 
 def _end(

@@ -36,14 +36,14 @@ class _Reader:
         """Merge `path` into the root; `above` are the files that led to it."""
         if not self._is_new(path, asked, above):
             return
-        text = _read_text(path, asked, self._problems)
-        root = None if text is None else parse(text, str(path), self._problems)
+        root = read_file(path, asked, self._problems)
         if root is None:
             return
         if not isinstance(root.value, dict):
             problem = "a robot file must be a mapping that starts with `robot: name`"
             self._problems.append(root.place.problem(problem))
             return
+        _anchor_folders(root.value.get("repository"), path.parent)
         include = root.value.get("include")
         if self.root is None:
             self.root = root
@@ -77,6 +77,28 @@ class _Reader:
             self._done.add(real)
             return True
         return False
+
+
+def read_file(
+    path: Path, asked: Location | None, problems: list[FileProblem]
+) -> Node | None:
+    """Return the tree of one file, or None; every problem is added to `problems`.
+
+    Parameters
+    ----------
+    asked
+        Where another file names this one; None: the user does.
+    """
+    text = _read_text(path, asked, problems)
+    return None if text is None else parse(text, str(path), problems)
+
+
+def _anchor_folders(node: Node | None, folder: Path) -> None:
+    """Let folders be relative to the file that names them, before files are merged."""
+    if node is not None and isinstance(node.value, list):
+        for item in node.value:
+            if isinstance(item.value, Scalar) and item.value.text:
+                item.value = Scalar(str(folder / item.value.text), plain=False)
 
 
 def _read_text(

@@ -72,7 +72,7 @@ def problem_of(
                 components=tuple(c.name for c in a.components),
                 function=a.function,
                 priority=a.priority,
-                quality=a.quality,
+                quality=a.quality * a.success,
                 required=a.layer != "sequencing",
             )
             for a in chosen

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from types import ModuleType
 from typing import Any
 
@@ -70,6 +70,14 @@ def _find_any(reference: str, folder: str) -> Any:  # noqa: ANN401, whatever it 
     return found
 
 
+def search_also(folders: Iterable[str]) -> None:
+    """Put folders last on ``sys.path`` for good: the repository's."""
+    new = [folder for folder in folders if folder not in sys.path]
+    if new:
+        sys.path += new
+        importlib.invalidate_caches()
+
+
 def load_module(name: str, folder: str) -> ModuleType:
     """Import a module; RobotError, caused by what it raised, when that fails."""
     if folder and folder not in sys.path:
@@ -82,7 +90,8 @@ def load_module(name: str, folder: str) -> ModuleType:
         if error.name is not None and f"{name}.".startswith(f"{error.name}."):
             raise RobotError(
                 f"there is no module '{error.name}': it is looked for in {folder!r} "
-                "first, then among the installed packages"
+                "first, then among the installed packages, then in the folders of "
+                "`repository`"
             ) from None
         raise RobotError(f"{failed}: {told_in_brief(error)}") from error
     # The module is the user's: whatever it raises is told with its traceback.

@@ -24,6 +24,7 @@ from msgspec import structs
 from poise.errors import PoiseError, RunError, Timeout, Unavailable
 from poise.priority import as_usual, go_first
 from poise.runtime.component.error_report import told
+from poise.runtime.component.implementation import search_also
 from poise.runtime.container.agent_link import AgentLink
 from poise.runtime.container.descendants import Orphans
 from poise.runtime.container.preparation import prepare
@@ -196,6 +197,7 @@ class Container:
         self._link.tell(FromContainer(what))
 
     def _apply(self, spec: ContainerSpec) -> None:
+        search_also(spec.repository)
         wanted = {(c.name, c.epoch): c for c in spec.components}
         for key, (tried, _) in list(self._broken.items()):
             if key not in wanted or _differ(tried, wanted[key]):

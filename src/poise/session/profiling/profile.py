@@ -171,7 +171,7 @@ class _Measuring(Struct, frozen=True):
             names=rig.measured,
             empty=EMPTY,
             versions={
-                c.name: version_of(c, self.robot.folder)
+                c.name: version_of(c, self.robot.folder, *self.robot.repository)
                 for c in self.robot.components()
             },
             speed=self._speed(),

@@ -22,7 +22,7 @@ from poise.model.robot import (
     Robot,
     Simulator,
 )
-from poise.runtime.component.implementation import find
+from poise.runtime.component.implementation import find, search_also
 from poise.runtime.component.ports import ports_of
 from poise.session.profiling.workload_replay import Played, played
 
@@ -219,5 +219,6 @@ def _required(robot: Robot, name: str) -> set[str]:
     component = next(c for c in robot.components() if c.name == name)
     if not component.implementation:
         return {port.name for port in component.ports if port.kind == "requires"}
+    search_also(robot.repository)
     ports = ports_of(find(component.implementation, robot.folder)).values()
     return {port.name for port in ports if port.kind == "requires"}

@@ -15,7 +15,8 @@ _MIB = 2**20
 def write_demands(file: Path, profile: Profile) -> list[Path]:
     """Write the demands of `profile` under the components of a robot file.
 
-    Comments and layout of the file, and of included files, are kept.
+    Comments and layout of the file, of included files and of those in folders of
+    `repository` are kept. Files of installed packages are not changed.
 
     Returns
     -------
@@ -31,7 +32,7 @@ def write_demands(file: Path, profile: Profile) -> list[Path]:
         ("architectures", architecture.name, "components", component.name)
         for architecture in source.robot.architectures
         for component in architecture.components
-        if component.name in profile.components
+        if component.name in profile.components and not architecture.package
     ]
     places = {path: source.positions.at(path) for path in paths}
     before = {p.file: Path(p.file).read_text("utf-8") for p in places.values()}

@@ -9,7 +9,7 @@ import msgspec
 from msgspec import Struct
 
 from poise.model.robot import ConnectorEnd, Robot
-from poise.runtime.component.implementation import find
+from poise.runtime.component.implementation import find, search_also
 from poise.runtime.component.ports import ports_of
 
 
@@ -61,6 +61,7 @@ def _type(robot: Robot, end: ConnectorEnd, kinds: tuple[str, ...]) -> str:
     component = next(c for c in robot.components() if c.name == end.component)
     if not component.implementation:
         return ""
+    search_also(robot.repository)
     port = ports_of(find(component.implementation, robot.folder)).get(end.port)
     if port is None or port.kind not in kinds:
         return ""

@@ -141,7 +141,9 @@ class ContainerSpec(Struct, frozen=True, kw_only=True, tag=True):
     Parameters
     ----------
     folder
-        Where implementations are imported from.
+        Where implementations are imported from; then come installed packages.
+    repository
+        Folders where they are looked for last.
     weight
         Its weight when the CPU is not enough for all (cgroups); 0: all are alike.
     nice
@@ -154,6 +156,7 @@ class ContainerSpec(Struct, frozen=True, kw_only=True, tag=True):
     nice: int = 0
     components: tuple[ComponentSpec, ...]
     connectors: tuple[ConnectorSpec, ...]
+    repository: tuple[str, ...] = ()
 
 
 class Deployment(Struct, frozen=True, kw_only=True, tag=True):

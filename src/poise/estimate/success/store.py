@@ -1,0 +1,145 @@
+"""All outcomes of a robot's actions, in an SQLite file beside the robot file."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+from typing import Literal, Self
+
+import msgspec
+from msgspec import Struct
+
+from poise.errors import UsageError
+from poise.estimate.success.posterior import Posterior
+
+Ending = Literal["done", "failed"]
+"""How an action ended."""
+
+_SCHEMA = """
+CREATE TABLE IF NOT EXISTS outcomes (
+    id INTEGER PRIMARY KEY,
+    robot TEXT NOT NULL,
+    at REAL NOT NULL,           -- seconds since the epoch
+    action TEXT NOT NULL,
+    situation TEXT NOT NULL,    -- JSON of a Situation
+    function TEXT NOT NULL,
+    architecture TEXT NOT NULL,
+    hash TEXT NOT NULL,         -- of the architecture as it ran
+    ending TEXT NOT NULL        -- done, failed
+)
+"""
+
+
+class Situation(Struct, frozen=True, kw_only=True):
+    """What is known of the circumstances of an action; each is learned apart.
+
+    Parameters
+    ----------
+    lost
+        The computers that were out of reach, by name.
+    cpu_is_short
+        Whether components wanted more CPU than their computers have.
+    """
+
+    lost: tuple[str, ...] = ()
+    cpu_is_short: bool = False
+
+    def __post_init__(self) -> None:
+        """Sort the computers: their order means nothing."""
+        msgspec.structs.force_setattr(self, "lost", tuple(sorted({*self.lost})))
+
+    def __str__(self) -> str:
+        """Return it for people."""
+        lost = f"without {', '.join(self.lost)}" if self.lost else "all computers"
+        return f"{lost}, CPU short" if self.cpu_is_short else lost
+
+
+class Outcome(Struct, frozen=True, kw_only=True):
+    """How an action ended that an architecture took part in; `at` [s since 1970]."""
+
+    at: float
+    action: str
+    situation: Situation = Situation()
+    function: str
+    architecture: str
+    hash: str
+    ending: Ending
+
+
+class SuccessStore:
+    """Outcomes by robot; all remain until they are reset.
+
+    Parameters
+    ----------
+    path
+        The file; it and its folder are created if missing.
+
+    Raises
+    ------
+    UsageError
+        It cannot be created, or is no SQLite file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._database = sqlite3.connect(path, isolation_level=None, timeout=1.0)
+            self._database.executescript(_SCHEMA)
+        except (OSError, sqlite3.Error) as error:
+            raise UsageError(f"{path} cannot store outcomes: {error}") from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._database.close()
+
+    def add(self, robot: str, outcome: Outcome) -> None:
+        """Add an outcome."""
+        self._database.execute(
+            "INSERT INTO outcomes (robot, at, action, situation, function,"
+            " architecture, hash, ending) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+            (
+                robot,
+                outcome.at,
+                outcome.action,
+                _text(outcome.situation),
+                outcome.function,
+                outcome.architecture,
+                outcome.hash,
+                outcome.ending,
+            ),
+        )
+
+    def posteriors(
+        self, robot: str, architecture: str
+    ) -> dict[tuple[str, Situation, str], Posterior]:
+        """Return (action, situation, hash) -> what its outcomes say of success."""
+        rows = self._database.execute(
+            "SELECT action, situation, hash, SUM(ending = 'done'), "
+            "SUM(ending = 'failed') FROM outcomes WHERE robot = ? AND architecture = ?"
+            " GROUP BY action, situation, hash ORDER BY MIN(id)",
+            (robot, architecture),
+        )
+        return {
+            (action, msgspec.json.decode(text, type=Situation), hash_): Posterior(*n)
+            for action, text, hash_, *n in rows
+        }
+
+    def num_outcomes(self, robot: str) -> int:
+        """Return the number of a robot's outcomes."""
+        (count,) = self._database.execute(
+            "SELECT COUNT(*) FROM outcomes WHERE robot = ?", (robot,)
+        ).fetchone()
+        return int(count)
+
+    def reset(self, robot: str, architecture: str) -> int:
+        """Forget the outcomes of an architecture; return how many there were."""
+        return self._database.execute(
+            "DELETE FROM outcomes WHERE robot = ? AND architecture = ?",
+            (robot, architecture),
+        ).rowcount
+
+
+def _text(situation: Situation) -> str:
+    return msgspec.json.encode(situation).decode()

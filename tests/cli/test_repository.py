@@ -1,0 +1,71 @@
+"""`poise repository`, as a person or a script calls it."""
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from poise.cli.command_table import build
+from poise.errors import UsageError
+from poise.model.load import load
+from poise.session.learning import note_outcome
+
+ROBOT = """
+robot: picker
+repository: [parts]
+computers: {left: {cpu: 1, memory: 1 GiB}}
+tasks: {tidy: {actions: [{name: pick, functions: [grasping]}]}}
+"""
+PARTS = """
+architectures:
+  gripper: {function: grasping, components: {fingers: {cpu: 10%}}}
+  arm: {function: grasping, components: {hand: {devices: [arm]}}}
+"""
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Path:
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "grasping.yaml").write_text(PARTS)
+    path = tmp_path / "robot.yaml"
+    path.write_text(ROBOT)
+    return path
+
+
+def call(*words: object) -> Result:
+    arguments = ["repository", *map(str, words)]
+    return CliRunner().invoke(build(arguments), arguments)
+
+
+def test_lists_what_there_is_and_why_not_all_is_used(robot: Path) -> None:
+    """With file, line and column, and a hash."""
+    gripper, arm = json.loads(call("list", robot, "--json").stdout)
+    assert gripper["function"] == "grasping"
+    assert gripper["from"] == f"{robot.parent}/parts/grasping.yaml:3:3"
+    assert (gripper["quality"], gripper["unused"]) == (1, "")
+    assert len(gripper["hash"]) == 12
+    assert arm["unused"] == "the robot has no device 'arm'"
+    assert "not used: the robot has no device 'arm'" in call("list", robot).stdout
+
+
+@pytest.mark.slow
+def test_shows_what_was_learned_until_it_is_reset(robot: Path) -> None:
+    """2 of 2 done: Beta(3, 1), mean 3/4, F(x) = x^3."""
+    for _ in range(2):
+        note_outcome(load(robot), "pick", "done", ["gripper"])
+    (learned,) = json.loads(call("show", "gripper", robot, "--json").stdout)["learned"]
+    assert (learned["action"], learned["done"], learned["failed"]) == ("pick", 2, 0)
+    assert learned["mean"] == pytest.approx(3 / 4)
+    assert learned["low"] == pytest.approx(0.05 ** (1 / 3))
+    assert "75% ± 19%" in call("show", "gripper", robot).stdout
+    assert "2 outcomes of 'gripper' forgotten" in call("reset", "gripper", robot).stdout
+    shown = json.loads(call("show", "gripper", robot, "--json").stdout)
+    assert shown["learned"] == []
+
+
+def test_refuses_an_unknown_architecture(robot: Path) -> None:
+    """With the nearest name."""
+    error = call("show", "griper", robot).exception
+    assert isinstance(error, UsageError)
+    assert "did you mean 'gripper'" in str(error)

@@ -1,0 +1,59 @@
+"""Outcomes are kept by robot, action, situation and hash, until they are reset."""
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from poise.errors import UsageError
+from poise.estimate.success import Outcome, Posterior, Situation, SuccessStore
+
+WELL = Situation()
+DRIVEN = Outcome(
+    at=0.0,
+    action="drive",
+    function="navigation",
+    architecture="laser",
+    hash="1a",
+    ending="done",
+)
+
+
+def test_counts_outcomes_apart(tmp_path: Path) -> None:
+    """By action, situation and hash; another robot's are not seen."""
+    lost = Situation(lost=("vision",), cpu_is_short=True)
+    with SuccessStore(tmp_path / "new" / "success.sqlite") as store:
+        store.add("courier", DRIVEN)
+        store.add("courier", DRIVEN)
+        store.add("courier", msgspec.structs.replace(DRIVEN, ending="failed"))
+        store.add("courier", msgspec.structs.replace(DRIVEN, situation=lost))
+        store.add("other", DRIVEN)
+    with SuccessStore(tmp_path / "new" / "success.sqlite") as store:
+        assert store.posteriors("courier", "laser") == {
+            ("drive", WELL, "1a"): Posterior(done=2, failed=1),
+            ("drive", lost, "1a"): Posterior(done=1),
+        }
+
+
+def test_resets_one_architecture(tmp_path: Path) -> None:
+    """Others keep theirs."""
+    with SuccessStore(tmp_path / "success.sqlite") as store:
+        store.add("courier", DRIVEN)
+        store.add("courier", msgspec.structs.replace(DRIVEN, architecture="camera"))
+        assert store.reset("courier", "laser") == 1
+        assert store.posteriors("courier", "laser") == {}
+        assert len(store.posteriors("courier", "camera")) == 1
+
+
+def test_refuses_what_is_no_store(tmp_path: Path) -> None:
+    """The file is named."""
+    path = tmp_path / "success.sqlite"
+    path.write_text("no database, but long enough to look at" * 10)
+    with pytest.raises(UsageError, match=r"success\.sqlite cannot store outcomes"):
+        SuccessStore(path)
+
+
+def test_the_order_of_lost_computers_means_nothing() -> None:
+    """They are a set."""
+    assert Situation(lost=("b", "a", "b")) == Situation(lost=("a", "b"))
+    assert str(Situation(lost=("b", "a"))) == "without a, b"
