@@ -280,7 +280,7 @@ def test_a_load_makes_no_component_move_to_and_fro(kind: str) -> None:
 
 @pytest.mark.slow
 @settings(
-    max_examples=200,
+    max_examples=60,
     deadline=None,
     derandomize=True,
     suppress_health_check=list(HealthCheck),

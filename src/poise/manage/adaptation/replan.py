@@ -17,7 +17,7 @@ from poise.model.robot import ComponentEntry, Computer, Robot
 
 SOLVE_FOR = 0.1
 """The planner searches for so long [s]; small robots are proven optimal before."""
-DECIDE_FOR = 0.02
+DECIDE_FOR = 0.015
 """It searches for so long while the robot waits for a decision [s]."""
 EXPLAIN_FOR = 1.0
 """Why nothing fits is looked for about as long at most [s]."""

@@ -65,7 +65,7 @@ def _under_load(
     placed = place(robot, method="static")
     with up(robot, placement=placed, adapt=adapt, say=say, check=check) as running:
         wait(WARM_UP, check)
-        count = _Deadlines(running)
+        count = Deadlines(running)
         loaded = next(iter(placed.where.values()))
         say(f"another program takes {_LOAD:g} cores on '{loaded}'")
         program = [sys.executable, "-m", "poise.emulate.background_load", f"{_LOAD:g}"]
@@ -85,7 +85,7 @@ def _under_load(
     return count.share(), met_again, sum(at > settled for at in moves)
 
 
-class _Deadlines:
+class Deadlines:
     """Counts deadlines, and those missed, over all incarnations of the components."""
 
     def __init__(self, running: Running) -> None:

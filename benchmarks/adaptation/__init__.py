@@ -1,0 +1,1 @@
+"""What adaptation gains under load, and what it costs."""
