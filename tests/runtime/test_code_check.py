@@ -361,3 +361,29 @@ def test_an_action_ends_by_a_published_bool(
     found = check(more, f"\ntasks: {{t: {{actions: [{task}]}}}}")
     assert len(found) == bool(words)
     assert all(word in problem.message for problem in found for word in words)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        ("deciding:decide", ""),
+        ("deciding:decides", "module 'deciding' has no function 'decides'"),
+        ("deciding:LIMIT", "'deciding:LIMIT' is no function: 3"),
+        ("decidign:decide", "there is no module 'decidign'"),
+    ],
+)
+def test_a_policys_function_can_be_called(
+    tmp_path: Path, call: str, message: str
+) -> None:
+    (tmp_path / "deciding.py").write_text(
+        "LIMIT = 3\ndef decide(seen): ...\n", encoding="utf-8"
+    )
+    file = tmp_path / "robot.yaml"
+    file.write_text(
+        "robot: r\ncomputers: {a: {cpu: 1, memory: 1 GiB}}\n"
+        f"policies: {{mine: {{call: '{call}'}}}}\n",
+        encoding="utf-8",
+    )
+    findings = check_code(load_source(file).robot)
+    assert [f.path for f in findings] == [("policies", "mine", "call")] * bool(message)
+    assert all(message in finding.message for finding in findings)

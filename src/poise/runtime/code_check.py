@@ -5,6 +5,7 @@ The code is imported, so this is a second step after `poise.model.load`.
 
 from __future__ import annotations
 
+import operator
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
@@ -93,8 +94,29 @@ def check_code(
     findings += check_required(robot, known)
     findings += check_cycles(robot, known, reentrant)
     findings += check_generated(robot, known)
+    findings += _check_functions(robot)
     findings += check_ends(robot, known)
     return findings
+
+
+def _check_functions(robot: Robot) -> Iterator[Finding]:
+    """Yield the policies whose own function cannot be called."""
+    for policy in robot.policies:
+        if policy.call is None or policy.off:
+            continue
+        path = ("policies", policy.name, "call")
+        module, _, name = policy.call.partition(":")
+        try:
+            function = operator.attrgetter(name)(load_module(module, robot.folder))
+        except RobotError as error:
+            yield Finding(path, f"policy '{policy.name}': {error}")
+        except AttributeError:
+            text = f"module '{module}' has no function '{name}'"
+            yield Finding(path, f"policy '{policy.name}': {text}")
+        else:
+            if not callable(function):
+                text = f"'{policy.call}' is no function: {function!r}"
+                yield Finding(path, f"policy '{policy.name}': {text}")
 
 
 def _origin(error: RobotError) -> object:
