@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from poise.errors import Unavailable as Unavailable
     from poise.errors import UsageError as UsageError
     from poise.estimate.success import Situation as Situation
+    from poise.estimate.success.learning import note_outcome as note_outcome
     from poise.manage.journal import Entry as Entry
     from poise.manage.journal import read_journal as read_journal
     from poise.model.policy.seen import PolicyAction as PolicyAction
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     from poise.session.calibration.calibrate import Calibration as Calibration
     from poise.session.calibration.calibrate import calibrate as calibrate
     from poise.session.emulated import emulated as emulated
-    from poise.session.learning import note_outcome as note_outcome
     from poise.session.placement import Placement as Placement
     from poise.session.placement import place as place
     from poise.session.policies import PolicyEvent as PolicyEvent
@@ -94,7 +94,7 @@ else:
         "every": "runtime.component.ports",
         "load": "session.robot_file",
         "loan": "wire.connections.blocks",
-        "note_outcome": "session.learning",
+        "note_outcome": "estimate.success.learning",
         "oneway": "runtime.component.ports",
         "place": "session.placement",
         "profile": "session.profiling.profile",

@@ -8,8 +8,9 @@ from typer.testing import CliRunner, Result
 
 from poise.cli.command_table import build
 from poise.errors import UsageError
+from poise.estimate.success import Situation
+from poise.estimate.success.learning import note_outcome
 from poise.model.load import load
-from poise.session.learning import note_outcome
 
 ROBOT = """
 robot: picker
@@ -69,3 +70,20 @@ def test_refuses_an_unknown_architecture(robot: Path) -> None:
     error = call("show", "griper", robot).exception
     assert isinstance(error, UsageError)
     assert "did you mean 'gripper'" in str(error)
+
+
+def test_what_failed_without_a_computer_counts_without_it(robot: Path) -> None:
+    """`poise plan --without` decides for that situation."""
+    robot.write_text(ROBOT.replace("left:", "right: {cpu: 1, memory: 1 GiB}, left:"))
+    both = PARTS.replace("devices: [arm]", "cpu: 10%")
+    (robot.parent / "parts" / "grasping.yaml").write_text(both)
+    lost = Situation(lost=("right",))
+    note_outcome(load(robot), "pick", "failed", ["gripper"], situation=lost)
+
+    def chosen(*options: str) -> object:
+        arguments = ["plan", str(robot), "--json", *options]
+        done = CliRunner().invoke(build(arguments), arguments)
+        return json.loads(done.stdout)["architectures"]
+
+    assert chosen() == {"grasping": "gripper"}
+    assert chosen("--without", "right") == {"grasping": "arm"}

@@ -34,6 +34,12 @@ def test_the_example_runs(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout == "{'grasping': 'suction'}\n"
+    ran = run_poise("run", "robot.yaml", "--for", "0.5s", "--report", "x", cwd=tmp_path)
+    assert ran.returncode == 0, ran.stderr
+    journal = run_poise("journal", "x/journal.sqlite", cwd=tmp_path).stdout
+    assert re.search(
+        r"grasping by 'suction' \([0-9a-f]{12}, /.*grasping.yaml\)", journal
+    )
     show, reset = (
         ("repository", name, "gripper", "robot.yaml") for name in ("show", "reset")
     )

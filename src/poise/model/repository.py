@@ -119,14 +119,11 @@ def with_repository(
     functions = {a.function for a in robot.architectures}
     if not robot.repository and wanted_by(robot) <= functions:
         return robot, Repository()
-    named = _section(root, "repository").value
-    where = [item.place for item in named] if isinstance(named, list) else []
-    found = search(robot.repository, problems, where)
+    found = search(robot.repository, problems, _items(root, "repository"))
     found = replace(found, offers=tuple(_fitting(robot, _wanted(robot, found.offers))))
     used = [offer for offer in found.offers if not offer.unused]
-    section = _section(root, "architectures").value
-    assert isinstance(section, dict)  # noqa: S101, it was validated
-    section.update({offer.architecture.name: offer.node for offer in used})
+    nodes = _entries(root, "architectures")
+    nodes.update({offer.architecture.name: offer.node for offer in used})
     chosen = tuple(offer.architecture for offer in used)
     return replace(robot, architectures=(*robot.architectures, *chosen)), found
 
@@ -140,7 +137,7 @@ def wanted_by(robot: Robot) -> set[str]:
 def search(
     folders: Iterable[str],
     problems: list[FileProblem],
-    where: Iterable[Location] = (),
+    where: Iterable[Location],
 ) -> Repository:
     """Return the architectures in these folders, and in installed packages.
 
@@ -150,7 +147,7 @@ def search(
         Where each folder is named.
     """
     places = [Place(folder) for folder in folders]
-    for place, location in zip(places, where, strict=False):
+    for place, location in zip(places, where, strict=True):
         if not Path(place.folder).is_dir():
             problems.append(
                 location.problem(f"repository: there is no folder {place.folder!r}")
@@ -229,8 +226,7 @@ def _offers(place: Place, problems: list[FileProblem]) -> Iterator[Offer]:
         values = validate(root, msgspec.inspect.type_info(FileKeys), problems)
         if values is None:
             continue
-        nodes = _section(root, "architectures").value
-        assert isinstance(nodes, dict)  # noqa: S101, it was validated
+        nodes = _entries(root, "architectures")
         for a in msgspec.convert(values, FileKeys).architectures:
             here = nodes[a.name].place
             if a.name in first:
@@ -269,7 +265,17 @@ def _folder_of(point: EntryPoint) -> Path | None:
     return None
 
 
-def _section(root: Node, name: str) -> Node:
-    """Return a section of a file, added as an empty mapping when it is not there."""
+def _entries(root: Node, name: str) -> dict[str, Node]:
+    """Return the entries of a section of a valid file; it is added when missing."""
     assert isinstance(root.value, dict)  # noqa: S101, it was validated
-    return root.value.setdefault(name, Node(root.place, {}))
+    section = root.value.setdefault(name, Node(root.place, {})).value
+    assert isinstance(section, dict)  # noqa: S101, it was validated
+    return section
+
+
+def _items(root: Node, name: str) -> list[Location]:
+    """Return where the items of a list in a valid file are; none when it is missing."""
+    assert isinstance(root.value, dict)  # noqa: S101, it was validated
+    items = root.value[name].value if name in root.value else []
+    assert isinstance(items, list)  # noqa: S101, it was validated
+    return [item.place for item in items]

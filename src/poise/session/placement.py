@@ -10,10 +10,10 @@ from rich.console import RenderableType
 from poise import plan
 from poise.errors import RobotError, UsageError
 from poise.estimate.success import Situation
+from poise.estimate.success.learning import WELL, actions_in, learned
 from poise.model.robot import Robot
 from poise.model.tasks.phases import phases_of
 from poise.plan.solvers.portfolio import METHODS as SOLVERS
-from poise.session.learning import WELL, learned
 from poise.session.placement_rules import RULES, by_rule, is_rule
 from poise.session.render.plan import plan_parts
 from poise.session.render.shown import Shown
@@ -134,7 +134,9 @@ def place(  # noqa: PLR0913 - each is a choice of the user
     RobotError
         A component can run nowhere, or an architecture has no home.
     """
-    robot = learned(robot, task, situation=situation, explore=explore, seed=seed).robot
+    robot = learned(
+        robot, actions_in(robot, task), situation=situation, explore=explore, seed=seed
+    ).robot
     problem = plan.problem_of(robot, task)
     result = ruled(method, robot, problem)
     if result is None:

@@ -8,11 +8,11 @@ from msgspec import Struct
 
 from poise.errors import FileProblem, RobotError
 from poise.estimate.architecture_hash import hash_of
+from poise.estimate.success.learning import hash_in
 from poise.manage.journal import Journal
 from poise.model.load import load_source
 from poise.model.repository import search
 from poise.model.robot import Architecture, Robot
-from poise.session.learning import hash_in
 from poise.session.placement import Placement
 
 
@@ -54,7 +54,7 @@ def listed(file: Path | None) -> list[Listed]:
     """
     if file is None:
         problems: list[FileProblem] = []
-        offers = search((), problems).offers
+        offers = search((), problems, ()).offers
         if problems:
             raise RobotError(problems=sorted(problems))
         rows = [_row(o.architecture, str(o.node.place), "", ()) for o in offers]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Self
 
 from poise.emulate import EmulatedComputer, set_for
 from poise.errors import RunError, UsageError
+from poise.estimate.success.learning import actions_in, learned
 from poise.manage.control_socket.records import StopCommand
 from poise.manage.control_socket.server import ControlServer
 from poise.manage.journal import Journal
@@ -22,7 +23,6 @@ from poise.manage.observe.recording import Recording, save
 from poise.manage.takeover import start_or_take_over
 from poise.model.robot import Robot
 from poise.session.launch.start import Sampling, Started, started
-from poise.session.learning import learned
 from poise.session.placement import Placement, order_unused, runnable
 from poise.session.profiles import read_profile
 from poise.session.repository import note_architectures
@@ -198,7 +198,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     if take_over:
         _check_outlives(robot)
     chosen = task_of(robot, task)
-    robot = learned(robot, chosen).robot
+    robot = learned(robot, actions_in(robot, chosen)).robot
     placed = runnable(robot, chosen, placement)
     if sentence := order_unused(robot, chosen):
         say(sentence)

@@ -15,9 +15,9 @@ from poise.cli.interrupts import Interrupts
 from poise.cli.options import AsJson, print_json
 from poise.errors import UsageError
 from poise.estimate.success import Situation
+from poise.estimate.success.learning import actions_in, learned
 from poise.model import load
 from poise.model.robot import Computer, Robot
-from poise.session.learning import learned
 from poise.session.placement import ruled
 from poise.session.profiles import profiled
 from poise.session.render.plan import (
@@ -157,7 +157,11 @@ def read(
         found = profiled(load(file))
         situation = Situation(lost=tuple(lost))
         known = learned(
-            found.robot, task, situation=situation, explore=explore, seed=seed
+            found.robot,
+            actions_in(found.robot, task),
+            situation=situation,
+            explore=explore,
+            seed=seed,
         )
         for sentence in (*found.says, *known.says):
             say(sentence)

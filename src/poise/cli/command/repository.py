@@ -11,9 +11,9 @@ from rich.markup import escape
 
 from poise.cli.options import AsJson, RobotFile, print_json
 from poise.errors import UsageError
+from poise.estimate.success.learning import Belief, beliefs_about, forget
 from poise.model.load import load
 from poise.model.suggest import unknown
-from poise.session.learning import Belief, beliefs_about, forget
 from poise.session.render.shown import console_to
 from poise.session.render.tables import table
 from poise.session.repository import Listed, listed

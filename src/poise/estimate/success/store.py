@@ -126,13 +126,6 @@ class SuccessStore:
             for action, text, hash_, *n in rows
         }
 
-    def num_outcomes(self, robot: str) -> int:
-        """Return the number of a robot's outcomes."""
-        (count,) = self._database.execute(
-            "SELECT COUNT(*) FROM outcomes WHERE robot = ?", (robot,)
-        ).fetchone()
-        return int(count)
-
     def reset(self, robot: str, architecture: str) -> int:
         """Forget the outcomes of an architecture; return how many there were."""
         return self._database.execute(

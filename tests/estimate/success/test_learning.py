@@ -7,10 +7,16 @@ from msgspec.structs import replace
 
 import poise
 from poise.errors import UsageError
+from poise.estimate.success.learning import (
+    actions_in,
+    beliefs_about,
+    forget,
+    learned,
+    note_outcome,
+)
 from poise.manage.journal import Journal
 from poise.model.load import load
 from poise.model.robot import Robot
-from poise.session.learning import beliefs_about, forget, learned, note_outcome
 from poise.session.placement import place
 from poise.session.repository import note_architectures
 
@@ -43,13 +49,13 @@ def robot(tmp_path: Path) -> Robot:
 
 def success(robot: Robot, task: str | None = None, **options: object) -> list[float]:
     """Return what was learned of gripper and suction."""
-    known = learned(robot, task, **options).robot  # type: ignore[arg-type]
+    known = learned(robot, actions_in(robot, task), **options).robot  # type: ignore[arg-type]
     return [a.success for a in known.architectures if a.function == "grasping"]
 
 
 def test_nothing_learned_changes_nothing(robot: Robot) -> None:
     """And no file is made."""
-    assert learned(robot, "tidy").robot == robot
+    assert learned(robot, actions_in(robot, "tidy")).robot == robot
     assert place(robot, "tidy").architectures["grasping"] == "gripper"
     assert not (Path(robot.folder) / ".poise").exists()
 

@@ -114,7 +114,7 @@ def note_outcome(
 
 def learned(
     robot: Robot,
-    task: str | None = None,
+    actions: Iterable[Action],
     *,
     situation: Situation = WELL,
     explore: bool = False,
@@ -122,13 +122,13 @@ def learned(
 ) -> Learned:
     """Return the robot whose alternatives have the success that was learned.
 
-    That of an architecture is the mean over the actions of the task that need its
-    function. A function of which nothing is known stays as it is.
+    That of an architecture is the mean over the actions that need its function. A
+    function of which nothing is known stays as it is.
 
     Parameters
     ----------
-    task
-        Its name; None: all.
+    actions
+        For which architectures are chosen.
     explore
         Whether success is drawn from what is believed (Thompson sampling) and not its
         mean; so it is, too, when the robot file says so.
@@ -136,16 +136,16 @@ def learned(
         Of what is drawn, with the number of outcomes so far.
     """
     explore = explore or robot.explore
-    rivals = list(_rivals(robot, task))
+    rivals = list(_rivals(robot, tuple(actions)))
     if not rivals or not (explore or _has_outcomes(robot)):
         return Learned(robot)
     believed = _posteriors(robot, (a for _, group in rivals for a in group), situation)
     count = sum(each.count for by in believed.values() for each in by.values())
     success: dict[str, float] = {}
     says = []
-    for actions, group in rivals:
+    for needing, group in rivals:
         of = {
-            a.name: [believed[a.name].get(n, Posterior()) for n in actions]
+            a.name: [believed[a.name].get(n, Posterior()) for n in needing]
             for a in group
         }
         if not explore and not any(p.count for each in of.values() for p in each):
@@ -159,6 +159,13 @@ def learned(
         replace(a, success=success.get(a.name, a.success)) for a in robot.architectures
     )
     return Learned(replace(robot, architectures=changed), tuple(says))
+
+
+def actions_in(robot: Robot, task: str | None) -> Iterator[Action]:
+    """Yield the actions of a task, and of the tasks that it names; None: of all."""
+    tasks = {each.name: each for each in robot.tasks}
+    for name in tasks if task is None else (task,):
+        yield from actions_of(tasks, name)
 
 
 def beliefs_about(robot: Robot, architecture: str) -> list[Belief]:
@@ -219,28 +226,20 @@ def named(robot: Robot, name: str) -> Architecture:
 
 
 def _functions_of(robot: Robot, action: str) -> set[str]:
-    actions = list(_actions(robot, None))
+    actions = list(actions_in(robot, None))
     if all(each.name != action for each in actions):
         raise UsageError(unknown("action", action, [each.name for each in actions]))
     return {f for each in actions if each.name == action for f in each.functions}
 
 
-def _actions(robot: Robot, task: str | None) -> Iterator[Action]:
-    """Yield the actions of a task, and of the tasks that it names; None: of all."""
-    tasks = {each.name: each for each in robot.tasks}
-    for name in tasks if task is None else (task,):
-        yield from actions_of(tasks, name)
-
-
 def _rivals(
-    robot: Robot, task: str | None
+    robot: Robot, actions: tuple[Action, ...]
 ) -> Iterator[tuple[list[str], list[Architecture]]]:
     """Yield the alternatives for each function, and the actions that need it."""
     groups: dict[str, list[Architecture]] = {}
     for a in robot.architectures:
         if a.layer == "sequencing":
             groups.setdefault(a.function, []).append(a)
-    actions = list(_actions(robot, task))
     for function, group in groups.items():
         needing = dict.fromkeys(a.name for a in actions if function in a.functions)
         if len(group) > 1 and needing:
