@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+from poise.manage.checkpoint_copies import CheckpointCopies
 from poise.model.robot import (
     Architecture,
     ComponentEntry,
@@ -86,6 +87,7 @@ class FakeAgents:
 
     def __init__(self, *computers: str, generation: int = 0) -> None:
         self.manager = ManagerId(key="k", user="ann", host="desk", pid=7, since=0.0)
+        self.checkpoints = CheckpointCopies()
         self.gone: set[str] = set()
         self.answering: set[str] = set()
         self.hearers: dict[str, str] = {}

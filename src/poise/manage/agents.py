@@ -24,12 +24,14 @@ from poise.manage.agent_messages import (
     reading,
 )
 from poise.manage.agent_reports import AgentReports
+from poise.manage.checkpoint_copies import CheckpointCopies
 from poise.priority import ahead
 from poise.wire.control_session import (
     IDENTITIES,
     LEASE,
     open_session,
 )
+from poise.wire.records.checkpoints import CheckpointCopy
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.migration import (
     MigrationSteps,
@@ -65,6 +67,8 @@ _PROBE_LIMIT = 0.1
 """A computer answers within this time, if it is there [s]."""
 _REVOKED = 2
 """A token that was revoked counts as one so much higher, which no agent has."""
+_LEAST_BANDWIDTH = 1e6
+"""A state that is sent takes no longer than with this [bytes/s]."""
 _LOSS_DELAY = 0.5
 """The loss of an agent is known this long [s] after its connection ends, at most."""
 
@@ -106,6 +110,7 @@ class Agents(AgentReports):
         self._prefix = f"poise/{robot}"
         self._tokens: dict[str, int] = {}
         self._claimed: dict[str, int] = {}
+        self.checkpoints = CheckpointCopies()
         # no gossip: it talks to the agents that it knows, and to no other manager
         with ahead():  # zenoh's threads do nothing but carry messages
             self._session = open_session(
@@ -115,6 +120,10 @@ class Agents(AgentReports):
             self._session.declare_subscriber(
                 f"{self._prefix}/status/*",
                 reading(AgentStatus, self.on_status, self.on_refused),
+            ),
+            self._session.declare_subscriber(
+                f"{self._prefix}/checkpoint/*",
+                reading(CheckpointCopy, self.checkpoints.note, self.on_refused),
             ),
             self._session.liveliness().declare_subscriber(
                 f"{self._prefix}/alive/*", self.on_alive, history=True
@@ -288,6 +297,20 @@ class Agents(AgentReports):
         all did.
         """
         return self._sent(deployments)[1]
+
+    def keep_checkpoint(self, computer: str, copy: CheckpointCopy) -> str:
+        """Let an agent keep a state for a component that is to start there.
+
+        Returns
+        -------
+        Why it did not; empty: it did.
+        """
+        limit = ANSWER_LIMIT + len(copy.data or b"") / _LEAST_BANDWIDTH
+        ((_, answer),) = self._answers({computer: (computer, copy, limit)})
+        if isinstance(answer, Accepted):
+            return ""
+        why = answer.reason if isinstance(answer, Refused) else str(answer)
+        return why if answer else f"no answer within {limit:.0f} s"
 
     def take_steps(
         self,

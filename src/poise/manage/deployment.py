@@ -271,6 +271,8 @@ class DeploymentPlan:
                 for name in component.devices
             },
             weigh=self._weigh,
+            checkpoint=component.checkpoint,
+            restart_when_hung=component.restart_when_hung,
             gently=incarnation.gently,
             chains=self._parts.get(component.name, ()),
             leased=component.name in self._leased,

@@ -90,6 +90,22 @@ class ComponentEntry(Struct, frozen=True, kw_only=True):
     state: Annotated[Bytes, says("The size of its state, which a move transfers.")] = (
         0.0
     )
+    checkpoint: Annotated[
+        Seconds,
+        says(
+            "How often its state is kept, for when its container crashes or its "
+            "computer is lost: 1 s. Default: never.",
+            gt=0,
+        ),
+    ] = 0.0
+    restart_when_hung: Annotated[
+        Seconds,
+        says(
+            "Its container is restarted when its code does not go on for this time: "
+            "5 s. Default: that is only said.",
+            gt=0,
+        ),
+    ] = 0.0
     ports: Annotated[
         tuple[DeclaredPort, ...],
         PORTS,

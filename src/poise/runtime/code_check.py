@@ -21,6 +21,7 @@ from poise.model.check.tasks import check_ends
 from poise.model.check.workload import check_generated
 from poise.model.robot import ComponentEntry, PortKind, Robot
 from poise.model.yaml.positions import Finding, Path
+from poise.runtime.component.component import Component
 from poise.runtime.component.fingerprint import fingerprint
 from poise.runtime.component.implementation import (
     find,
@@ -170,6 +171,7 @@ def _coded_ports(
         for port in ports.values():
             _check_type(port)
         check_state(code)
+        _check_keeps_state(component, code)
     except PoiseError as error:
         raise _WrongCode(path, str(error)) from None
     # Reading annotations runs the user's code, which may raise anything.
@@ -180,6 +182,16 @@ def _coded_ports(
         )
         raise _WrongCode(path, message) from error
     yield from known
+
+
+def _check_keeps_state(entry: ComponentEntry, code: type[Component]) -> None:
+    """Raise when a component with checkpoints cannot give or take its state."""
+    has_no_snapshot = code.snapshot is Component.snapshot
+    if entry.checkpoint and (has_no_snapshot or code.restore is Component.restore):
+        raise RobotError(
+            f"'{entry.implementation}' has no `snapshot` or no `restore`: write them, "
+            "or leave out `checkpoint`"
+        )
 
 
 def _check_type(port: Port) -> None:

@@ -42,20 +42,20 @@ class TransitionReport(Struct, frozen=True, kw_only=True):
 
 
 def start_together(run: Run, placement: Mapping[str, str]) -> bool:
-    """Start components without state; return whether they work.
+    """Start components from their checkpoints; return whether they work.
 
-    What is left of them where they ran, which is out of reach, is ended once that is
-    back.
+    Without a checkpoint they start without state. What is left of them where they ran,
+    which is out of reach, is ended once that is back.
     """
     new = [
         structs.replace(
             run.placed.get(name, Incarnation(component=name, computer=computer)),
             computer=computer,
             epoch=run.next_epoch(name),
-            fresh=True,
         )
         for name, computer in placement.items()
     ]
+    new = [_with_checkpoint(run, each) for each in new]
     old = [run.placed[name] for name in placement.keys() & run.placed.keys()]
     lost = {each.computer for each in old}
     others = [each for name, each in run.placed.items() if name not in placement]
@@ -108,6 +108,22 @@ def _revoke_leases(run: Run, lost: Collection[str]) -> None:
 
 def _names(computers: Collection[str]) -> str:
     return " or ".join(f"'{name}'" for name in sorted(computers))
+
+
+def _with_checkpoint(run: Run, new: Incarnation) -> Incarnation:
+    """Let an agent keep the state that a component has to go on from, if there is."""
+    name, before = new.component, run.placed.get(new.component)
+    copy = run.agents.checkpoints.get(name, before.epoch) if before else None
+    if copy is None:
+        return structs.replace(new, fresh=True)
+    mine = structs.replace(copy, epoch=new.epoch)
+    if refusal := run.agents.keep_checkpoint(new.computer, mine):
+        what = f"the state of '{name}' does not get to '{new.computer}': {refusal}"
+        run.journal.note("failed", f"{what}; it starts without")
+        return structs.replace(new, fresh=True)
+    what = f"component '{name}' goes on from its state of {copy.age:.1f} s ago"
+    run.journal.note("done", what)
+    return structs.replace(new, fresh=False)
 
 
 def transit(run: Run, steps: tuple[TransitionStep, ...]) -> TransitionReport:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from poise.model.check.addresses import check_addresses
 from poise.model.check.allowed_computers import check_allowed_computers
+from poise.model.check.checkpoints import check_checkpoints
 from poise.model.check.connectors import check_chains, check_connectors
 from poise.model.check.demands import check_demands
 from poise.model.check.names import check_names
@@ -30,6 +31,7 @@ def check(robot: Robot, repository: Repository) -> Iterator[Finding]:
     yield from check_names(robot)
     yield from check_addresses(robot)
     yield from check_allowed_computers(robot)
+    yield from check_checkpoints(robot)
     yield from check_demands(robot)
     yield from check_together_apart(robot)
     yield from check_connectors(robot)

@@ -22,6 +22,7 @@ from types import FrameType
 import msgspec
 import zenoh
 from msgspec import Struct
+from msgspec.msgpack import encode
 
 from poise.clock import Clock, SystemClock
 from poise.endpoint import Endpoint
@@ -29,6 +30,7 @@ from poise.errors import RunError, UsageError
 from poise.priority import ahead, go_first
 from poise.runtime._calls import PageSampler
 from poise.runtime.agent.adoption import Adoption, AgentFolder, AgentState
+from poise.runtime.agent.checkpoint_files import CheckpointFiles
 from poise.runtime.agent.clock_synchronisation import ClockSynchronisation
 from poise.runtime.agent.container_processes import STOP_LIMIT
 from poise.runtime.agent.fence import Fence
@@ -46,11 +48,14 @@ from poise.runtime.waker import Waker, wait_readable
 from poise.wire.connections.gateway import Gateway
 from poise.wire.connections.socket_path import socket_path
 from poise.wire.control_session import LEASE, identity_key, locator, open_session
+from poise.wire.records.checkpoints import CheckpointCopy
 from poise.wire.records.clocks import ClockStatus
+from poise.wire.records.deployment import Deployment
 from poise.wire.records.migration import MigrationSteps, StepsFailed
 from poise.wire.records.requests import (
     PROTOCOL,
     Accepted,
+    Answer,
     Claim,
     Claimed,
     ManagerId,
@@ -215,6 +220,16 @@ class Agent:
                 )
             ]
             samples = session.declare_publisher(f"{prefix}/samples/{setup.computer}")
+            copies = session.declare_publisher(
+                f"{prefix}/checkpoint/{setup.computer}",
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                priority=zenoh.Priority.BACKGROUND,
+            )
+            checkpoints = self._checkpoints = CheckpointFiles(
+                Path(setup.folder), lambda copy: copies.put(encode(copy))
+            )
+            if self._supervisor.wanted is not None:
+                checkpoints.keep_only(self._supervisor.wanted)
             sampler = self._sampler(samples)
             clocks = ClockSynchronisation(session, prefix, setup.computer, self._clock)
             heartbeats = self._heartbeats = HeartbeatExchange(
@@ -231,10 +246,12 @@ class Agent:
                 sampler.start()
                 self._usage = sampler.usage
                 clocks.start()
+                checkpoints.start()
                 self._clocks = clocks.known
                 self._serve(publisher)
             finally:
                 heartbeats.close()
+                checkpoints.stop()
                 clocks.stop()
                 sampler.stop()
                 managers.undeclare()  # type: ignore[no-untyped-call]
@@ -294,6 +311,7 @@ class Agent:
             refused = self._fence.claim(request, asked.token)
             if refused is None:
                 self._heartbeats.begin(request.manager.key, request.agents)
+                self._checkpoints.resend()
             answer(query, refused or Claimed(wanted))
         elif isinstance(request, MigrationSteps):
             if refusal:
@@ -302,13 +320,23 @@ class Agent:
                 self._relay.pass_on(request, query, self._clock.now())
         elif refusal:
             answer(query, Refused(refusal))
+        elif isinstance(request, CheckpointCopy):
+            answer(query, self._keep_checkpoint(request))
         elif wanted and request.generation < wanted.generation:
             older = f"generation {request.generation} is older than "
             answer(query, Refused(f"{older}{wanted.generation}"))
         else:
             self._supervisor.take(request)
             self._note_told()
+            self._checkpoints.keep_only(request)
             answer(query, Accepted())
+
+    def _keep_checkpoint(self, copy: CheckpointCopy) -> Answer:
+        try:
+            self._checkpoints.write(copy)
+        except OSError as error:
+            return Refused(f"it cannot keep a checkpoint: {error}")
+        return Accepted()
 
     def _serve(self, publisher: zenoh.Publisher) -> None:
         report_at, reported = 0.0, (0, _states(self._status()))
@@ -433,6 +461,7 @@ class Agent:
             return
         self._adoption.close()
         self._folder.forget()
+        self._checkpoints.keep_only(Deployment(generation=0, containers=()))
         self._supervisor.end()
         self._supervisor.reconcile()
         limit = self._clock.now() + STOP_LIMIT + 1

@@ -6,7 +6,9 @@ import contextlib
 import os
 import signal
 import socket
+import time
 from collections.abc import Mapping
+from pathlib import Path
 from signal import SIGKILL
 
 from msgspec import Struct
@@ -17,6 +19,7 @@ from poise.runtime._calls import PageSampler
 from poise.runtime.agent.watchdog import Silence
 from poise.wire import record_channel
 from poise.wire.codec import WireError
+from poise.wire.records.checkpoints import checkpoint_path
 from poise.wire.records.clocks import Clocks, ClockStatus
 from poise.wire.records.container import ContainerFailure, FromContainer, ToContainer
 from poise.wire.records.deployment import ContainerSpec
@@ -29,6 +32,7 @@ REST_LIMIT = 10.0
 """A container that sent a part of a record is killed when the rest takes longer [s].
 One that is at work sends all of it within a second, or ends."""
 _FIRST_DELAY = 0.1
+"""The first restart is at once, the second after this time [s]."""
 _LONGEST_DELAY = 5.0
 _CALM = 10.0
 """After so long without an end a container's delay starts from the first again [s]."""
@@ -37,7 +41,8 @@ _CALM = 10.0
 class BackOff:
     """How long to wait before a container that ended is started again.
 
-    The delay doubles from 0.1 s up to 5 s, times `jitter` in [0.5, 1), so that many
+    The first time it is started at once. Then the delay doubles from 0.1 s up to 5 s,
+    times `jitter` in [0.5, 1), so that many
     that broke for one reason do not come back at one moment.
     """
 
@@ -50,7 +55,8 @@ class BackOff:
         """Count an end at `now` [s]."""
         if now - self._ended_at > _CALM:
             self._ends = 0
-        delay = min(_FIRST_DELAY * 2 ** min(self._ends, 16), _LONGEST_DELAY)
+        delay = min(_FIRST_DELAY * 2 ** (min(self._ends, 16) - 1), _LONGEST_DELAY)
+        delay = delay if self._ends else 0.0
         self._ends += 1
         self._ended_at = now
         self._again_at = now + delay * jitter
@@ -98,6 +104,7 @@ class ContainerProcess:
         self._stats_page = stats_page
         self.status: ContainerStatus | None = None
         self.silence: Silence | None = None
+        self.silent_since = 0.0
         self.kill_at = float("inf")
         self.is_stopping = False
         self.is_deaf = False
@@ -136,6 +143,15 @@ class ContainerProcess:
         """Let it take steps of a migration."""
         if not self.is_deaf:
             self._send(steps)
+
+    @property
+    def hung_at(self) -> float:
+        """When it does not respond for longer than its components allow [s]."""
+        limits = [c.restart_when_hung for c in self.spec.components]
+        silence = self.silence
+        if silence is None or silence.is_starved or self.is_deaf or not any(limits):
+            return float("inf")
+        return self.silent_since + min(limit for limit in limits if limit)
 
     def is_stuck(self) -> bool:
         """Return whether it does not respond, and not only for lack of CPU.
@@ -179,10 +195,15 @@ class ContainerProcess:
         since = self._reader.since
         return float("inf") if since is None or self.is_deaf else since + REST_LIMIT
 
-    def give_up_rest(self) -> None:
-        """Kill it, because the rest of a record did not come in time."""
+    def keep_limits(self, now: float) -> None:
+        """Kill it when it takes too long: to end, to tell, or to respond."""
         reason = self.silence.reason if self.silence else "the reason is not known"
-        self.give_up(f"the rest of a record took over {REST_LIMIT:g} s: {reason}")
+        if self.kill_at <= now:
+            self.kill()
+        if self.rest_by <= now:
+            self.give_up(f"the rest of a record took over {REST_LIMIT:g} s: {reason}")
+        if self.hung_at <= now:
+            self.give_up(f"it does not respond: {reason}")
 
     def stop(self, clock: Clock) -> None:
         """Ask it to end, or kill one that does not respond; harmless when repeated."""
@@ -203,14 +224,28 @@ class ContainerProcess:
         said = [f"{c.name}: {c.error.splitlines()[-1]}" for c in failed]
         return "; ".join(filter(None, [*said, self._why_ended]))
 
-    def loss(self) -> str:
-        """Return which components lost their state with it, in words."""
-        lost = sorted(c.name for c in self._components() if c.state == "active")
+    def loss(self, folder: Path) -> str:
+        """Return what became of the states of its components, in words.
+
+        Parameters
+        ----------
+        folder
+            Where checkpoints are.
+        """
+        active = [c for c in self._components() if c.state == "active"]
+        ages = {c.name: _age(checkpoint_path(folder, c.name, c.epoch)) for c in active}
+        kept = "; ".join(
+            f"'{name}' restarts with its state of {age:.1f} s ago"
+            for name, age in sorted(ages.items())
+            if age is not None
+        )
+        lost = sorted(name for name, age in ages.items() if age is None)
         if not lost:
-            return ""
+            return kept
         names = ", ".join(f"'{name}'" for name in lost)
         restart = "it restarts" if len(lost) == 1 else "they restart"
-        return f"the state of {names} is gone: {restart}"
+        gone = f"the state of {names} is gone: {restart}"
+        return f"{kept}; {gone}" if kept else gone
 
     def may_be_oom(self, how: ProcessEnd | str) -> bool:
         """Return whether the kernel may have ended it, or one of its commands."""
@@ -220,7 +255,7 @@ class ContainerProcess:
     def give_up(self, why: str = "") -> None:
         """Listen no more: it is ending, or stuck. The zygote reports its end."""
         self.is_deaf = True
-        if why:
+        if why and not self._why_ended:
             self._why_ended = f"its agent gave it up: {why}"
         self.kill()
 
@@ -248,6 +283,14 @@ class ProcessEnd(Struct, frozen=True):
         if os.WIFSIGNALED(self.status):
             return f"was killed by {signal.Signals(os.WTERMSIG(self.status)).name}"
         return f"ended with exit code {os.waitstatus_to_exitcode(self.status)}"
+
+
+def _age(checkpoint: Path) -> float | None:
+    """Return the age of a checkpoint [s]; None: there is none."""
+    try:
+        return max(0.0, time.time() - checkpoint.stat().st_mtime)
+    except OSError:
+        return None
 
 
 def _signal(pid: int, number: signal.Signals) -> None:

@@ -13,6 +13,7 @@ import os
 import random
 import socket
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 from msgspec import structs
 
@@ -93,10 +94,7 @@ class Supervisor:
         for name, process in self.processes.items():
             if name not in wanted and self.wanted is not None:
                 process.stop(self._clock)
-            if process.kill_at <= now:
-                process.kill()
-            if process.rest_by <= now:
-                process.give_up_rest()
+            process.keep_limits(now)
         for name, spec in wanted.items():
             if name in self.processes:
                 if not self.processes[name].is_stopping:
@@ -112,7 +110,7 @@ class Supervisor:
             if name not in self.processes:
                 yield self._backoffs[name].again_at
         for process in self.processes.values():
-            yield min(process.kill_at, process.rest_by)
+            yield min(process.kill_at, process.rest_by, process.hung_at)
 
     def hear(self, process: ContainerProcess) -> StepsOutcome | None:
         """Take in what a container says; return the outcome of a step, if it is one."""
@@ -178,6 +176,7 @@ class Supervisor:
         if process is None or process.pid != silence.pid or process.is_stopping:
             return
         process.silence = silence if silence.reason else None
+        process.silent_since = self._clock.now() - silence.seconds
         if silence.reason:
             lasted = f"has not responded for {silence.seconds:.1f} s"
             why = f"{silence.reason}. {silence.remedy}"
@@ -245,7 +244,9 @@ class Supervisor:
                 f"{self._oom_kills.limit()}: give the computer more, or move "
                 "components to another"
             )
-        said = "; ".join(filter(None, [str(how), process.last_error(), process.loss()]))
+        folder = Path(self._place(process.name).folder)
+        parts = [str(how), process.last_error(), process.loss(folder)]
+        said = "; ".join(filter(None, parts))
         self._note_end(process.name, said)
 
     def _note_end(self, container: str, said: str) -> None:

@@ -17,6 +17,7 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 from types import FrameType
 
 from msgspec import structs
@@ -28,6 +29,7 @@ from poise.runtime.component.implementation import search_also
 from poise.runtime.container.agent_link import AgentLink
 from poise.runtime.container.descendants import Orphans
 from poise.runtime.container.preparation import prepare
+from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.computer_clock import ComputerClock
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.stats_page import ComponentKey, StatsPage
@@ -79,6 +81,7 @@ class Container:
         self._link = AgentLink(name, agent, stats_page, place.folder, self._clock)
         self._transports = Transports(place)
         self._wiring = Wiring(self._transports, self._clock.ahead)
+        self._folder = Path(place.folder)
         self._wanted: ContainerSpec | None = None
         self._preparing: dict[ComponentKey, tuple[ComponentSpec, Future[Runner]]] = {}
         self._runners: dict[ComponentKey, Runner] = {}
@@ -89,6 +92,7 @@ class Container:
         # steps wait for components and for other computers; the control thread must not
         self._step_threads = ThreadPoolExecutor(_STEP_THREADS, "step", go_first)
         self._stopping = False
+        self._stop_limit = _STOP_LIMIT
         self._waker = Waker()
         self._stats_page = StatsPage(stats_page)
 
@@ -137,6 +141,7 @@ class Container:
                 look_at = min(look_at, self._clock.now() + _JOINING_EVERY)
             has_news = self._listen(max(0.0, look_at - self._clock.now()))
             has_news |= self._settle()
+            self._raise_on_hang()
             before, unjoined = unjoined, self._wiring.unjoined()
             if has_news or unjoined != before or self._clock.now() >= report_at:
                 self._report(self._status())
@@ -164,6 +169,17 @@ class Container:
             is_spec = record is not None and isinstance(record.what, ContainerSpec)
             return is_spec or waker in ready
         return bool(ready)
+
+    def _raise_on_hang(self) -> None:
+        for (name, _), runner in self._runners.items():
+            if limit := runner.spec.restart_when_hung:
+                what, seconds = runner.hang()
+                if seconds > limit:
+                    self._stop_limit = 0.0  # it would not end in time
+                    raise RunError(
+                        f"component '{name}' hangs: {what} for {seconds:.1f} s, over "
+                        f"its limit of {limit:g} s"
+                    )
 
     def _report(self, status: ContainerStatus) -> None:
         # an agent that is slow to listen gets the next status, not all of them; before
@@ -252,8 +268,12 @@ class Container:
                 why = told(error) or repr(error)
                 self._broken[key] = spec, _failed(key, "start", why)
             else:
-                self._runners[key] = prepared.result()
-                self._runners[key].start()
+                self._runners[key] = runner = prepared.result()
+                if spec.checkpoint:
+                    runner.checkpoints = Checkpoints(
+                        self._folder, *key, spec.checkpoint, self._clock
+                    )
+                runner.start()
         return bool(done)
 
     def _connect(self, spec: ContainerSpec, staying: list[ComponentKey]) -> None:
@@ -303,7 +323,7 @@ class Container:
         )
 
     def _stop(self) -> None:
-        deadline = self._clock.now() + _STOP_LIMIT
+        deadline = self._clock.now() + self._stop_limit
         running = {**self._runners, **{k: r for k, (r, _) in self._ending.items()}}
         for each in running.values():
             each.aim("finalized")

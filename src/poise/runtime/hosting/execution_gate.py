@@ -49,6 +49,11 @@ class ExecutionGate:
         self._migration: object = None
         self._awaited_idle: threading.Event | None = None
 
+    @property
+    def is_paused(self) -> bool:
+        """Whether its code may not run now."""
+        return self._is_paused
+
     def begin_migration(self) -> None:
         """Allow a pause for a migration; what the one before paused resumes."""
         self._migration = object()  # one for each: a pause for the last one is late

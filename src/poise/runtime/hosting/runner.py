@@ -26,6 +26,7 @@ from poise.runtime.execution.data_age import DataAges, Stamped
 from poise.runtime.execution.exclusion import Exclusion, Redirected, new_chain
 from poise.runtime.execution.mailbox import Inbox
 from poise.runtime.execution.timers import Releases, Timers
+from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.execution_gate import ExecutionGate
 from poise.runtime.hosting.life_cycle import ENDED, LifeCycle
 from poise.wire.codec import codec
@@ -54,6 +55,8 @@ class Runner:
     ----------
     reason_to_end
         Why its container is to end; empty: it is not.
+    checkpoints
+        What keeps and restores its state; None: nothing does.
     """
 
     def __init__(
@@ -106,6 +109,7 @@ class Runner:
         )
         self.asked_at = clock.now()
         self.reason_to_end = ""
+        self.checkpoints: Checkpoints | None = None
         self._start = 0.0
         self._snapshot = 0
 
@@ -133,6 +137,16 @@ class Runner:
     def has_ended(self) -> bool:
         """Return at once whether its code runs no more."""
         return self.life_cycle.state in ENDED or not self._thread.is_alive()
+
+    def hang(self) -> tuple[str, float]:
+        """Return what has not gone on, and for how long [s]: a handler, or a timer."""
+        now, handler = self.clock.now(), self._handler
+        if handler is not None:
+            return f"'{handler[0]}' runs", now - handler[1]
+        due = self.timers.next_due()
+        if due is None or due > now or self.gate.is_paused:
+            return "", 0.0
+        return "a timer is due and cannot run", now - due
 
     def status(self, cpu: float | None = None) -> ComponentStatus:
         """Return what is known of it now.
@@ -214,6 +228,8 @@ class Runner:
         try:
             with hurry, self.gate.borrowed(by_hook=True):
                 getattr(self.component, hook)()
+                if hook == "configure" and self.checkpoints is not None:
+                    self._restore(self.checkpoints)
                 if hook == "deactivate" and self.spec.weigh:
                     self._snapshot = _weight(self.component.snapshot())
         # a user's hook may raise anything
@@ -222,12 +238,20 @@ class Runner:
             self._clean_up_after(hook)
             state = "failed"
         if state == "active":
+            if self.checkpoints is not None:
+                self.checkpoints.begin()
             self.counters.plan(self.timers.start(self.clock.now()))
         elif hook == "configure":
             self._start = self.clock.now() - self.asked_at
         self.life_cycle.enter(state)
         self.gate.resume()
         self._on_change()
+
+    def _restore(self, checkpoints: Checkpoints) -> None:
+        age = checkpoints.restore(self.component)
+        if age is not None:
+            text = "component '%s' goes on from its state of %.1f s ago"
+            log.warning(text, self.spec.name, age)
 
     def _clean_up_after(self, hook: str) -> None:
         if hook == "cleanup":
@@ -244,12 +268,20 @@ class Runner:
             if releases.due <= self.clock.now():
                 self._run_timer(releases)
         due = self.timers.next_due()
+        if self.checkpoints is not None:
+            due = self._take_checkpoint(self.checkpoints, due)
         limit = None if due is None else max(0.0, due - self.clock.now())
         self.counters.note_idle()
         inbox = self.endpoints.mailbox.next(limit)
         self.counters.note_busy()
         if inbox is not None and self._enter():
             self._deliver(inbox)
+
+    def _take_checkpoint(self, checkpoints: Checkpoints, due: float | None) -> float:
+        """Take a checkpoint when it is time; return when there is something to do."""
+        if checkpoints.due <= self.clock.now() and self._enter():
+            self._run(checkpoints.take, "checkpoint", self.component)
+        return checkpoints.due if due is None else min(due, checkpoints.due)
 
     def _run_timer(self, releases: Releases) -> None:
         if not self._enter():

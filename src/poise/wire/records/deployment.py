@@ -60,6 +60,11 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
         Device names to paths.
     weigh
         Whether the size of its snapshot is taken when it is deactivated.
+    checkpoint
+        How often its state is kept, for when its container crashes [s]; 0: never.
+    restart_when_hung
+        Its container is restarted when its code does not go on for this time [s]; 0:
+        that is only said.
     gently
         Whether it is prepared with the CPU time that others leave: they are at work.
     chains
@@ -80,6 +85,8 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
     parameters: Mapping[str, Any] = {}
     devices: Mapping[str, str] = {}
     weigh: bool = False
+    checkpoint: float = 0.0
+    restart_when_hung: float = 0.0
     gently: bool = False
     chains: tuple[ChainPart, ...] = ()
     leased: bool = False

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 from msgspec import Struct
 
+from poise.wire.records.checkpoints import CheckpointCopy
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.migration import MigrationSteps, StepsDone, StepsFailed
 
@@ -83,7 +84,7 @@ class Refused(Struct, frozen=True, tag=True):
 
 Answer = Accepted | Claimed | Refused | StepsDone | StepsFailed
 
-Request = Claim | Deployment | MigrationSteps
+Request = Claim | Deployment | MigrationSteps | CheckpointCopy
 """What a manager asks of an agent."""
 
 

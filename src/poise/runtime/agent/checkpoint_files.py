@@ -1,0 +1,101 @@
+"""The checkpoints of a computer's components, and the copies that its manager keeps.
+
+A container writes each checkpoint into the agent's folder. A thread of the agent sends
+those that changed to the manager, which keeps the last: so they outlive the container
+and the computer.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from poise.wire.records.checkpoints import CheckpointCopy, checkpoint_path
+from poise.wire.records.deployment import Deployment
+
+log = logging.getLogger(__name__)
+
+LOOK_EVERY = 0.1
+"""New checkpoints are looked for this often [s]."""
+_JOIN_LIMIT = 1.0
+
+
+class CheckpointFiles:
+    """The checkpoints in the folder of an agent.
+
+    Parameters
+    ----------
+    send
+        Sends a copy to the manager; called on a thread of its own.
+    """
+
+    def __init__(self, folder: Path, send: Callable[[CheckpointCopy], object]) -> None:
+        self._folder = folder
+        self._send = send
+        self._wanted: tuple[tuple[str, int], ...] = ()
+        self._sent: dict[tuple[str, int], tuple[int, int]] = {}
+        self._ended = threading.Event()
+        self._thread = threading.Thread(
+            target=self._main, name="checkpoints", daemon=True
+        )
+
+    def start(self) -> None:
+        """Begin to send."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Send no more."""
+        self._ended.set()
+        if self._thread.is_alive():
+            self._thread.join(_JOIN_LIMIT)
+
+    def keep_only(self, wanted: Deployment) -> None:
+        """Remove the checkpoints of all that is not wanted any more."""
+        components = [c for each in wanted.containers for c in each.components]
+        kept = {checkpoint_path(self._folder, c.name, c.epoch) for c in components}
+        for path in set(self._folder.glob("*.checkpoint")) - kept:
+            path.unlink(missing_ok=True)
+        self._wanted = tuple((c.name, c.epoch) for c in components if c.checkpoint)
+
+    def resend(self) -> None:
+        """Send all again: there is another manager."""
+        self._sent = {}
+
+    def write(self, copy: CheckpointCopy) -> None:
+        """Keep a copy for a component that is to start here; raises OSError."""
+        path = checkpoint_path(self._folder, copy.component, copy.epoch)
+        path.write_bytes(copy.data or b"")
+        os.utime(path, (time.time() - copy.age,) * 2)
+
+    def _main(self) -> None:
+        while not self._ended.wait(LOOK_EVERY):
+            for copy in self._news():
+                try:
+                    self._send(copy)
+                except Exception:  # the next may be sent again
+                    log.exception("no copy of a checkpoint could be sent")
+
+    def _news(self) -> Iterator[CheckpointCopy]:
+        sent, self._sent = self._sent, dict(self._sent)
+        for component, epoch in self._wanted:
+            path = checkpoint_path(self._folder, component, epoch)
+            with contextlib.suppress(OSError):  # there is none yet
+                found = path.stat()
+                at = found.st_ino, found.st_mtime_ns
+                before = sent.get((component, epoch))
+                if at == before:
+                    continue
+                # the same file has the same content: only its age is news
+                is_same = before is not None and before[0] == at[0]
+                yield CheckpointCopy(
+                    component=component,
+                    epoch=epoch,
+                    data=None if is_same else path.read_bytes(),
+                    age=max(0.0, time.time() - found.st_mtime),
+                )
+                self._sent[component, epoch] = at

@@ -1,0 +1,132 @@
+"""Checkpoints of a component: its state, kept now and then where a crash spares it.
+
+A checkpoint is a file in the agent's folder. The component is asked for its snapshot in
+its turn, between its handlers. When its container crashed, the next one restores what
+was kept last.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from pathlib import Path
+
+from msgspec import Struct
+
+from poise.clock import Clock
+from poise.errors import RunError
+from poise.runtime.component.component import Component
+from poise.runtime.migration.state_check import (
+    check_fits,
+    describe_type,
+    type_taken_by,
+)
+from poise.wire import frame
+from poise.wire.codec import Codec, codec
+from poise.wire.frame import Kind
+from poise.wire.records.checkpoints import LARGEST, checkpoint_path
+
+
+class _Checkpoint(Struct, frozen=True):
+    """A state as a frame, with its type by `describe_type`."""
+
+    state_type: str
+    state: bytes
+
+
+_CHECKPOINT: Codec[_Checkpoint] = codec(_Checkpoint)
+
+
+class Checkpoints:
+    """Takes and restores the checkpoints of one component, on its own thread.
+
+    Parameters
+    ----------
+    folder
+        The agent's.
+    every
+        How often [s].
+
+    Attributes
+    ----------
+    due
+        When the next one is to be taken [s].
+    cost
+        How long the last one took, in the component's turn [s].
+    """
+
+    def __init__(
+        self, folder: Path, component: str, epoch: int, every: float, clock: Clock
+    ) -> None:
+        self._path = checkpoint_path(folder, component, epoch)
+        self._every = every
+        self._clock = clock
+        self._before = b""
+        self.due = float("inf")
+        self.cost = 0.0
+
+    def begin(self) -> None:
+        """Be due for the first time after an interval."""
+        self.due = self._clock.now() + self._every
+
+    def take(self, component: Component) -> None:
+        """Keep the state of a component.
+
+        Raises
+        ------
+        Exception
+            Whatever its `snapshot` raises; or the state is too large, cannot be
+            written, or took longer than the interval. The one before is kept.
+        """
+        began = self._clock.now()
+        self.due = began + self._every
+        state = component.snapshot()
+        if state is None:
+            return
+        pieces = frame.segments(codec(type(state)), state, Kind.MESSAGE)
+        kept = _Checkpoint(describe_type(type(state)), b"".join(pieces))
+        data = b"".join(frame.segments(_CHECKPOINT, kept, Kind.RECORD))
+        if len(data) > LARGEST:
+            raise RunError(
+                f"its state of {len(data) / 2**20:.0f} MiB is too large for a "
+                f"checkpoint: {LARGEST >> 20} MiB are the limit"
+            )
+        if data == self._before:
+            with contextlib.suppress(OSError):  # it is as old as this moment
+                os.utime(self._path)
+        else:
+            new = self._path.with_suffix(".new")
+            new.write_bytes(data)
+            new.replace(self._path)
+            self._before = data
+        self.cost = self._clock.now() - began
+        if self.cost > self._every:
+            raise RunError(
+                f"the checkpoint took {self.cost:.2f} s, longer than its interval of "
+                f"{self._every:g} s: make the state smaller, or the interval longer"
+            )
+
+    def restore(self, component: Component) -> float | None:
+        """Restore the state that was kept, if there is one.
+
+        Returns
+        -------
+        Its age [s]; None: there is none.
+
+        Raises
+        ------
+        Exception
+            Whatever its `restore` raises; or the state does not fit.
+        """
+        try:
+            data = self._path.read_bytes()
+            age = time.time() - self._path.stat().st_mtime
+        except FileNotFoundError:
+            return None
+        kept: _Checkpoint = frame.parse(data).value(_CHECKPOINT)
+        taken = type_taken_by(component.restore)
+        check_fits(kept.state_type, taken, type(component).restore.__qualname__)
+        component.restore(frame.parse(kept.state).value(codec(taken)))
+        self._before = data
+        return max(0.0, age)
