@@ -128,6 +128,7 @@ def _components(facts: Facts) -> Iterator[Values]:
                 cpu=demand.mean if demand else 0.0,
                 expected=entry.demand.get("cpu", 0.0),
                 starved=demand.starved if demand else 0.0,
+                hung=component.hung if component else 0.0,
                 errors=component.errors if component else 0,
                 memory=memory.get((computer, container.name), 0.0)
                 if container

@@ -78,6 +78,9 @@ class ComponentValues(Struct, frozen=True, kw_only=True):
     cpu: Annotated[Cores, says("Its estimated demand.")] = 0.0
     expected: Annotated[Cores, says("Its demand by the robot file or profile.")] = 0.0
     starved: Annotated[Share, says("The share of its jobs that were not done.")] = 0.0
+    hung: Annotated[
+        Seconds, says("For how long a handler has run, or a due timer could not.")
+    ] = 0.0
     errors: Annotated[int, says("What its timers and handlers raised so far.")] = 0
     memory: Annotated[Bytes, says("Memory use of its container.")] = 0.0
 

@@ -167,6 +167,7 @@ class Runner:
             error_counts=self._errors.counts(),
             handler=handler,
             handler_seconds=now - since,
+            hung=self.hang()[1],
             cpu=self.counters.cpu() if cpu is None else cpu,
             start=self._start,
             snapshot=self._snapshot,

@@ -156,6 +156,8 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
         The errors by line and type, in the order in which they first came.
     handler, handler_seconds
         The timer or port whose code its thread runs now, and for how long already [s].
+    hung
+        For how long a handler has run, or a due timer could not [s].
     cpu
         CPU time of its own code, on any thread [s].
     start
@@ -176,6 +178,7 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
     error_counts: tuple[ErrorCount, ...] = ()
     handler: str = ""
     handler_seconds: float = 0.0
+    hung: float = 0.0
     cpu: float = 0.0
     start: float = 0.0
     snapshot: int = 0
