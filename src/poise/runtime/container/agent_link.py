@@ -79,19 +79,19 @@ class AgentLink:
         """When `look` is to be called next [s]."""
         return float("inf") if self._connection else self._ask_at
 
-    def look(self) -> None:
+    def look(self, limit: float) -> None:
         """Ask to be adopted when there is no agent, and it is time.
 
         Raises
         ------
         Unavailable
-            There has been none for `ORPHAN_LIMIT`.
+            There has been none for `limit` [s].
         """
         now = self._clock.now()
         if self._connection is not None or now < self._ask_at:
             return
-        if now - self._lost_at > ORPHAN_LIMIT:
-            raise Unavailable(f"there was no agent for {ORPHAN_LIMIT:g} s")
+        if now - self._lost_at > limit:
+            raise Unavailable(f"there was no agent for {limit:g} s")
         self._pause = min(2 * self._pause, _LONGEST_PAUSE)
         self._ask_at = now + self._pause
         self._ask()

@@ -26,7 +26,7 @@ from poise.errors import PoiseError, RunError, Timeout, Unavailable
 from poise.priority import as_usual, go_first
 from poise.runtime.component.error_report import told
 from poise.runtime.component.implementation import search_also
-from poise.runtime.container.agent_link import AgentLink
+from poise.runtime.container.agent_link import ORPHAN_LIMIT, AgentLink
 from poise.runtime.container.descendants import Orphans
 from poise.runtime.container.preparation import prepare
 from poise.runtime.hosting.checkpoints import Checkpoints
@@ -38,7 +38,7 @@ from poise.runtime.migration.executor import MigrationExecutor
 from poise.runtime.waker import Waker, wait_readable
 from poise.wire.codec import WireError
 from poise.wire.records.clocks import Clocks
-from poise.wire.records.container import ContainerFailure, FromContainer
+from poise.wire.records.container import RESTART_LIMIT, ContainerFailure, FromContainer
 from poise.wire.records.deployment import ComponentSpec, ContainerSpec
 from poise.wire.records.migration import (
     MigrationSteps,
@@ -134,7 +134,7 @@ class Container:
         orphans = Orphans()
         while not self._stopping:
             self._stats_page.beat()
-            self._link.look()
+            self._link.look(self._orphan_limit())
             beat_at = self._clock.now() + BEAT_EVERY
             look_at = min(report_at, beat_at, self._link.look_at)
             if unjoined:
@@ -169,6 +169,15 @@ class Container:
             is_spec = record is not None and isinstance(record.what, ContainerSpec)
             return is_spec or waker in ready
         return bool(ready)
+
+    def _orphan_limit(self) -> float:
+        """Return how long to go on without an agent [s].
+
+        What is leased may then be active elsewhere.
+        """
+        components = self._wanted.components if self._wanted else ()
+        is_leased = any(component.leased for component in components)
+        return min(RESTART_LIMIT, ORPHAN_LIMIT) if is_leased else ORPHAN_LIMIT
 
     def _raise_on_hang(self) -> None:
         for (name, _), runner in self._runners.items():
