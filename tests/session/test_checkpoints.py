@@ -136,11 +136,9 @@ def test_a_component_goes_on_from_its_checkpoint(kept: EmulatedSet, file: Path) 
 def test_what_is_stopped_in_order_begins_anew(kept: EmulatedSet, file: Path) -> None:
     watched = Watched(file)
     for _ in range(2):
+        pid = watched.now()[1]
         with robot_up(file):
-            pid = watched.now()[1]
-            wait_long(lambda before=pid: watched.now()[1] != before)
-            watched.wait_more(60)
-            assert watched.now()[0] < 1_000_400
-    for computer in kept.layout.computers:
-        folder = kept.computers[computer.name].folder
-        assert not list(folder.glob("**/*.checkpoint"))
+            watched.wait_other(pid)
+            assert watched.wait_more(60)[0] < 1_000_400
+    for computer in kept.computers.values():
+        assert not list(computer.folder.glob("**/*.checkpoint"))
