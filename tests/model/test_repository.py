@@ -125,11 +125,13 @@ def test_says_where_a_function_was_searched(write: Write) -> None:
     assert "installed packages (none" in problem.message
 
 
-def test_refuses_a_folder_that_is_not_there(write: Write) -> None:
-    """It is told where it is named."""
-    problems = problems_of(write("robot.yaml", ROBOT))
-    assert (problems[0].line, problems[0].column) == (3, 14)
-    assert "there is no folder" in problems[0].message
+def test_refuses_a_folder_that_is_not_there(write: Write, tmp_path: Path) -> None:
+    """It is told where it is named, whatever the name."""
+    for name in ("parts", "x" * 300):
+        text = ROBOT.replace("[parts]", f"[{name}]")
+        problems = problems_of(write("robot.yaml", text))
+        assert (problems[0].line, problems[0].column) == (3, 14)
+        assert f"the folder '{tmp_path}/{name}' cannot be read: " in str(problems[0])
 
 
 def test_the_robots_own_architecture_hides_one_of_its_name(write: Write) -> None:

@@ -33,9 +33,13 @@ GROUP = "poise.architectures"
 
 
 class Place(Struct, frozen=True):
-    """A folder of architecture files; `package` is the installed one that it is in."""
+    """A folder of architecture files.
+
+    `named` is where it is named; `package` is the installed package that it is in.
+    """
 
     folder: str
+    named: Location
     package: str = ""
 
     def __str__(self) -> str:
@@ -146,12 +150,7 @@ def search(
     where
         Where each folder is named.
     """
-    places = [Place(folder) for folder in folders]
-    for place, location in zip(places, where, strict=True):
-        if not Path(place.folder).is_dir():
-            problems.append(
-                location.problem(f"repository: there is no folder {place.folder!r}")
-            )
+    places = list(map(Place, folders, where))
     places += _installed(problems)
     offers = [offer for place in places for offer in _offers(place, problems)]
     return Repository(True, tuple(places), tuple(offers))
@@ -216,10 +215,8 @@ def _lacking(robot: Robot, architecture: Architecture) -> str:
 
 
 def _offers(place: Place, problems: list[FileProblem]) -> Iterator[Offer]:
-    folder = Path(place.folder)
-    paths = folder.iterdir() if folder.is_dir() else ()
     first: dict[str, Location] = {}
-    for path in sorted(p for p in paths if p.suffix in {".yaml", ".yml"}):
+    for path in _yaml_files(place, problems):
         root = read_file(path, None, problems)
         if root is None or (isinstance(root.value, dict) and "robot" in root.value):
             continue  # a robot file may lie beside
@@ -237,6 +234,16 @@ def _offers(place: Place, problems: list[FileProblem]) -> Iterator[Offer]:
             yield Offer(place, full, nodes[a.name])
 
 
+def _yaml_files(place: Place, problems: list[FileProblem]) -> list[Path]:
+    try:
+        paths = [*Path(place.folder).iterdir()]
+    except OSError as error:
+        text = f"the folder {place.folder!r} cannot be read: {error.strerror}"
+        problems.append(place.named.problem(f"repository: {text}"))
+        return []
+    return sorted(path for path in paths if path.suffix in {".yaml", ".yml"})
+
+
 def _installed(problems: list[FileProblem]) -> Iterator[Place]:
     """Yield the folders of installed packages, by the names of the packages."""
     found = {
@@ -244,12 +251,12 @@ def _installed(problems: list[FileProblem]) -> Iterator[Place]:
         for point in entry_points(group=GROUP)
     }
     for package, point in sorted(found):
+        named = Location(f"package {package}", 0, 0)
         if folder := _folder_of(point):
-            yield Place(str(folder), package)
+            yield Place(str(folder), named, package)
         else:
             text = f"its entry point '{point.name}' of {GROUP} names '{point.value}', "
-            place = Location(f"package {package}", 0, 0)
-            problems.append(place.problem(f"{text}which is no Python package"))
+            problems.append(named.problem(f"{text}which is no Python package"))
 
 
 def _folder_of(point: EntryPoint) -> Path | None:

@@ -1,5 +1,7 @@
 """Outcomes are kept by robot, action, situation and hash, until they are reset."""
 
+import contextlib
+import sqlite3
 from pathlib import Path
 
 import msgspec
@@ -49,8 +51,18 @@ def test_refuses_what_is_no_store(tmp_path: Path) -> None:
     """The file is named."""
     path = tmp_path / "success.sqlite"
     path.write_text("no database, but long enough to look at" * 10)
-    with pytest.raises(UsageError, match=r"success\.sqlite cannot store outcomes"):
+    with pytest.raises(UsageError, match=r"success\.sqlite cannot keep outcomes"):
         SuccessStore(path)
+
+
+def test_says_which_file_broke_meanwhile(tmp_path: Path) -> None:
+    """And what to do about it."""
+    path = tmp_path / "success.sqlite"
+    with SuccessStore(path) as store:
+        with contextlib.closing(sqlite3.connect(path)) as other:
+            other.execute("DROP TABLE outcomes")
+        with pytest.raises(UsageError, match=r"success\.sqlite .* remove it"):
+            store.add("courier", DRIVEN)
 
 
 def test_the_order_of_lost_computers_means_nothing() -> None:

@@ -77,16 +77,17 @@ class SuccessStore:
     Raises
     ------
     UsageError
-        It cannot be created, or is no SQLite file.
+        It cannot be created, read or written, or is no SQLite file.
     """
 
     def __init__(self, path: Path) -> None:
+        self._path = path
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._database = sqlite3.connect(path, isolation_level=None, timeout=1.0)
-            self._database.executescript(_SCHEMA)
         except (OSError, sqlite3.Error) as error:
-            raise UsageError(f"{path} cannot store outcomes: {error}") from error
+            raise self._broken(error) from error
+        self._execute(_SCHEMA)
 
     def __enter__(self) -> Self:
         return self
@@ -96,30 +97,29 @@ class SuccessStore:
 
     def add(self, robot: str, outcome: Outcome) -> None:
         """Add an outcome."""
-        self._database.execute(
+        self._execute(
             "INSERT INTO outcomes (robot, at, action, situation, function,"
             " architecture, hash, ending) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
-            (
-                robot,
-                outcome.at,
-                outcome.action,
-                _text(outcome.situation),
-                outcome.function,
-                outcome.architecture,
-                outcome.hash,
-                outcome.ending,
-            ),
+            robot,
+            outcome.at,
+            outcome.action,
+            _text(outcome.situation),
+            outcome.function,
+            outcome.architecture,
+            outcome.hash,
+            outcome.ending,
         )
 
     def posteriors(
         self, robot: str, architecture: str
     ) -> dict[tuple[str, Situation, str], Posterior]:
         """Return (action, situation, hash) -> what its outcomes say of success."""
-        rows = self._database.execute(
+        rows = self._execute(
             "SELECT action, situation, hash, SUM(ending = 'done'), "
             "SUM(ending = 'failed') FROM outcomes WHERE robot = ? AND architecture = ?"
             " GROUP BY action, situation, hash ORDER BY MIN(id)",
-            (robot, architecture),
+            robot,
+            architecture,
         )
         return {
             (action, msgspec.json.decode(text, type=Situation), hash_): Posterior(*n)
@@ -128,10 +128,23 @@ class SuccessStore:
 
     def reset(self, robot: str, architecture: str) -> int:
         """Forget the outcomes of an architecture; return how many there were."""
-        return self._database.execute(
+        return self._execute(
             "DELETE FROM outcomes WHERE robot = ? AND architecture = ?",
-            (robot, architecture),
+            robot,
+            architecture,
         ).rowcount
+
+    def _execute(self, statement: str, *values: str | float) -> sqlite3.Cursor:
+        try:
+            return self._database.execute(statement, values)
+        except sqlite3.Error as error:
+            raise self._broken(error) from error
+
+    def _broken(self, error: Exception) -> UsageError:
+        return UsageError(
+            f"{self._path} cannot keep outcomes of actions: {error}. If it is damaged, "
+            "remove it: what was learned is lost then"
+        )
 
 
 def _text(situation: Situation) -> str:

@@ -97,7 +97,7 @@ def _anchor_folders(node: Node | None, folder: Path) -> None:
     """Let folders be relative to the file that names them, before files are merged."""
     if node is not None and isinstance(node.value, list):
         for item in node.value:
-            if isinstance(item.value, Scalar) and item.value.text:
+            if isinstance(item.value, Scalar):
                 item.value = Scalar(str(folder / item.value.text), plain=False)
 
 
