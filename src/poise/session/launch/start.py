@@ -23,6 +23,7 @@ from poise.session.launch.computers import Computers, computers_of
 from poise.session.launch.simulator import SimulatorProcess, world_of
 from poise.session.launch.temporary_folders import scratch_folder
 from poise.session.say import Check, Say, log, nothing
+from poise.units import counted
 from poise.wire.records.samples import SAMPLE_EVERY, AgentSample
 
 _STEP = 0.2
@@ -143,6 +144,8 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
         if begin is None or not _is_at_work(agents, computers.endpoints, look_around):
             agents.wait_alive(computers.endpoints, AGENT_LIMIT, look_around)
         run = Run(robot, placement, agents, journal, str(folder), weigh=look.weigh)
+        if begin is None:
+            say(f"starting {counted(len(placement), 'component')}")
         stack.enter_context(_running(run, check, begin or Run.start))
         stack.callback(at_work.clear)
         at_work.set()
