@@ -177,6 +177,24 @@ def test_refuses(refuse: Refuse, step: str, words: list[str]) -> None:
     refuse(task(step), *words)
 
 
+@pytest.mark.parametrize(
+    ("needs", "words"),
+    [
+        ("[▸seing]", ["'t' uses no function 'seing'", "mean 'seeing'?"]),
+        ("[seeing, ▸kicking]", ["no function 'kicking'", "it uses 'seeing'"]),
+    ],
+)
+def test_refuses_needs_that_no_action_uses(
+    refuse: Refuse, needs: str, words: list[str]
+) -> None:
+    step = "{name: a, functions: [seeing]}"
+    refuse(f"{task(step)}    needs: {needs}\n", *words)
+
+
+def test_takes_needs_of_the_tasks_that_a_task_names(find: Find) -> None:
+    assert not find(f"{task('task: other')}    needs: [seeing]\n")
+
+
 def test_refuses_tasks_that_name_each_other(find: Find) -> None:
     text = task("task: other").replace(
         "[{name: look, functions: [seeing]}]", "[{task: t}]"

@@ -20,6 +20,7 @@ from poise.manage.adaptation.decision import Decision, decide
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.failover import fail_over
 from poise.manage.adaptation.move_limits import MoveLimits
+from poise.manage.adaptation.needs import Needs, lacking
 from poise.manage.adaptation.policies import Key, Policies, Symptom
 from poise.manage.adaptation.put_aside import PutAside
 from poise.manage.adaptation.replan import Proposal, propose
@@ -81,6 +82,7 @@ class Adaptation:
         self._clock = clock
         self._policies = Policies(policies_of(run.robot), run.robot.folder)
         self._move_limits = MoveLimits()
+        self._needs = Needs(run.journal)
         self._actions = Actions(run, put_aside, self._move_limits)
         self._failover_limits = MoveLimits()
         self._troubles: set[str] = set()
@@ -97,6 +99,7 @@ class Adaptation:
         if self._keep is not None:
             self._keep(Seen.by(read, now))
         symptoms = self._policies.look(read, now)
+        missing = self._needs.look(facts, now)
         self._report(symptoms)
         self._put_aside.look()
         if not self._acts:
@@ -106,10 +109,12 @@ class Adaptation:
             facts, {each.values.name for each in lost}, now
         ):
             return
+        if missing and self._put_aside.hold(facts, lacking(facts.task, missing), now):
+            return
         if self._act(self._policies.due(symptoms, now), facts, now):
             return
         bad = _about(symptoms, "replan")
-        if self._put_aside.take_back(facts, now, is_calm=not bad):
+        if self._put_aside.take_back(facts, now, is_calm=not bad, missing=missing):
             return
         if not bad:
             self._move_limits.forget_nothing()
@@ -238,13 +243,16 @@ class Adaptation:
                 note("wrong", symptom.what, policies=_seen([symptom]))
         for key in self._reported.keys() - self._policies.since.keys():
             note("right", f"no more: {self._reported.pop(key).symptom.what}")
-        self.deviations = tuple(
-            Deviation(
-                what=reported.symptom.what,
-                computer=reported.symptom.computer,
-                since=reported.since,
-            )
-            for reported in self._reported.values()
+        self.deviations = (
+            *self._needs.deviations(),
+            *(
+                Deviation(
+                    what=reported.symptom.what,
+                    computer=reported.symptom.computer,
+                    since=reported.since,
+                )
+                for reported in self._reported.values()
+            ),
         )
 
     def _report_why_not(self, why: str, decision: Decision) -> None:

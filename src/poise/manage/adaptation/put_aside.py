@@ -7,7 +7,9 @@ it, too.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from itertools import groupby, islice, product
 
 from msgspec import Struct
 
@@ -30,6 +32,8 @@ FORGET_AFTER = 600.0
 """After so long at work [s] it counts as put aside for the first time again."""
 CALM = 5.0
 """Nothing must have been wrong for this time before one is taken back [s]."""
+_MOST_CHOICES = 8
+"""Of alternatives of needed functions so many combinations are tried."""
 _TRY_AGAIN = 2.0
 """When there is no room, that is looked at again after this time [s]; then after twice
 as long, up to `LONGEST`, until a computer is lost or back."""
@@ -67,6 +71,8 @@ class PutAside:
         self._try_again = _TRY_AGAIN
         self._lost: frozenset[str] = frozenset()
         self._calm_since: float | None = None
+        self._held: set[str] = set()
+        self._hold_at = 0.0
 
     def put(
         self, names: Iterable[str], why: str, now: float, *, force: bool = False
@@ -104,23 +110,42 @@ class PutAside:
             if not here:
                 raise UsageError(f"architecture '{name}' does not run")
             components |= here
-        report = transit(
-            run,
-            tuple(
-                TransitionStep(kind="stop", component=component, source=computer)
-                for component, computer in sorted(components.items())
-            ),
-        )
-        if report.committed:
+        committed = self._stop(components)
+        if committed:
             self.note(names, why, now)
-        return report.committed
+        return committed
+
+    def hold(self, facts: Facts, why: str, now: float) -> bool:
+        """Stop what else a task runs that lacks a needed function.
+
+        What is back within moments goes on: architectures with a component on a lost
+        computer stay as they are. Returns whether something was stopped.
+        """
+        there = {n: at for n, at in facts.placement.items() if at not in facts.lost}
+        functions = facts.robot.functions_of(self._task)
+        held = [
+            a
+            for a in facts.robot.architectures
+            if a.layer == "sequencing"
+            and a.function in functions
+            and all(c.name in there for c in a.components)
+        ]
+        if not held or now < self._hold_at:
+            return False
+        self._hold_at = now + _TRY_AGAIN
+        names = {c.name for a in held for c in a.components}
+        if not self._stop({name: there[name] for name in names}):
+            return False
+        for architecture in held:
+            self._held.add(architecture.name)
+            self._stay(architecture.name, now, first=0.0)
+            self._add(architecture.name, why)
+        return True
 
     def note(self, names: Iterable[str], why: str, now: float) -> None:
         """Remember and say that architectures were stopped."""
         for name in names:
-            until, stay = self._stays.get(name, (now, FIRST / 2))
-            stay = FIRST if now - until >= FORGET_AFTER else min(2 * stay, LONGEST)
-            self._stays[name] = now + stay, stay
+            self._stay(name, now, first=FIRST)
             self._add(name, why)
 
     def look(self) -> None:
@@ -142,13 +167,22 @@ class PutAside:
             for name, each in sorted(self._known.copy().items())
         )
 
-    def take_back(self, facts: Facts, now: float, *, is_calm: bool) -> bool:
+    def take_back(
+        self,
+        facts: Facts,
+        now: float,
+        *,
+        is_calm: bool,
+        missing: AbstractSet[str] = frozenset(),
+    ) -> bool:
         """Start what fits again beside what runs, the highest priority first.
 
         What runs stays where it is. Returns whether something was started.
 
         Parameters
         ----------
+        missing
+            Needed functions that are missing: nothing is taken back but all of them.
         is_calm
             Whether nothing is wrong now.
         """
@@ -162,28 +196,62 @@ class PutAside:
         due = [a for a in self._aside() if self._is_due(a.name, now)]
         if not due or now < self._try_at:
             return False
-        for architecture in due:
-            if where := _room_for(facts, architecture):
-                return self._start(architecture, where, now)
+        choices = self._choices(due, missing)
+        if not choices:
+            return False
+        for architectures in choices:
+            if where := _room_for(facts, architectures):
+                return self._start(architectures, where, now)
         self._try_at = now + self._try_again
         self._try_again = min(2 * self._try_again, LONGEST)
         return False
 
+    def _choices(
+        self, due: list[Architecture], missing: AbstractSet[str]
+    ) -> list[Sequence[Architecture]]:
+        """Return what may be taken back together, the best first."""
+        if not missing:
+            held = [a for a in due if a.name in self._held]
+            return [*([held] if held else []), *([each] for each in due)]
+        needed = sorted((a for a in due if a.function in missing), key=_function)
+        of_each = [list(group) for _, group in groupby(needed, _function)]
+        if len(of_each) < len(missing):
+            return []
+        return [*islice(product(*of_each), _MOST_CHOICES)]
+
     def _start(
-        self, architecture: Architecture, where: Mapping[str, str], now: float
+        self,
+        architectures: Sequence[Architecture],
+        where: Mapping[str, str],
+        now: float,
     ) -> bool:
-        note = self._run.journal.note
-        what = f"there is room for architecture '{architecture.name}'"
-        note("decided", f"{what}: it is taken back", placement=where)
+        names = [architecture.name for architecture in architectures]
+        what = " and ".join(f"architecture '{name}'" for name in names)
+        text = f"there is room: {what} taken back"
+        self._run.journal.note("decided", text, placement=where)
         self._try_at, self._try_again = now + _TRY_AGAIN, _TRY_AGAIN
-        if start_together(self._run, where):
-            self._stays[architecture.name] = (
-                now,
-                self._stays.get(architecture.name, (now, FIRST / 2))[1],
-            )
-            return True
-        self.note([architecture.name], "it could not be started", now)
-        return False
+        if not start_together(self._run, where):
+            self.note(names, "it could not be started", now)
+            return False
+        self._held.difference_update(names)
+        for name in names:
+            stay = self._stays.get(name, (now, FIRST / 2))[1]
+            self._stays[name] = now, stay
+        return True
+
+    def _stop(self, components: Mapping[str, str]) -> bool:
+        steps = tuple(
+            TransitionStep(kind="stop", component=component, source=computer)
+            for component, computer in sorted(components.items())
+        )
+        return transit(self._run, steps).committed
+
+    def _stay(self, name: str, now: float, *, first: float) -> None:
+        """Let one stay aside: `first` [s], and longer when it is so again."""
+        until, stay = self._stays.get(name, (float("-inf"), 0.0))
+        is_first = now - until >= FORGET_AFTER
+        stay = max(first, FIRST / 2) if is_first else min(2 * stay, LONGEST)
+        self._stays[name] = now + (first if is_first else stay), stay
 
     def _is_due(self, name: str, now: float) -> bool:
         return now >= self._stays.get(name, (now, 0.0))[0]
@@ -220,22 +288,22 @@ def not_running(robot: Robot, task: str, placed: Iterable[str]) -> list[Architec
     )
 
 
-def _room_for(facts: Facts, architecture: Architecture) -> Mapping[str, str]:
-    """Return where its components fit beside what runs; empty: they do not."""
+def _room_for(facts: Facts, architectures: Iterable[Architecture]) -> Mapping[str, str]:
+    """Return where their components fit beside what runs; empty: they do not."""
     allowed = allowed_computers(facts.robot)
     homes: dict[str, tuple[str, ...]] = {
         n: (at,) for n, at in facts.placement.items() if at not in facts.lost
     }
-    for component in architecture.components:
-        choices = tuple(sorted(allowed[component.name] - facts.lost))
+    names = {c.name for a in architectures for c in a.components}
+    for name in names:
+        choices = tuple(sorted(allowed[name] - facts.lost))
         if not choices:
             return {}
-        homes[component.name] = choices
+        homes[name] = choices
     try:
         result = placed_beside(facts, homes, is_cautious=True)
     except RobotError:
         return {}
-    names = {c.name for c in architecture.components}
     return {n: at for n, at in result.placement.items() if n in names}
 
 
@@ -244,6 +312,10 @@ def _architecture(robot: Robot, name: str) -> Architecture:
         if architecture.name == name:
             return architecture
     raise UsageError(f"robot '{robot.name}' has no architecture {quoted(name)}")
+
+
+def _function(architecture: Architecture) -> str:
+    return architecture.function
 
 
 def _sentence(name: str, why: str) -> str:

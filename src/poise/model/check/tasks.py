@@ -11,7 +11,7 @@ from poise.model.policy.condition import parse_condition
 from poise.model.policy.values import SUBJECTS
 from poise.model.repository import Repository
 from poise.model.robot import ConnectorEnd, Robot
-from poise.model.suggest import unknown
+from poise.model.suggest import did_you_mean, listed, unknown
 from poise.model.tasks.exclusive import clashes
 from poise.model.tasks.phases import MOST_PHASES, TooManyPhasesError, phases_of
 from poise.model.tasks.steps import Action, Repeat, Subtask, Task, Until, walk
@@ -30,6 +30,8 @@ def check_tasks(robot: Robot, repository: Repository) -> Iterator[Finding]:
         finding for task in robot.tasks for finding in _names(robot, task, repository)
     ]
     yield from found
+    for task in robot.tasks:
+        yield from _needs(robot, task)
     for task in robot.tasks:
         for path, until in _conditions(task):
             yield from _condition(robot, path, until)
@@ -94,6 +96,18 @@ def _functions(
             yield Finding((*path, index), text + repository.searched)
         elif name in action.functions[:index]:
             yield Finding((*path, index), f"the function '{name}' is listed twice")
+
+
+def _needs(robot: Robot, task: Task) -> Iterator[Finding]:
+    """Yield the needed functions that no action uses."""
+    used = robot.functions_of(task.name)
+    for index, name in enumerate(task.needs):
+        if name not in used:
+            text = (
+                f"task '{task.name}' uses no function '{name}'"
+                f"{did_you_mean(name, used)}; it uses {listed(used)}"
+            )
+            yield Finding(("tasks", task.name, "needs", index), text)
 
 
 def _end(

@@ -58,7 +58,7 @@ _UNTIL = written(str | UntilKeys, _until)
 
 
 class Action(Struct, frozen=True, kw_only=True, tag="name", tag_field=KIND):
-    """Needs functions until it is done.
+    """Uses functions until it is done.
 
     What comes first ends it: its component says so, the condition holds (both: done),
     or the time limit is over (failed). Without all of these it goes on until the task
@@ -66,7 +66,7 @@ class Action(Struct, frozen=True, kw_only=True, tag="name", tag_field=KIND):
     """
 
     name: Annotated[Name, says("What the action is called; unique in its task.")]
-    functions: Annotated[tuple[Name, ...], says("The functions that it needs.")]
+    functions: Annotated[tuple[Name, ...], says("The functions that it uses.")]
     ends: Annotated[
         ConnectorEnd | None,
         END,
@@ -163,6 +163,13 @@ class Task(Struct, frozen=True, kw_only=True):
     actions: Annotated[
         tuple[Step, ...], says("Its steps, one after another.", min_length=1)
     ]
+    needs: Annotated[
+        tuple[Name, ...],
+        says(
+            "The functions without which it stops, of those that its actions use; "
+            "without the others it goes on degraded."
+        ),
+    ] = ()
 
 
 StepPath = tuple[str | int, ...]

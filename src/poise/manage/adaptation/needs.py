@@ -1,0 +1,69 @@
+"""Which functions of a task are missing, and whether it goes on without them.
+
+A function is there while all components of an architecture that provides it are
+placed on computers within reach.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from collections.abc import Set as AbstractSet
+
+from poise.manage.adaptation.facts import Facts
+from poise.manage.journal import Journal
+from poise.manage.observe.deviations import Deviation
+from poise.model.policy.policy import LASTS
+
+
+class Needs:
+    """The functions that a task needs or uses, and since when some are missing [s]."""
+
+    def __init__(self, journal: Journal) -> None:
+        self._journal = journal
+        self._since: dict[str, float] = {}
+        self._said: dict[str, Deviation] = {}
+
+    def look(self, facts: Facts, now: float) -> AbstractSet[str]:
+        """Say what is missing or back; return what is needed and is missing.
+
+        What comes back within moments, as by a fail-over, does not count.
+        """
+        missing, task = missing_functions(facts), facts.task
+        needed = {n for t in facts.robot.tasks if t.name == task for n in t.needs}
+        if needed & self._said.keys() & missing:  # it has stopped the others
+            missing = (missing & needed) | self._said.keys() & missing
+        self._since = {name: self._since.get(name, now) for name in missing}
+        for name in self._said.keys() - missing:
+            del self._said[name]
+            text = f"function '{name}' of task '{task}' is back"
+            self._journal.note("right", text)
+        lasting = {n for n, since in self._since.items() if now - since >= LASTS}
+        for name in sorted(lasting - self._said.keys()):
+            what = f"task '{task}' goes on without function '{name}'"
+            if name in needed:
+                what = f"{lacking(task, {name})}"
+            self._said[name] = Deviation(what=what, computer="", since=time.time())
+            self._journal.note("wrong", what)
+        return lasting & needed
+
+    def deviations(self) -> tuple[Deviation, ...]:
+        """Return what is missing; from any thread."""
+        return tuple(self._said.copy().values())
+
+
+def lacking(task: str, functions: Iterable[str]) -> str:
+    """Return why a task stops, for people."""
+    names = " and ".join(f"'{name}'" for name in sorted(functions))
+    return f"task '{task}' needs function {names}, which is missing"
+
+
+def missing_functions(facts: Facts) -> AbstractSet[str]:
+    """Return the functions of the task that nothing provides now."""
+    there = {n for n, at in facts.placement.items() if at not in facts.lost}
+    provided = {
+        a.function
+        for a in facts.robot.architectures
+        if there.issuperset(c.name for c in a.components)
+    }
+    return {*facts.robot.functions_of(facts.task)} - provided
