@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import pytest
 from msgspec.structs import replace
 
+from poise.manage.adaptation.decision import decide
+from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.move_limits import MoveLimits
 from poise.manage.adaptation.policies import Policies
 from poise.manage.adaptation.subjects import values_of
 from poise.model.policy.shipped import policies_of
 from poise.model.policy.values import LinkValues
-from poise.model.robot import Link, Robot
+from poise.model.robot import Computer, Connector, ConnectorEnd, Link, Robot
 from poise.wire.records.heartbeats import LinkQuality
 from poise.wire.records.status import AgentStatus
 from tests.manage.adaptation.conftest import Make
@@ -66,3 +71,125 @@ def test_a_link_to_a_lost_computer_is_no_news(facts: Make, two: Robot) -> None:
     (link,) = values_of(now, "link")
     assert isinstance(link, LinkValues)
     assert not link.cut
+
+
+def joined(robot: Robot, *, third: bool = True, bandwidth: float = 1e6) -> Robot:
+    """Return it with a connector between `a` and `b`, and a third computer."""
+    names = ("left", "right", *(("middle",) if third else ()))
+    ends = ConnectorEnd("a", "out"), ConnectorEnd("b", "in")
+    return replace(
+        robot,
+        computers=tuple(Computer(name=name, capacity={"cpu": 0.5}) for name in names),
+        connectors=(Connector(between=ends, message=100.0, rate=10.0),),
+        links=tuple(
+            Link(between=pair, bandwidth=bandwidth) for pair in combinations(names, 2)
+        ),
+    )
+
+
+def over(facts: Make, robot: Robot, link: LinkQuality) -> Facts:
+    """Return facts where `a` and `b` are at the ends of a link that is planned for."""
+    left = AgentStatus(
+        computer="left", generation=1, uptime=1.0, cpu=0.0, links={"right": link}
+    )
+    return replace(
+        facts({"a": "left", "b": "right"}, robot=robot),
+        statuses={"left": left},
+        bad_links=frozenset({"left-right"}),
+    )
+
+
+def test_one_end_of_a_cut_link_moves_to_where_both_are_reached(
+    facts: Make, two: Robot
+) -> None:
+    """Nothing can move over the cut link itself; all they compute is in vain."""
+    found = decide(over(facts, joined(two), quality(silent=1.0)), {}, {})
+    assert found.acts
+    assert found.gain == pytest.approx((0.2 + 0.2) * 30)
+    assert found.proposal is not None
+    assert sorted(found.proposal.placement.values()) in (
+        ["left", "middle"],
+        ["middle", "right"],
+    )
+    assert found.why.startswith(
+        "link 'left-right' is cut, and 'a.out -> b.in' crosses it; 1 step: "
+    )
+
+
+def test_nothing_moves_when_there_is_no_way_round_a_cut_link(
+    facts: Make, two: Robot
+) -> None:
+    alone = over(facts, joined(two, third=False), quality(silent=1.0))
+    found = decide(alone, {}, {})
+    assert not found.acts
+    assert found.why.startswith(
+        "it stays as it is: link 'left-right' is cut, and 'a.out -> b.in' crosses it; "
+    )
+
+
+def test_over_a_slow_link_the_ends_meet_at_once(facts: Make, two: Robot) -> None:
+    """Of a period of 100 ms 60 are lost."""
+    slow = over(facts, joined(two, third=False), quality(delay=0.06))
+    found = decide(slow, {}, {})
+    assert found.acts
+    assert found.gain == pytest.approx(0.6 * (0.2 + 0.2) * 30)
+    assert found.proposal is not None
+    assert len(set(found.proposal.placement.values())) == 1
+    assert len(found.proposal.steps) == 1
+
+
+def test_what_nothing_crosses_changes_nothing(facts: Make, two: Robot) -> None:
+    robot = replace(joined(two), connectors=())
+    found = decide(over(facts, robot, quality(silent=1.0)), {}, {})
+    assert not found.acts
+    assert found.why.startswith(
+        "link 'left-right' is cut, and no connector crosses it; "
+    )
+
+
+def test_a_slow_link_that_costs_little_is_not_worth_a_move(
+    facts: Make, two: Robot
+) -> None:
+    """0.3 s to start a component, against 0.002 x 0.4 cores x 30 s."""
+    seen = over(facts, joined(two), quality(delay=0.0002))
+    assert not decide(seen, {}, {}).acts
+
+
+def test_another_link_that_is_cut_is_not_crossed_instead(
+    facts: Make, two: Robot
+) -> None:
+    """`b` is held to `right`, and `a` cannot go there; `middle` reaches both."""
+    (whole,) = two.architectures
+    first, second = whole.components
+    held = replace(whole, components=(first, replace(second, only=("right",))))
+    robot = joined(replace(two, architectures=(held,)))
+    found = decide(over(facts, robot, quality(silent=1.0)), {}, {})
+    assert found.acts
+    assert found.proposal is not None
+    assert found.proposal.placement == {"a": "middle", "b": "right"}
+
+
+def test_a_link_that_comes_and_goes_moves_less_and_less(
+    facts: Make, two: Robot
+) -> None:
+    """15 minutes: cut for 10 s in every 20 s."""
+    robot, limits, moves = joined(two), MoveLimits(), []
+    at: dict[str, str] = {"a": "left", "b": "right"}
+    for now in range(900):
+        if now % 20 < 10:
+            limits.forget_nothing()
+            continue
+        seen = replace(
+            over(facts, robot, quality(silent=1.0)),
+            placement=at,
+        )
+        if limits.rests(now, seen.situation()):
+            continue
+        found = decide(seen, limits.barred(now), {})
+        if found.acts and found.proposal is not None:
+            limits.note(found.proposal.steps, now)
+            at = dict(found.proposal.placement)
+            moves.append(now)
+        else:
+            limits.note_nothing(now, seen.situation())
+    assert len(moves) == 1

@@ -1,7 +1,8 @@
 """Whether another placement is worth its moves. Pure.
 
 Gain and cost are work that is not done [core-seconds]: what computers are short of now
-and would not be there, and what late chains compute in vain, over the horizon; against
+and would not be there, and what is computed in vain, over the horizon, because chains
+are late or connectors cross links that are cut or slow; against
 what the components that move would have done meanwhile, and the CPU time of starting
 them there.
 """
@@ -17,6 +18,13 @@ from msgspec.structs import replace
 from poise.errors import RobotError
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.late import late, relieve
+from poise.manage.adaptation.links import (
+    bad_links,
+    beyond_cuts,
+    reason,
+    wasted,
+    with_bad_links,
+)
 from poise.manage.adaptation.replan import Proposal, propose, with_present_demands
 from poise.manage.migration.transition import TransitionStep
 from poise.manage.statuses import components_of
@@ -73,29 +81,34 @@ def decide(
         Component -> the downtime of its last move [s].
     """
     facts = facts.within_reach()
-    computers = facts.computers_left()
-    robot = replace(facts.robot, computers=computers)
+    computers, bad = facts.computers_left(), bad_links(facts)
+    barred = beyond_cuts(barred, facts.placement, bad)
+    robot = with_bad_links(replace(facts.robot, computers=computers), bad)
     robot_now = with_present_demands(robot, facts.demand_estimates)
     short = shortage(robot_now, facts.placement, computers)
     robot = _barring(robot, facts.placement, barred)
-    wasted = 0.0
+    causes = reason(facts, bad)
+    in_vain = wasted(facts, robot_now, facts.placement, bad)
+    relieved = 0.0
     if not short:
         relief = relieve(robot, facts, barred)
-        if not relief.homes:
-            return Decision(acts=False, why=relief.why)
-        robot, wasted = _held(robot, relief.homes), relief.wasted
+        if not relief.homes and not in_vain:
+            return Decision(acts=False, why=causes + relief.why)
+        robot, relieved = _held(robot, relief.homes), relief.wasted
     try:
         proposal = _propose(robot, facts)
     except RobotError as error:
-        why = f"no placement can help: {late(facts)}{error}{_room(robot_now, facts)}"
+        room = _room(robot_now, facts)
+        why = f"no placement can help: {causes}{late(facts)}{error}{room}"
         unable = Decision(acts=False, why=why)
         return _with_fewer(robot, facts, unable) if short else unable
     left = shortage(robot_now, proposal.placement, computers)
-    gain = (short - left + wasted) * HORIZON
+    in_vain -= wasted(facts, robot_now, proposal.placement, bad)
+    gain = (short - left + relieved + in_vain) * HORIZON
     cost = _cost(robot_now, proposal.steps, downtimes, _starts(facts))
     what = (
-        f"{counted(len(proposal.steps), 'step')}: cost {cost:.2f} core-seconds, gain "
-        f"{gain:.2f} within {HORIZON:g} s"
+        f"{causes}{counted(len(proposal.steps), 'step')}: cost {cost:.2f} "
+        f"core-seconds, gain {gain:.2f} within {HORIZON:g} s"
     )
     if not proposal.steps or gain <= cost:
         return Decision(

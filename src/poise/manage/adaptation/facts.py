@@ -42,6 +42,8 @@ class Facts(Struct, frozen=True, kw_only=True):
         Computer -> what its agent reported last.
     traffic
         Connector -> what goes over it now.
+    bad_links
+        The links about which policies want a new plan, by name.
     """
 
     robot: Robot
@@ -54,6 +56,7 @@ class Facts(Struct, frozen=True, kw_only=True):
     demand_estimates: tuple[DemandEstimate, ...] = ()
     statuses: Mapping[str, AgentStatus] = {}
     traffic: Mapping[str, ConnectorProfile] = {}
+    bad_links: frozenset[str] = frozenset()
 
     def within_reach(self) -> Facts:
         """Return the same without what is out of reach: nothing moves from or to it."""
@@ -86,14 +89,17 @@ class Facts(Struct, frozen=True, kw_only=True):
         )
 
     def situation(self) -> dict[str, float]:
-        """Return what decides on a placement: CPU that is left, and needed [cores]."""
+        """Return what decides on a placement: CPU that is left, and needed [cores].
+
+        And which links are bad, at any amount.
+        """
         left = {
             f"on {computer.name}": computer.capacity.get("cpu", 0.0)
             for computer in self.computers_left()
             if computer.name not in self.lost
         }
         needed = {e.component: e.estimate.mean for e in self.demand_estimates}
-        return left | needed
+        return left | needed | {f"link {name}": 0.0 for name in self.bad_links}
 
 
 def _less_background(

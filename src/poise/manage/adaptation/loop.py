@@ -119,6 +119,8 @@ class Adaptation:
         if not bad:
             self._move_limits.forget_nothing()
             return
+        links = (s.values.name for s in bad if s.policy.for_each == "link")
+        facts = replace(facts, bad_links=frozenset(links))
         due = self._policies.due(bad, now)
         if due and not self._move_limits.rests(now, facts.situation()):
             decision = decide(facts, self._move_limits.barred(now), self._downtimes)

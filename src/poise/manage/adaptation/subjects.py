@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any
 
 from poise.manage.adaptation.decision import shortages_of
 from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.links import link_values
 from poise.model.policy.values import (
     ChainValues,
     ComponentValues,
     ComputerValues,
     ContainerValues,
-    LinkValues,
     RobotValues,
     Subject,
     TimerValues,
     Values,
 )
-
-_CUT = 0.7
-"""A link over which no heartbeat came for so long is cut [s]."""
 
 
 def values_of(facts: Facts, subject: Subject) -> tuple[Values, ...]:
@@ -58,46 +54,6 @@ def _computers(facts: Facts) -> Iterator[Values]:
             memory=status.memory if status else 0.0,
             components=len(here),
         )
-
-
-def _links(facts: Facts) -> Iterator[Values]:
-    at = facts.placement
-    traffic: dict[frozenset[str | None], float] = {}
-    for connector in facts.robot.all_connectors():
-        ends = frozenset(at.get(end.component) for end in connector.between)
-        now = facts.traffic.get(f"{connector.between[0]}-{connector.between[1]}")
-        if now is not None:
-            carried = now.size * (now.calls + now.messages)
-            traffic[ends] = traffic.get(ends, 0.0) + carried
-    for link in facts.robot.links:
-        first, second = link.between
-        status = facts.statuses.get(first)
-        clock = status.clocks.get(second) if status else None
-        yield LinkValues(
-            name=f"{first}-{second}",
-            bandwidth=link.bandwidth,
-            traffic=traffic.get(frozenset(link.between), 0.0),
-            trip=clock.trip if clock else 0.0,
-            latency=link.latency,
-            **_quality(facts, first, second),
-        )
-
-
-def _quality(facts: Facts, first: str, second: str) -> Mapping[str, Any]:
-    """Return how a link is now, by the heartbeats in both directions."""
-    ends = {first: second, second: first}
-    sides = [
-        status.links[there]
-        for here, there in ends.items()
-        if (status := facts.statuses.get(here)) and there in status.links
-    ]
-    if facts.lost & ends.keys() or not sides:
-        return {}
-    return {
-        "delay": max(side.delay or 0.0 for side in sides),
-        "loss": max(side.loss for side in sides),
-        "cut": max(side.silent for side in sides) > _CUT,
-    }
 
 
 def _components(facts: Facts) -> Iterator[Values]:
@@ -194,7 +150,7 @@ def _robots(facts: Facts) -> Iterator[Values]:
 
 _READ: Mapping[Subject, Callable[[Facts], Iterator[Values]]] = {
     "computer": _computers,
-    "link": _links,
+    "link": link_values,
     "component": _components,
     "container": _containers,
     "timer": _timers,

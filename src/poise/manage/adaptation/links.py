@@ -1,0 +1,210 @@
+"""What cut and slow links cost a placement, and how the planner sees them. Pure.
+
+A component whose connector crosses a cut link works in vain; over a slow one, for the
+share of its work that is lost on the way, or waits for as long as the next takes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from poise.manage.adaptation.facts import Facts
+from poise.model.policy.values import LinkValues
+from poise.model.robot import Connector, Link, Robot
+
+_CUT = 0.7
+"""A link over which no heartbeat came for so long is cut [s]."""
+_CUT_DISTANCE = 1000.0
+"""By this factor the planner takes the ends of a cut link to be further apart."""
+_FAR = 0.001
+"""A delay of this much [s] counts as much as the distance itself."""
+_LOST = 0.01
+"""So does the loss of this share."""
+
+
+class LinkState(Struct, frozen=True, kw_only=True):
+    """A link as it is now, by the heartbeats in both directions.
+
+    Parameters
+    ----------
+    delay
+        One way [s].
+    loss
+        The share of heartbeats that did not come.
+    """
+
+    link: Link
+    delay: float = 0.0
+    loss: float = 0.0
+    cut: bool = False
+
+    def __str__(self) -> str:
+        """Return its name, as policies know it."""
+        return "-".join(self.link.between)
+
+    @property
+    def extra(self) -> float:
+        """The delay beyond what the robot file says [s]."""
+        return max(0.0, self.delay - self.link.latency)
+
+    def in_vain(self, rate: float) -> float:
+        """Return the share of work that is in vain for a connector of a rate [1/s]."""
+        return 1.0 if self.cut else min(1.0, self.loss + rate * self.extra)
+
+
+def states_of(facts: Facts) -> Iterator[LinkState]:
+    """Yield the links of a robot as they are."""
+    for link in facts.robot.links:
+        first, second = link.between
+        sides = [
+            status.links[there]
+            for here, there in ((first, second), (second, first))
+            if (status := facts.statuses.get(here)) and there in status.links
+        ]
+        if facts.lost & {first, second} or not sides:
+            yield LinkState(link=link)
+            continue
+        yield LinkState(
+            link=link,
+            delay=max(side.delay or 0.0 for side in sides),
+            loss=max(side.loss for side in sides),
+            cut=max(side.silent for side in sides) > _CUT,
+        )
+
+
+def link_values(facts: Facts) -> Iterator[LinkValues]:
+    """Yield what policies may ask of links."""
+    traffic: dict[frozenset[str | None], float] = {}
+    for connector in facts.robot.all_connectors():
+        now = facts.traffic.get(_key(connector))
+        if now is not None:
+            ends = _ends(connector, facts.placement)
+            carried = now.size * (now.calls + now.messages)
+            traffic[ends] = traffic.get(ends, 0.0) + carried
+    for state in states_of(facts):
+        first, second = state.link.between
+        status = facts.statuses.get(first)
+        clock = status.clocks.get(second) if status else None
+        yield LinkValues(
+            name=str(state),
+            bandwidth=state.link.bandwidth,
+            traffic=traffic.get(frozenset(state.link.between), 0.0),
+            trip=clock.trip if clock else 0.0,
+            latency=state.link.latency,
+            delay=state.delay,
+            loss=state.loss,
+            cut=state.cut,
+        )
+
+
+def bad_links(facts: Facts) -> tuple[LinkState, ...]:
+    """Return the links about which policies want a new plan."""
+    return tuple(s for s in states_of(facts) if str(s) in facts.bad_links)
+
+
+def crossing(
+    facts: Facts, placement: Mapping[str, str], bad: Sequence[LinkState]
+) -> Iterator[tuple[Connector, LinkState]]:
+    """Yield the connectors of a placement that cross bad links, with the links."""
+    links = {frozenset[str | None](state.link.between): state for state in bad}
+    for connector in facts.robot.all_connectors():
+        if (state := links.get(_ends(connector, placement))) is not None:
+            yield connector, state
+
+
+def wasted(
+    facts: Facts,
+    robot: Robot,
+    placement: Mapping[str, str],
+    bad: Sequence[LinkState],
+) -> float:
+    """Return what components compute in vain because of bad links [cores].
+
+    Parameters
+    ----------
+    robot
+        With the present demands.
+    """
+    shares: dict[str, float] = {}
+    for connector, state in crossing(facts, placement, bad):
+        now = facts.traffic.get(_key(connector))
+        rate = max(connector.rate, now.calls + now.messages if now else 0.0)
+        for end in connector.between:
+            before = shares.get(end.component, 0.0)
+            shares[end.component] = max(before, state.in_vain(rate))
+    demands = {c.name: c.demand.get("cpu", 0.0) for c in robot.components()}
+    return sum(demands[name] * share for name, share in shares.items())
+
+
+def reason(facts: Facts, bad: Sequence[LinkState]) -> str:
+    """Return what crosses bad links now, for people; empty where none is bad."""
+    if not bad:
+        return ""
+    across: dict[str, list[str]] = {str(state): [] for state in bad}
+    for connector, state in crossing(facts, facts.placement, bad):
+        across[str(state)].append(f"'{connector}'")
+    return "".join(
+        f"link '{state}' is {'cut' if state.cut else 'slow'}, and "
+        f"{' and '.join(across[str(state)]) or 'no connector'} crosses it; "
+        for state in bad
+    )
+
+
+def with_bad_links(robot: Robot, bad: Sequence[LinkState]) -> Robot:
+    """Return the robot with the ends of bad links as far apart as they seem now.
+
+    Connectors without a known cost count as much as the cheapest one.
+    """
+    if not bad:
+        return robot
+    distances = {
+        state.link.between: state.link.distance
+        * (_CUT_DISTANCE if state.cut else 1 + state.extra / _FAR + state.loss / _LOST)
+        for state in bad
+    }
+    costs = [c.cost for c in robot.all_connectors() if c.cost > 0]
+    least = min(costs, default=1.0)
+
+    def costly(connectors: Sequence[Connector]) -> tuple[Connector, ...]:
+        return tuple(c if c.cost else replace(c, overhead=least) for c in connectors)
+
+    return replace(
+        robot,
+        links=tuple(
+            replace(k, distance=distances.get(k.between, k.distance))
+            for k in robot.links
+        ),
+        connectors=costly(robot.connectors),
+        architectures=tuple(
+            replace(a, connectors=costly(a.connectors)) for a in robot.architectures
+        ),
+    )
+
+
+def beyond_cuts(
+    barred: Mapping[str, AbstractSet[str]],
+    placement: Mapping[str, str],
+    bad: Sequence[LinkState],
+) -> Mapping[str, AbstractSet[str]]:
+    """Return where components may not go: state cannot cross a cut link, either."""
+    found = {name: {*computers} for name, computers in barred.items()}
+    for state in bad:
+        if state.cut:
+            first, second = state.link.between
+            other = {first: second, second: first}
+            for name, at in placement.items():
+                if at in other:
+                    found.setdefault(name, set()).add(other[at])
+    return found
+
+
+def _key(connector: Connector) -> str:
+    return f"{connector.between[0]}-{connector.between[1]}"
+
+
+def _ends(connector: Connector, placement: Mapping[str, str]) -> frozenset[str | None]:
+    return frozenset(placement.get(end.component) for end in connector.between)
