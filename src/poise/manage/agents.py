@@ -4,26 +4,24 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from functools import partial
-from queue import Empty, SimpleQueue
-from typing import Self, TypeVar
-
-import msgspec
-import zenoh
-from zenoh.handlers import Callback
+from typing import Self
 
 from poise.clock import Clock
 from poise.endpoint import Endpoint
 from poise.errors import RunError
 from poise.manage.agent_heartbeats import AgentHeartbeats
 from poise.manage.agent_messages import (
-    AgentAnswer,
-    answer_of,
     manager_id,
-    note,
     reading,
 )
 from poise.manage.agent_reports import AgentReports
+from poise.manage.agent_requests import (
+    ANSWER_LIMIT,
+    LOOK_EVERY,
+    LOSS_DELAY,
+    AgentRequests,
+    nothing,
+)
 from poise.manage.checkpoint_copies import CheckpointCopies
 from poise.priority import ahead
 from poise.wire.control_session import (
@@ -44,37 +42,19 @@ from poise.wire.records.requests import (
     Claim,
     Claimed,
     ManagerId,
-    ManagerRequest,
     Refused,
-    Request,
 )
 from poise.wire.records.samples import AgentSample
 from poise.wire.records.status import AgentStatus
 
-K = TypeVar("K")
-
 MARGIN = 0.1
 """An agent's answer to migration steps may come this much after their limit [s]."""
-_LAST_REPLY = 1.0
-"""zenoh reports within this time after the steps' limit that no answer came [s]."""
-_LOOK_EVERY = 0.1
-ANSWER_LIMIT = 2.0
-"""An agent answers a claim or deployment within this time [s]."""
-SEND_LIMIT = 2 * ANSWER_LIMIT
-"""A claim or deployment that is not answered is sent again within this time [s]: the
-connection may just be made again, and receiving one twice is harmless."""
 _PROBE_LIMIT = 0.1
 """A computer answers within this time, if it is there [s]."""
 _REVOKED = 2
 """A token that was revoked counts as one so much higher, which no agent has."""
 _LEAST_BANDWIDTH = 1e6
 """A state that is sent takes no longer than with this [bytes/s]."""
-_LOSS_DELAY = 0.5
-"""The loss of an agent is known this long [s] after its connection ends, at most."""
-
-
-def _nothing() -> None:
-    """Raise nothing: the default of what is checked while one waits."""
 
 
 class Agents(AgentReports):
@@ -107,7 +87,6 @@ class Agents(AgentReports):
         self._heartbeats = AgentHeartbeats(
             robot, self.manager.key, self._agents, clock, self.on_silent
         )
-        self._prefix = f"poise/{robot}"
         self._tokens: dict[str, int] = {}
         self._claimed: dict[str, int] = {}
         self.checkpoints = CheckpointCopies()
@@ -116,17 +95,19 @@ class Agents(AgentReports):
             self._session = open_session(
                 connect=tuple(endpoints.values()), gossip=False, lease=lease
             )
+        prefix = f"poise/{robot}"
+        self._requests = AgentRequests(self._session, prefix, self, clock, self._tokens)
         self._declared = [
             self._session.declare_subscriber(
-                f"{self._prefix}/status/*",
+                f"{prefix}/status/*",
                 reading(AgentStatus, self.on_status, self.on_refused),
             ),
             self._session.declare_subscriber(
-                f"{self._prefix}/checkpoint/*",
+                f"{prefix}/checkpoint/*",
                 reading(CheckpointCopy, self.checkpoints.note, self.on_refused),
             ),
             self._session.liveliness().declare_subscriber(
-                f"{self._prefix}/alive/*", self.on_alive, history=True
+                f"{prefix}/alive/*", self.on_alive, history=True
             ),
             self._session.liveliness().declare_subscriber(
                 IDENTITIES, self.on_identity, history=True
@@ -135,13 +116,13 @@ class Agents(AgentReports):
         if on_sample is not None:
             self._declared.append(
                 self._session.declare_subscriber(
-                    f"{self._prefix}/samples/*",
+                    f"{prefix}/samples/*",
                     reading(AgentSample, on_sample, self.on_refused),
                 )
             )
         # last, because agents report at once to a manager that comes
         self._token = self._session.liveliness().declare_token(
-            f"{self._prefix}/manager/{self.manager.key}"
+            f"{prefix}/manager/{self.manager.key}"
         )
 
     def __enter__(self) -> Self:
@@ -193,7 +174,7 @@ class Agents(AgentReports):
         self,
         computers: Iterable[str],
         limit: float,
-        check: Callable[[], None] = _nothing,
+        check: Callable[[], None] = nothing,
     ) -> None:
         """Wait until the agents of all `computers` are there and reported.
 
@@ -209,7 +190,7 @@ class Agents(AgentReports):
             of another computer or robot.
         """
         wanted, deadline = set(computers), self._clock.now() + limit
-        while not self.wait_news(lambda: wanted <= self.reached(), _LOOK_EVERY):
+        while not self.wait_news(lambda: wanted <= self.reached(), LOOK_EVERY):
             check()
             self.raise_on_other_agents(wanted - self.reached())
             if self._clock.now() < deadline:
@@ -249,7 +230,7 @@ class Agents(AgentReports):
             token = max(known) + 1
             self._tokens[computer] = token
             claim = Claim(self.manager, take_over, self._agents)
-            answers, refusals = self._sent({computer: claim})
+            answers, refusals = self._requests.send({computer: claim})
             if refusals:
                 raise RunError(refusals[computer])
             self._claimed[computer] = token
@@ -296,7 +277,7 @@ class Agents(AgentReports):
         Computer -> why its agent did not accept it within `ANSWER_LIMIT`; empty when
         all did.
         """
-        return self._sent(deployments)[1]
+        return self._requests.send(deployments)[1]
 
     def keep_checkpoint(self, computer: str, copy: CheckpointCopy) -> str:
         """Let an agent keep a state for a component that is to start there.
@@ -306,7 +287,7 @@ class Agents(AgentReports):
         Why it did not; empty: it did.
         """
         limit = ANSWER_LIMIT + len(copy.data or b"") / _LEAST_BANDWIDTH
-        ((_, answer),) = self._answers({computer: (computer, copy, limit)})
+        ((_, answer),) = self._requests.answers({computer: (computer, copy, limit)})
         if isinstance(answer, Accepted):
             return ""
         why = answer.reason if isinstance(answer, Refused) else str(answer)
@@ -315,7 +296,7 @@ class Agents(AgentReports):
     def take_steps(
         self,
         batches: Iterable[tuple[str, MigrationSteps]],
-        check: Callable[[], object] = _nothing,
+        check: Callable[[], object] = nothing,
     ) -> Iterator[StepsOutcome]:
         """Let containers take steps, all at once; yield each outcome as it is known.
 
@@ -332,7 +313,7 @@ class Agents(AgentReports):
             steps.number: (computer, steps, steps.limit + MARGIN)
             for computer, steps in batches
         }
-        for number, answer in self._answers(asked, check):
+        for number, answer in self._requests.answers(asked, check):
             computer, steps, limit = asked[number]
             if isinstance(answer, StepsDone | StepsFailed):
                 yield answer
@@ -341,100 +322,8 @@ class Agents(AgentReports):
             if answer is None:
                 # a component may be paused: the agent has had time enough
                 left = max(0.0, began + limit - self._clock.now())
-                why = self._why_silent(computer, limit, min(_LOSS_DELAY, left))
+                why = self._requests.why_silent(computer, limit, min(LOSS_DELAY, left))
             yield StepsFailed(steps.number, f"the agent of '{computer}' {why}")
 
     def _on_new_agent(self, computer: str) -> None:
         self._heartbeats.forget(computer)
-
-    def _sent(
-        self, requests: Mapping[str, Request]
-    ) -> tuple[dict[str, AgentAnswer], dict[str, str]]:
-        """Send agents requests until they answer.
-
-        An agent that is cut off for a moment gets its request again.
-
-        Returns
-        -------
-        Their answers; and why others did not accept them.
-        """
-        answers: dict[str, AgentAnswer] = {}
-        refusals = {}
-        pending = dict(requests)
-        deadline = self._clock.now() + SEND_LIMIT
-        while pending:
-            asked = {c: (c, request, ANSWER_LIMIT) for c, request in pending.items()}
-            for computer, answer in self._answers(asked):
-                if answer is None:
-                    continue
-                del pending[computer]
-                answers[computer] = answer
-                if not isinstance(answer, Accepted | Claimed):
-                    why = answer.reason if isinstance(answer, Refused) else str(answer)
-                    refusals[computer] = f"the agent of '{computer}' refused: {why}"
-            if pending:
-                self._clock.sleep(_LOOK_EVERY)  # a loss may not be known yet
-            for computer in list(pending):
-                left = max(0.0, deadline - self._clock.now())
-                is_reached = partial(self._is_reached, computer)
-                if not left or not self.wait_news(is_reached, left):
-                    del pending[computer]
-                    why = self._why_silent(computer, SEND_LIMIT, _LOSS_DELAY)
-                    refusals[computer] = f"the agent of '{computer}' {why}"
-        return answers, refusals
-
-    def _answers(
-        self,
-        asked: Mapping[K, tuple[str, Request, float]],
-        check: Callable[[], object] = _nothing,
-    ) -> Iterator[tuple[K, AgentAnswer | None]]:
-        """Ask agents, all at once; yield each answer as it comes.
-
-        None: the agent gave none.
-
-        Parameters
-        ----------
-        asked
-            By any key: the computer, what its agent is asked, and the limit [s].
-        """
-        replies: SimpleQueue[tuple[K, zenoh.Reply | None]] = SimpleQueue()
-        pending, deadline = set(asked), self._clock.now() + _LAST_REPLY
-        deadline += max((limit for _, _, limit in asked.values()), default=0.0)
-        for key, (computer, request, limit) in asked.items():
-            take = partial(note, replies, key)
-            token = self._tokens.get(computer, 0)
-            self._session.get(
-                f"{self._prefix}/agent/{computer}",
-                Callback(take, take),
-                payload=msgspec.msgpack.encode(
-                    ManagerRequest(token=token, request=request)
-                ),
-                timeout=limit,
-            )
-        while pending:
-            try:
-                key, reply = replies.get(timeout=_LOOK_EVERY)
-            except Empty:
-                check()
-                away = self.out_of_reach().keys()
-                gone = [key for key in pending if asked[key][0] in away]
-                if not gone and self._clock.now() < deadline:
-                    continue
-                # zenoh did not even report that the time is over
-                key, reply = next(iter(gone or pending)), None
-            if key in pending:
-                pending.discard(key)
-                yield key, answer_of(reply)
-
-    def _is_reached(self, computer: str) -> bool:
-        return computer in self.reached()
-
-    def _why_silent(self, computer: str, limit: float, patience: float) -> str:
-        """Return what is known of an agent that gave no answer within `limit` [s].
-
-        No answer comes from the moment when its connection ends, which may be a little
-        before zenoh reports the loss of the agent: `patience` [s] is for that.
-        """
-        if self.wait_news(lambda: computer in self.out_of_reach(), patience):
-            return "is out of reach"
-        return f"did not answer within {limit:g} s"

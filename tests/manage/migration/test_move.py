@@ -20,6 +20,7 @@ import pytest
 
 from poise.clock import SystemClock
 from poise.errors import RunError, UsageError
+from poise.manage.agent_requests import AgentRequests
 from poise.manage.agents import Agents
 from poise.manage.journal import Journal
 from poise.manage.migration.coordinator import (
@@ -753,14 +754,16 @@ def test_the_sources_resume_without_waiting_for_why_an_agent_is_silent(
     mortal: MovingRobot, mortals: TwoAgents, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     waited: list[float] = []
-    why = Agents._why_silent
+    why = AgentRequests.why_silent
 
-    def noting(self: Agents, computer: str, limit: float, patience: float) -> str:
+    def noting(
+        self: AgentRequests, computer: str, limit: float, patience: float
+    ) -> str:
         waited.append(limit - patience)
         return why(self, computer, limit, patience)
 
-    monkeypatch.setattr(Agents, "_why_silent", noting)
-    monkeypatch.setattr("poise.manage.agents._LOSS_DELAY", LIMIT)
+    monkeypatch.setattr(AgentRequests, "why_silent", noting)
+    monkeypatch.setattr("poise.manage.agents.LOSS_DELAY", LIMIT)
     monkeypatch.setattr("poise.manage.migration.coordinator.DOWNTIME_LIMIT", 0.5)
     run = mortal.start("Counter")
     right = mortals.processes["right"]
