@@ -3,7 +3,7 @@
 python -m benchmarks.placement [--quick] [--only SECTIONS] [--json [FILE]]
 
 Sections: speed (one decision), proof (against CP-SAT), tight (robots that are nearly
-full), fleets (1,000 components and more).
+full), fleets (1,000 components and more), phases (of a task, against CP-SAT).
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from benchmarks.placement import fleets, proof, speed, tight
+from benchmarks.placement import fleets, phases, proof, speed, tight
 
 SECTIONS = {
     "speed": speed.run,
     "proof": proof.run,
     "tight": tight.run,
     "fleets": fleets.run,
+    "phases": phases.run,
 }
 
 

@@ -165,3 +165,100 @@ def test_shows_what_was_put_aside(tmp_path: Path) -> None:
     said = " ".join(result.stdout.split())
     assert "put aside: B, as not all fits: a, b together need 4 cpu" in said
     assert "not feasible" not in said
+
+
+PHASES = """
+robot: waiter
+computers:
+  left: {cpu: 50%, memory: 1 GiB, price: 2}
+  right: {cpu: 50%, memory: 1 GiB, price: 3}
+architectures:
+  see: {function: seeing, components: {eyes: {cpu: 30%}}}
+  drive: {function: driving, components: {wheels: {cpu: 30%}}}
+  talk: {function: talking, components: {mouth: {cpu: 30%}}}
+tasks:
+  serve:
+    actions:
+      - {name: look, functions: [seeing]}
+      - {name: go, functions: [seeing, driving]}
+  talk: {actions: [{name: talk, functions: [talking]}]}
+"""
+
+
+@pytest.fixture
+def phases_file(tmp_path: Path) -> Path:
+    path = tmp_path / "robot.yaml"
+    path.write_text(PHASES)
+    return path
+
+
+def test_phases_of_a_task_are_shown_side_by_side(phases_file: Path) -> None:
+    said = call(phases_file, "--task", "serve")
+    assert said.exit_code == 0, said.output
+    rows = [line.split() for line in said.stdout.splitlines()]
+    assert rows[0] == ["phase", "left", "right", "F"]
+    assert [row[0] for row in rows if row[-1:] == ["fits"]] == ["look", "go"]
+    answer = json.loads(call(phases_file, "--task", "serve", "--json").stdout)
+    assert [phase["name"] for phase in answer["phases"]] == ["look", "go"]
+    assert answer["phases"][1]["after"] == ["look"]
+    assert answer["phases"][1]["placement"].keys() == {"eyes", "wheels"}
+    assert answer["feasible"]
+    assert answer["moves"] == []
+
+
+def test_a_phase_that_does_not_fit_says_why(phases_file: Path) -> None:
+    said = call(phases_file, "--task", "serve", "--without", "right")
+    assert said.exit_code == 1
+    assert "phase 'go': eyes, wheels together need 0.6 cpu" in " ".join(
+        said.stdout.split()
+    )
+
+
+def test_explains_a_component_in_a_phase(phases_file: Path) -> None:
+    asked = (phases_file, "--task", "serve", "--explain", "eyes", "--phase", "go")
+    answer = json.loads(call(*asked, "--json").stdout)
+    assert answer["phase"] == "go"
+    assert answer["explanation"]["component"] == "eyes"
+    assert "phase go:" in call(*asked).stdout
+
+
+def test_the_cheapest_computers_for_tasks(phases_file: Path) -> None:
+    one = json.loads(call(phases_file, "--smallest", "--task", "talk", "--json").stdout)
+    assert one["computers"] == ["left"]
+    both = call(phases_file, "--smallest")
+    assert "fits on 2, price 5: left, right; no cheaper set will do" in both.stdout
+    answer = json.loads(
+        call(
+            phases_file, "--smallest", "--task", "talk", "--task", "serve", "--json"
+        ).stdout
+    )
+    assert answer["price"] == 5
+    assert list(answer["tasks"]) == ["talk", "serve"]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--task", "talk", "--task", "serve"), "several need --smallest"),
+        (("--task", "serve", "--compare", "static,auto"), "take --at-once"),
+        (("--task", "serve", "--method", "p.yaml"), "a file places all at once"),
+        (("--task", "dance"), "no task 'dance'"),
+        (("--smallest", "--explain", "eyes"), "find the computers first"),
+        (("--task", "talk", "--explain", "mouth", "--phase", "talk"), "no phases"),
+        (("--task", "serve", "--phase", "go"), "it goes with --explain"),
+        (("--at-once",), "it is about one --task"),
+    ],
+)
+def test_refuses_what_phases_do_not_have(
+    phases_file: Path, options: tuple[str, ...], words: str
+) -> None:
+    result = call(phases_file, *options)
+    assert isinstance(result.exception, UsageError)
+    assert words in str(result.exception)
+
+
+def test_all_of_a_task_at_once(phases_file: Path) -> None:
+    answer = json.loads(
+        call(phases_file, "--task", "serve", "--at-once", "--json").stdout
+    )
+    assert answer["placement"].keys() == {"eyes", "wheels"}

@@ -1,5 +1,8 @@
 """Where each component runs: the objective, the greedy, search, proof, explanation."""
 
+from poise.plan.phases.problem import PhasedProblem, PhaseProblem, phased_problem_of
+from poise.plan.phases.result import PhasedResult, PhaseMove
+from poise.plan.phases.solve import solve_phases
 from poise.plan.planner import Planner, evaluate, solve
 from poise.plan.problem.file import load, schema
 from poise.plan.problem.from_robot import problem_of, static
@@ -7,7 +10,12 @@ from poise.plan.problem.problem import Bundle, Edge, Item, LinkCapacity, Problem
 from poise.plan.result import Result
 from poise.plan.result_records import Conflict, GreedyStep, More, Terms, Tightest, Trial
 from poise.plan.what_if.changed_problem import add, keep_components, scale, without
-from poise.plan.what_if.fewest_computers import Smallest, smallest
+from poise.plan.what_if.fewest_computers import (
+    Smallest,
+    SmallestForTasks,
+    smallest,
+    smallest_for_tasks,
+)
 from poise.plan.why.explain import Explanation, Option, Rejection, explain
 
 __all__ = [
@@ -20,11 +28,16 @@ __all__ = [
     "LinkCapacity",
     "More",
     "Option",
+    "PhaseMove",
+    "PhaseProblem",
+    "PhasedProblem",
+    "PhasedResult",
     "Planner",
     "Problem",
     "Rejection",
     "Result",
     "Smallest",
+    "SmallestForTasks",
     "Terms",
     "Tightest",
     "Trial",
@@ -33,11 +46,14 @@ __all__ = [
     "explain",
     "keep_components",
     "load",
+    "phased_problem_of",
     "problem_of",
     "scale",
     "schema",
     "smallest",
+    "smallest_for_tasks",
     "solve",
+    "solve_phases",
     "static",
     "without",
 ]

@@ -13,11 +13,15 @@ from poise.estimate.success import Situation
 from poise.estimate.success.learning import WELL, actions_in, learned
 from poise.model.robot import Robot
 from poise.model.tasks.phases import phases_of
+from poise.plan.phases.solve import BUDGET as PHASES_BUDGET
+from poise.plan.planner import BUDGET
 from poise.plan.solvers.portfolio import METHODS as SOLVERS
-from poise.session.placement_rules import RULES, by_rule, is_rule
-from poise.session.render.plan import plan_parts
+from poise.session.placement_rules import RULES, by_rule, is_file, is_rule
+from poise.session.render.plan import phases_parts, plan_parts
 from poise.session.render.shown import Shown
 
+ALL = "all"
+"""The name of the one phase in which all functions of the robot run."""
 METHODS = (*SOLVERS, *RULES)
 """What may decide: a solver, or a rule that knows no objective."""
 
@@ -33,21 +37,41 @@ class Placement(Shown, Struct, frozen=True, kw_only=True):
         The task; None: all functions of the robot.
     method
         What was asked to decide.
-    problem
-        What was decided about.
-    result
-        The placement with the terms of F, its bound, and what was put aside; or why
-        there is none.
+    phased
+        The placements of the task's phases with the terms of F, their bounds, and what
+        was put aside; or why there are none. There is one phase where all runs at once.
     """
 
     task: str | None
     method: str
-    problem: plan.Problem
-    result: plan.Result
+    phased: plan.PhasedResult
+
+    @property
+    def phases(self) -> Mapping[str, plan.Result]:
+        """Phase -> its result, with its `placement`; in the order of the task."""
+        return self.phased.results
+
+    @property
+    def moves(self) -> tuple[plan.PhaseMove, ...]:
+        """What moves between phases that follow each other."""
+        return self.phased.moves
+
+    @property
+    def result(self) -> plan.Result:
+        """The result of the only phase; UsageError when there are several."""
+        return self.phased.only[1]
+
+    @property
+    def problem(self) -> plan.Problem:
+        """What was decided about in the only phase; UsageError as for `result`."""
+        return self.phased.only[0]
 
     @property
     def where(self) -> Mapping[str, str]:
-        """Component -> computer; empty when there is no placement."""
+        """Component -> computer; empty when there is no placement.
+
+        UsageError when there are several phases.
+        """
         return self.result.placement
 
     @property
@@ -66,27 +90,37 @@ class Placement(Shown, Struct, frozen=True, kw_only=True):
 
     @property
     def feasible(self) -> bool:
-        """Whether there is a placement that keeps every limit."""
-        return self.result.feasible
+        """Whether each phase has a placement that keeps every limit."""
+        return self.phased.feasible
 
     @property
     def reason(self) -> str:
         """Why it is not feasible; empty when it is."""
-        return self.result.reason
+        several = len(self.phases) > 1
+        return self.phased.reason if several else self.result.reason
 
     def __getitem__(self, component: str) -> str:
-        """Return the computer of a component."""
+        """Return the computer of a component; UsageError when there are phases."""
         return self.where[component]
 
-    def explain(self, name: str) -> plan.Explanation | plan.Rejection:
+    def explain(
+        self, name: str, phase: str | None = None
+    ) -> plan.Explanation | plan.Rejection:
         """Say why a component is where it is, and what each other computer costs.
 
         Of an architecture that was not chosen: why not, and what it costs.
+
+        Parameters
+        ----------
+        phase
+            Its name; None: the first in which the component or architecture may run.
         """
-        return plan.explain(self.problem, self.where, name)
+        return self.phased.explain(phase or self.phased.first_with(name), name)
 
     def parts(self) -> tuple[RenderableType, ...]:
         """Return what is printed."""
+        if len(self.phases) > 1:
+            return phases_parts(self.phased)
         return plan_parts(self.result)
 
 
@@ -95,11 +129,12 @@ def place(  # noqa: PLR0913 - each is a choice of the user
     task: str | None = None,
     *,
     method: str = "auto",
-    budget: float = 0.1,
+    budget: float | None = None,
     seed: int = 0,
     fewer: bool = False,
     situation: Situation = WELL,
     explore: bool = False,
+    at_once: bool = False,
 ) -> Placement:
     """Decide where the components of a task run, and which alternatives do.
 
@@ -112,7 +147,7 @@ def place(  # noqa: PLR0913 - each is a choice of the user
         architecture on its home; ``round-robin``; ``random:SEED``; or a file with
         ``component: computer``.
     budget
-        Time to decide [s].
+        Time to decide [s]; None: 0.1, and 0.3 for a task of several phases.
     seed
         Of the search, and of what is drawn to explore.
     fewer
@@ -122,6 +157,8 @@ def place(  # noqa: PLR0913 - each is a choice of the user
     explore
         Whether alternatives are tried in proportion to what they promise; the robot
         file's `explore` does the same.
+    at_once
+        Whether all that the task needs runs the whole time, as `run` and `up` do.
 
     Returns
     -------
@@ -137,11 +174,51 @@ def place(  # noqa: PLR0913 - each is a choice of the user
     robot = learned(
         robot, actions_in(robot, task), situation=situation, explore=explore, seed=seed
     ).robot
-    problem = plan.problem_of(robot, task)
-    result = ruled(method, robot, problem)
-    if result is None:
-        result = plan.solve(problem, budget, method, seed, fewer=fewer)
-    return Placement(task=task, method=method, problem=problem, result=result)
+    if task is None or at_once or not has_order(robot, task):
+        problem = plan.problem_of(robot, task)
+        result = ruled(method, robot, problem)
+        if result is None:
+            short = BUDGET if budget is None else budget
+            result = plan.solve(problem, short, method, seed, fewer=fewer)
+        phased = plan.PhasedResult.of_one(task or ALL, problem, result)
+    else:
+        problems = plan.phased_problem_of(robot, task)
+        phased = ruled_phases(method, robot, problems) or plan.solve_phases(
+            problems,
+            PHASES_BUDGET if budget is None else budget,
+            method,
+            seed,
+            fewer=fewer,
+        )
+    return Placement(task=task, method=method, phased=phased)
+
+
+def has_order(robot: Robot, task: str) -> bool:
+    """Return whether there is such a task, and it has more than one phase."""
+    is_there = any(each.name == task for each in robot.tasks)
+    return is_there and len(phases_of(robot, task)) > 1
+
+
+def ruled_phases(
+    method: str, robot: Robot | None, problems: plan.PhasedProblem
+) -> plan.PhasedResult | None:
+    """Return what a rule places in each phase; None: a solver is to decide.
+
+    Raises
+    ------
+    UsageError
+        There is no such method, or the rule is a file.
+    """
+    if is_file(method):
+        raise UsageError(
+            f"placement {method}: a file places all at once, and this task has phases"
+        )
+    results = {
+        phase.name: result
+        for phase in problems.phases
+        if (result := ruled(method, robot, phase.problem)) is not None
+    }
+    return plan.PhasedResult(problems, results) if results else None
 
 
 def ruled(
@@ -180,16 +257,28 @@ def order_unused(robot: Robot, task: str) -> str:
 
 
 def runnable(robot: Robot, task: str, placement: Placement | None) -> Placement:
-    """Return the placement of a task, decided here when none is given.
+    """Return the placement of all of a task at once, decided here when none is given.
 
     Architectures of low priority are put aside when not all fits.
 
     Raises
     ------
     RobotError
-        There is no placement; the message says why.
+        There is no placement, or there is one only if phases ran in their order; the
+        message says why.
+    UsageError
+        The one that is given has phases.
     """
-    chosen = place(robot, task, fewer=True) if placement is None else placement
+    chosen = placement
+    if chosen is None:
+        chosen = place(robot, task, fewer=True, at_once=True)
+    is_whole = chosen.where and not chosen.result.aside
+    if not is_whole and has_order(robot, task) and place(robot, task).feasible:
+        raise RobotError(
+            f"task '{task}' fits phase by phase, but not all at once, and phases are "
+            f"not run in order yet: {chosen.reason}. Run a task for each action; "
+            f"`poise plan --task {task}` shows the phases"
+        )
     if not chosen.where or (not chosen.feasible and chosen.method in SOLVERS):
         raise RobotError(f"task '{task}' has no placement: {chosen.reason}")
     return chosen

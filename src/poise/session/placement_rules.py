@@ -20,8 +20,13 @@ RULES = ("static", "round-robin", "random:SEED", "FILE")
 
 def is_rule(name: str) -> bool:
     """Return whether a name is one of `RULES`."""
-    is_file = Path(name).suffix in {".yaml", ".yml", ".json"}
-    return name in {"static", "round-robin"} or name.startswith("random:") or is_file
+    is_known = name in {"static", "round-robin"} or name.startswith("random:")
+    return is_known or is_file(name)
+
+
+def is_file(name: str) -> bool:
+    """Return whether a rule is a file with a placement."""
+    return Path(name).suffix in {".yaml", ".yml", ".json"}
 
 
 def by_rule(rule: str, robot: Robot, problem: plan.Problem) -> dict[str, str]:

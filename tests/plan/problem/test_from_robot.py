@@ -144,3 +144,29 @@ def test_says_which_task_or_function_is_unknown(robot: Robot) -> None:
         plan.problem_of(robot, "dance")
     with pytest.raises(RobotError, match="'dance'"):
         plan.problem_of(robot, functions=("dance",))
+
+
+def arms(*, exclusive: bool) -> Robot:
+    """Return a robot whose functions both need the arm; pushing also goes without."""
+
+    def architecture(name: str, function: str, *devices: str) -> Architecture:
+        component = ComponentEntry(name=f"{name}er", devices=devices)
+        return Architecture(name=name, function=function, components=(component,))
+
+    return Robot(
+        name="arms",
+        computers=(Computer(name="main", capacity={"cpu": 1.0}),),
+        devices=(Device(name="arm", computer="main", exclusive=exclusive),),
+        architectures=(
+            architecture("grasp", "grasp", "arm"),
+            architecture("push", "push", "arm"),
+            replace(architecture("kick", "push"), quality=0.5),
+        ),
+    )
+
+
+def test_an_exclusive_device_serves_one_architecture() -> None:
+    both = plan.problem_of(arms(exclusive=True), functions=["grasp", "push"])
+    assert plan.solve(both).architectures == {"push": "kick"}
+    shared = plan.problem_of(arms(exclusive=False), functions=["grasp", "push"])
+    assert plan.solve(shared).architectures == {"push": "push"}

@@ -65,7 +65,7 @@ def run_command(
 
     robot = load(file, say=say)
     chosen = task_of(robot, task)
-    placed = place(robot, chosen, method=placement, fewer=True)
+    placed = place(robot, chosen, method=placement, fewer=True, at_once=True)
     if report is not None:
         _make_folder(report)
     with Interrupts() as interrupts:

@@ -71,7 +71,9 @@ def up_command(
             return
         chosen = task_of(robot, task)
         placed = (
-            place(robot, chosen, method=placement, fewer=True) if placement else None
+            place(robot, chosen, method=placement, fewer=True, at_once=True)
+            if placement
+            else None
         )
         with (
             Interrupts() as interrupts,

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from itertools import combinations
 
 from poise.errors import RobotError, UsageError
 from poise.model import robot as model
+from poise.model.tasks.exclusive import needs_device
 from poise.plan.problem.problem import Bundle, Edge, Item, LinkCapacity, Problem
 from poise.plan.solvers.alternatives import needs, part
 
@@ -64,7 +66,7 @@ def problem_of(
         distance=_distances(robot),
         objective=robot.objective,
         together=_within(robot.together, names),
-        apart=_within(robot.apart, names),
+        apart=(*_within(robot.apart, names), *_rivals(robot, chosen)),
         quality=robot.quality_weight,
         architectures=tuple(
             Bundle(
@@ -205,6 +207,24 @@ def _distances(robot: model.Robot) -> tuple[tuple[float, ...], ...]:
         a, b = (index[name] for name in link.between)
         table[a][b] = table[b][a] = link.distance
     return tuple(tuple(row) for row in table)
+
+
+def _rivals(
+    robot: model.Robot, chosen: list[model.Architecture]
+) -> Iterator[tuple[str, str]]:
+    """Yield components that an exclusive device keeps from running at once.
+
+    What needs a device runs where it is: no placement holds two that must be apart.
+    """
+    for device in robot.devices:
+        users = [a for a in chosen if device.exclusive and needs_device(a, device.name)]
+        for pair in combinations(users, 2):
+            if pair[0].function != pair[1].function:
+                one, two = (
+                    next(c.name for c in a.components if device.name in c.devices)
+                    for a in pair
+                )
+                yield one, two
 
 
 def _within(

@@ -10,6 +10,7 @@ from rich.markup import escape
 from poise import plan, units
 from poise.model.robot import Computer
 from poise.session.render.tables import table
+from poise.units import counted
 
 BAR = 10
 """Length of a full bar [characters]."""
@@ -66,13 +67,16 @@ def show(result: plan.Result, console: Console) -> None:
         console.print(part, highlight=False)
 
 
-def show_smallest(few: plan.Smallest, console: Console) -> None:
-    """Print on which computers everything fits."""
-    if not few.result.feasible:
-        return
+def show_smallest(
+    few: plan.Smallest | plan.SmallestForTasks, price: float, console: Console
+) -> None:
+    """Print on which computers everything fits, and for what price."""
     known = "no cheaper set will do" if few.proven else "a cheaper set may do"
     names = ", ".join(few.computers)
-    console.print(f"fits on {len(few.computers)}: {names}; {known}", highlight=False)
+    console.print(
+        f"fits on {len(few.computers)}, price {price:g}: {names}; {known}",
+        highlight=False,
+    )
 
 
 def _some(names: list[str]) -> str:
@@ -114,6 +118,72 @@ def _share(computer: Computer, resource: str, used: float) -> str:
 def _capacity(computer: Computer, resource: str) -> float:
     speed = computer.speed if resource == "cpu" else 1.0
     return computer.capacity.get(resource, 0.0) * speed
+
+
+def phases_parts(phased: plan.PhasedResult) -> tuple[RenderableType, ...]:
+    """Return the phases of a task side by side, then what moves between them."""
+    computers = phased.problem.phases[0].problem.computers
+    rows = table("phase", *(computer.name for computer in computers), "F", "")
+    for column in rows.columns[1:-2]:
+        column.no_wrap = False
+    for name, result in phased.results.items():
+        cells = [_on(computer, result) for computer in computers]
+        rows.add_row(
+            escape(name),
+            *cells,
+            _term(result, "total"),
+            "fits" if result.feasible else "[bold red]does not fit[/]",
+        )
+    parts: list[RenderableType] = [rows]
+    if phased.reason:
+        head = "put aside, as not all fits" if phased.feasible else "not feasible"
+        parts.append(_line(head, phased.reason))
+    for name, result in phased.results.items():
+        parts += [f"{name}: {f} by {by}" for f, by in result.architectures.items()]
+    parts += [
+        f"{move.component} moves from {move.source} to {move.target} between "
+        f"{move.before} and {move.after}"
+        for move in phased.moves
+    ]
+    parts.append(_sum(phased))
+    return tuple(parts)
+
+
+def _on(computer: Computer, result: plan.Result) -> str:
+    """Return what a phase uses of a computer, and which components are there."""
+    if not result.placement:
+        return "-"
+    used = _used(result.problem, result)
+    shares = [
+        f"{resource} {_share(computer, resource, used[computer.name, resource])}"
+        for resource in result.problem.resources
+        if _capacity(computer, resource) > 0
+    ]
+    names = [c for c, there in result.placement.items() if there == computer.name]
+    return f"{', '.join(shares)}\n{_some(names)}"
+
+
+def _sum(phased: plan.PhasedResult) -> str:
+    """Return the sum of F over the phases, and of the moves."""
+    time = units.format_seconds(phased.seconds)
+    if phased.total is None:
+        return f"decided in {time}"
+    phases = sum(r.objective.total for r in phased.results.values() if r.objective)
+    known = ", proven to be the least" if phased.proven and phased.feasible else ""
+    if phased.bound is not None and not known:
+        known = f", at least {phased.bound:.6g} in any placement"
+    return (
+        f"F = {phased.total:.6g} = {counted(len(phased.results), 'phase')} "
+        f"{phases:.6g} + {counted(len(phased.moves), 'move')} "
+        f"{phased.total - phases:.6g}{known}; in {time}"
+        f"{', stopped by Ctrl-C' if phased.stopped_by == 'interrupted' else ''}"
+    )
+
+
+def show_phases(phased: plan.PhasedResult, console: Console) -> None:
+    """Print the phases of a task side by side."""
+    for part in phases_parts(phased):
+        console.print(part, highlight=False)
 
 
 def show_comparison(

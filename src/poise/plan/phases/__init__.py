@@ -1,0 +1,1 @@
+"""Placements of a task's phases: what stays, what moves between them."""

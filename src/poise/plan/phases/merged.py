@@ -1,0 +1,100 @@
+"""Several phases as one problem: every component once for each of its phases.
+
+Each phase has resources of its own on the same computers, and a component in two
+phases that follow each other is connected to itself: being apart is a move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import accumulate
+
+from poise.plan.problem.arrays import Arrays
+
+Unit = tuple[int, int]
+"""A phase, and a unit in it."""
+
+
+def merged(parts: Sequence[Arrays], moves: Mapping[tuple[Unit, Unit], float]) -> Arrays:
+    """Return the arrays of several phases as those of one problem.
+
+    Its F is the sum over the phases, and of `moves`. The bandwidth of links is left
+    out; where distances differ, they count for moves, too.
+
+    Parameters
+    ----------
+    moves
+        Two units of different phases -> what F grows by when they are apart.
+    """
+    begin = [0, *accumulate(part.n for part in parts)]
+    start = [0, *accumulate(len(part.unit_of) for part in parts)]
+    a, count = parts[0], len(parts)
+    pairs = [(part, begin[p]) for p, part in enumerate(parts)]
+    ends = [(begin[p] + u, begin[q] + v) for (p, u), (q, v) in moves]
+    inside = [
+        part.communication * overhead for part in parts for overhead in part.overhead
+    ]
+    first = [i + at for part, at in pairs for i in part.first]
+    second = [j + at for part, at in pairs for j in part.second]
+    return Arrays(
+        a.problem,
+        [
+            tuple(i + start[p] for i in inside_unit)
+            for p, part in enumerate(parts)
+            for inside_unit in part.members
+        ],
+        [u + at for part, at in pairs for u in part.unit_of],
+        {
+            f"{p}.{name}": i + start[p]
+            for p, part in enumerate(parts)
+            for name, i in part.index.items()
+        },
+        _own([part.component_demand for part in parts], a.r),
+        tuple(f"{p}.{name}" for p in range(count) for name in a.resources),
+        _own([part.demand for part in parts], a.r),
+        _by_computer([part.capacity for part in parts], a),
+        _by_computer([part.limit for part in parts], a),
+        [weight for part in parts for weight in part.size_weight],
+        {u + at: hosts for part, at in pairs for u, hosts in part.allowed.items()},
+        first + [i for i, _ in ends],
+        second + [j for _, j in ends],
+        [*inside, *moves.values()],
+        [0.0] * (len(inside) + len(ends)),
+        a.distance,
+        _costs(parts),
+        [],
+        [(i + at, j + at) for part, at in pairs for i, j in part.apart],
+        1.0,
+        [weight for part in parts for weight in part.spread],
+        a.share,
+        a.variance,
+        begin[-1],
+        a.m,
+        a.r * count,
+    )
+
+
+def _own(tables: Sequence[Sequence[float]], r: int) -> list[float]:
+    """Return rows in which each phase has columns of its own."""
+    out: list[float] = []
+    for p, table in enumerate(tables):
+        before, after = [0.0] * (p * r), [0.0] * ((len(tables) - p - 1) * r)
+        for row in range(0, len(table), r or 1):
+            out += [*before, *table[row : row + r], *after]
+    return out
+
+
+def _by_computer(tables: Iterable[Sequence[float]], a: Arrays) -> list[float]:
+    tables = tuple(tables)
+    return [
+        value
+        for h in range(a.m)
+        for table in tables
+        for value in table[h * a.r : (h + 1) * a.r]
+    ]
+
+
+def _costs(parts: Sequence[Arrays]) -> list[float]:
+    if not any(part.cost for part in parts):
+        return []
+    return [cost for part in parts for cost in (part.cost or [0.0] * (part.n * part.m))]

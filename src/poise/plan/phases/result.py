@@ -1,0 +1,190 @@
+"""Where the components of each phase run, and what moves between phases."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from msgspec import Struct
+
+from poise.errors import UsageError
+from poise.plan.phases.costs import with_moves
+from poise.plan.phases.problem import NEVER, PhasedProblem, PhaseProblem
+from poise.plan.problem.problem import Problem
+from poise.plan.result import Result
+from poise.plan.result_records import Stopped
+from poise.plan.why.explain import Explanation, Rejection, explain
+
+
+class PhaseMove(Struct, frozen=True, kw_only=True):
+    """A component that is elsewhere in a phase than in one before.
+
+    Parameters
+    ----------
+    before, after
+        The phases.
+    source, target
+        Its computers there.
+    """
+
+    component: str
+    before: str
+    after: str
+    source: str
+    target: str
+
+
+class PhasedResult:
+    """A placement of each phase of a task.
+
+    Attributes
+    ----------
+    problem
+        What was decided about.
+    results
+        Phase -> its own result, in the order of the task; its F has no moves.
+    proven
+        Whether no placements are better; of infeasible ones: whether there are none.
+    bound
+        The sum of F and moves is not below this; None when it is not known.
+    stopped_by
+        Why the search stopped.
+    seconds
+        How long deciding took [s].
+    """
+
+    def __init__(
+        self,
+        problem: PhasedProblem,
+        results: Mapping[str, Result],
+        *,
+        proven: bool = False,
+        bound: float | None = None,
+        seconds: float = 0.0,
+    ) -> None:
+        self.problem = problem
+        self.results = results
+        self.proven = proven
+        self.bound = bound
+        self.stopped_by: Stopped = "done"
+        self.seconds = seconds
+
+    @property
+    def moves(self) -> tuple[PhaseMove, ...]:
+        """What moves between phases that follow each other."""
+        return tuple(
+            PhaseMove(
+                component=name,
+                before=before,
+                after=phase.name,
+                source=source,
+                target=target,
+            )
+            for phase in self.problem.phases
+            for before in phase.after
+            for name, target in self.results[phase.name].placement.items()
+            if (source := self.results[before].placement.get(name, target)) != target
+        )
+
+    @property
+    def total(self) -> float | None:
+        """F over all phases, and of the moves; None when some phase has none."""
+        terms = [result.objective for result in self.results.values()]
+        moves = sum(self.problem.move.get(move.component, 0.0) for move in self.moves)
+        phases = [each.total for each in terms if each is not None]
+        return sum(phases) + moves if len(phases) == len(terms) else None
+
+    @property
+    def feasible(self) -> bool:
+        """Whether every phase has a placement, and nothing moves that may not."""
+        return all(r.feasible for r in self.results.values()) and not self._forbidden
+
+    @property
+    def reason(self) -> str:
+        """Why it is not feasible, or something is put aside, by phase, for people."""
+        said = [
+            f"phase '{name}': {result.reason}"
+            for name, result in self.results.items()
+            if result.reason
+        ]
+        said += [
+            f"'{move.component}' may not be moved while it runs, but no computer was "
+            f"found that suits it in both '{move.before}' and '{move.after}'"
+            for move in self._forbidden
+        ]
+        return "; ".join(said)
+
+    @classmethod
+    def of_one(cls, name: str, problem: Problem, result: Result) -> PhasedResult:
+        """Return a result of one phase."""
+        phase = PhaseProblem(name=name, problem=problem)
+        return cls(PhasedProblem(phases=(phase,)), {name: result})
+
+    def first_with(self, name: str) -> str:
+        """Return the first phase with a component or architecture, else the first."""
+        for phase in self.problem.phases:
+            names = {component.name for component in phase.problem.components}
+            names |= {bundle.name for bundle in phase.problem.architectures}
+            if name in names and self.results[phase.name].placement:
+                return phase.name
+        return self.problem.phases[0].name
+
+    @property
+    def only(self) -> tuple[Problem, Result]:
+        """The problem and the result of the only phase.
+
+        Raises
+        ------
+        UsageError
+            There are several.
+        """
+        if len(self.results) > 1:
+            raise UsageError(
+                f"it has {len(self.results)} phases ({', '.join(self.results)}), each "
+                "with a placement of its own: see `phases`, or place it `at_once`"
+            )
+        phase = self.problem.phases[0]
+        return phase.problem, self.results[phase.name]
+
+    @property
+    def _forbidden(self) -> list[PhaseMove]:
+        move = self.problem.move
+        return [m for m in self.moves if move.get(m.component, 0.0) >= NEVER]
+
+    def explain(self, phase: str, name: str) -> Explanation | Rejection:
+        """Return why a component of a phase is where it is: moves count.
+
+        Raises
+        ------
+        UsageError
+            There is no such phase or component, or the phase has no placement.
+        """
+        if phase not in self.results:
+            choices = ", ".join(self.results)
+            raise UsageError(f"no phase is called {phase!r} (there are: {choices})")
+        if not self.results[phase].placement:
+            raise UsageError(f"phase {phase!r} has no placement")
+        placements = {each: r.placement for each, r in self.results.items()}
+        problem = with_moves(self.problem, phase, placements)
+        return explain(problem, self.results[phase].placement, name)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all of it as plain values, for JSON."""
+        moves = [{k: getattr(m, k) for k in m.__struct_fields__} for m in self.moves]
+        return {
+            "feasible": self.feasible,
+            "reason": self.reason,
+            "total": self.total,
+            "proven": self.proven,
+            "bound": self.bound,
+            "seconds": self.seconds,
+            "moves": moves,
+            "phases": [
+                {
+                    "name": phase.name,
+                    "after": phase.after,
+                    **self.results[phase.name].to_dict(),
+                }
+                for phase in self.problem.phases
+            ],
+        }

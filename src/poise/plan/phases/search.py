@@ -1,0 +1,271 @@
+"""The placements of all phases so far, and the steps that better them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from random import Random
+from time import perf_counter
+from typing import NamedTuple
+
+from msgspec.structs import replace
+
+from poise.plan import _core
+from poise.plan.phases.costs import beside, with_moves
+from poise.plan.phases.merged import Unit, merged
+from poise.plan.phases.problem import PhasedProblem
+from poise.plan.planner import Planner
+from poise.plan.problem.arrays import Placed, arrays_of
+from poise.plan.problem.problem import Problem
+from poise.plan.problem.snapshot import Snapshot
+from poise.plan.result import Choice, Result
+from poise.plan.result_records import Ask
+from poise.plan.solvers.portfolio import UNLIMITED
+from poise.plan.what_if.changed_problem import keep_components
+
+ALONE = 0.3
+"""Which part of the budget goes into placing each phase alone."""
+CHAINED = 0.3
+"""Which part goes into placing each with those beside it, forwards and backwards."""
+TOGETHER = 0.04
+"""Which part goes into one search of several phases as one problem."""
+MOST_TOGETHER = 3
+"""So many phases are placed as one problem."""
+ROUNDS = 2
+"""So often for each phase, where steps are counted instead of time."""
+
+
+class How(NamedTuple):
+    """How to decide, as `Planner.decide` takes it; `budget` [s] is for all phases."""
+
+    method: str
+    budget: float
+    seed: int
+    steps: int | None
+    fewer: bool
+    stop: Ask | None
+
+    def decide(self, problem: Problem, share: float) -> Result:
+        """Place one phase with a share of the effort."""
+        return Planner(problem).decide(
+            self.method,
+            self.budget * share,
+            self.seed,
+            steps=None if self.steps is None else int(self.steps * share),
+            fewer=self.fewer,
+            stop=self.stop,
+        )
+
+
+class Held:
+    """The placement of one phase: of the components `snapshot` has, F without moves."""
+
+    def __init__(self, problem: Problem, result: Result) -> None:
+        self.placement = result.placement
+        self.choice: Choice = result.choice
+        self.snapshot = Snapshot(keep_components(problem, self.placement.keys()))
+        self.placed = self.snapshot.arrays.placed(self.placement)
+        self.total = self._total(self.placed)
+
+    def moved(self, placed: Placed) -> Held | None:
+        """Return it with another placement; None when that breaks a limit."""
+        if not self.snapshot.core.feasible(placed):
+            return None
+        other = Held.__new__(Held)
+        other.choice, other.snapshot = self.choice, self.snapshot
+        other.placed = placed
+        other.placement = self.snapshot.arrays.placement(placed)
+        other.total = self._total(placed)
+        return other
+
+    def _total(self, placed: Placed) -> float:
+        return self.snapshot.terms(placed).total + self.choice.lost
+
+    def result(self) -> Result:
+        """Return it as a result of its own."""
+        result = Result.of(self.snapshot, self.placed, "phases")
+        result.choice = self.choice
+        return result
+
+
+Solution = Mapping[str, Held]
+"""Phase -> its placement; one that has none is not there."""
+
+
+class PhaseSearch:
+    """Places phases with regard to those beside them."""
+
+    def __init__(self, problem: PhasedProblem, how: How) -> None:
+        self._problem = problem
+        self._how = how
+        self._problems = {phase.name: phase.problem for phase in problem.phases}
+        self._beside = beside(problem)
+        self.interrupted = False
+
+    def alone(self) -> dict[str, Result]:
+        """Return each phase placed as if there were no other.
+
+        Where nothing is found, though there may be something, the whole budget goes
+        into it once.
+        """
+        results: dict[str, Result] = {}
+        share = ALONE / len(self._problems)
+        for name, problem in self._problems.items():
+            same = next((n for n in results if self._problems[n] == problem), None)
+            if same is not None:
+                results[name] = results[same]
+                continue
+            result = self._decide(problem, share)
+            if not (result.feasible or result.proven or self.interrupted):
+                result = self._decide(problem, 1.0)
+            results[name] = result
+        return results
+
+    def total(self, held: Solution) -> float:
+        """Return F of all phases, and of what moves between them."""
+        return sum(each.total for each in held.values()) + self._moves(held, held)
+
+    def chained(self, start: Solution, end: float) -> dict[str, Held]:
+        """Place one phase after the other, with the moves from those before, and back.
+
+        Where nothing is found beside them, or it is past `end` [s], a phase stays as in
+        `start`.
+        """
+        held: dict[str, Held] = {}
+        share = CHAINED / 2 / len(start)
+        for name in start:
+            held[name] = self._step(name, held, share, end) or start[name]
+        for name in reversed(list(start)):
+            held[name] = self._step(name, held, share, end) or held[name]
+        return held
+
+    def together(self, start: Solution, end: float, bound: float) -> dict[str, Held]:
+        """Search phases beside each other as one problem, until `end` [s].
+
+        It ends as well when the total is not above `bound`.
+        """
+        held, random = dict(start), Random(self._how.seed)  # noqa: S311 - nothing secret
+        rounds = 0
+        while not self.interrupted and self.total(held) > bound:
+            is_over = perf_counter() >= end
+            if self._how.steps is not None:
+                is_over = rounds >= ROUNDS * len(held)
+            if is_over:
+                break
+            rounds += 1
+            names = self._some_beside(list(held), random)
+            better = self._search(names, held, end - perf_counter(), rounds)
+            if better and self._cost(better, held) < self._cost(
+                {name: held[name] for name in names}, held
+            ):
+                held |= better
+        return held
+
+    def _decide(self, problem: Problem, share: float) -> Result:
+        result = self._how.decide(problem, share)
+        self.interrupted |= result.stopped_by == "interrupted"
+        return result
+
+    def _step(self, name: str, held: Solution, share: float, end: float) -> Held | None:
+        """Place one phase beside those that are held; None when that finds nothing."""
+        if self.interrupted or (self._how.steps is None and perf_counter() >= end):
+            return None
+        placements = {each: h.placement for each, h in held.items()}
+        problem = with_moves(self._problem, name, placements, start=True)
+        result = self._decide(problem, share)
+        if not result.placement:
+            return None
+        found = Held(self._problems[name], result)
+        if name not in held:
+            return found
+        now = self._cost({name: held[name]}, held)
+        return found if self._cost({name: found}, held) < now else held[name]
+
+    def _some_beside(self, names: Sequence[str], random: Random) -> list[str]:
+        """Return some phases of which each is beside another one."""
+        chosen = [random.choice(names)]
+        for _ in range(random.randint(1, MOST_TOGETHER - 1)):
+            near = [
+                other
+                for name in chosen
+                for other in self._beside[name]
+                if other in names and other not in chosen
+            ]
+            if near:
+                chosen.append(random.choice(near))
+        return chosen
+
+    def _search(
+        self, names: Sequence[str], held: Solution, left: float, seed: int
+    ) -> dict[str, Held]:
+        """Search for better placements of some phases; empty when one breaks a limit.
+
+        That may be, as the bandwidth of links is left out.
+        """
+        others = {n: h.placement for n, h in held.items() if n not in names}
+        parts = []
+        for name in names:
+            snapshot = held[name].snapshot
+            problem = with_moves(self._problem, name, others)
+            part = keep_components(problem, held[name].placement.keys())
+            parts.append(replace(snapshot.arrays, cost=arrays_of(part).cost))
+        core = _core.Core(merged(parts, self._between(names, held)))
+        how = self._how
+        seconds, steps = min(how.budget * TOGETHER, left), UNLIMITED
+        if how.steps is not None:
+            seconds, steps = float("inf"), int(how.steps * TOGETHER)
+        known = [unit for name in names for unit in held[name].placed]
+        placed, *_, reason, _ = core.search(known, seconds, steps, seed, how.stop)
+        self.interrupted |= reason == "interrupted"
+        found: dict[str, Held] = {}
+        for name in names:
+            count = len(held[name].placed)
+            moved = held[name].moved(placed[:count])
+            if moved is None:
+                return {}
+            found[name], placed = moved, placed[count:]
+        return found
+
+    def _between(
+        self, names: Sequence[str], held: Solution
+    ) -> dict[tuple[Unit, Unit], float]:
+        """Return what it costs that a component is apart in two of these phases."""
+        moves: dict[tuple[Unit, Unit], float] = {}
+        for p, one in enumerate(names):
+            for q, two in enumerate(names[:p]):
+                if two not in self._beside[one]:
+                    continue
+                here, there = (held[n].snapshot.arrays for n in (one, two))
+                for name in here.index.keys() & there.index.keys():
+                    pair = (
+                        (p, here.unit_of[here.index[name]]),
+                        (q, there.unit_of[there.index[name]]),
+                    )
+                    move = self._problem.move.get(name, 0.0)
+                    moves[pair] = moves.get(pair, 0.0) + move
+        return moves
+
+    def _cost(self, some: Solution, held: Solution) -> float:
+        """Return what some phases add to the total, the others as they are held."""
+        return sum(each.total for each in some.values()) + self._moves(
+            some, {**held, **some}
+        )
+
+    def _moves(self, some: Solution, held: Solution) -> float:
+        """Return the cost of moves between some phases and the phases before or after.
+
+        Between two of them it counts once.
+        """
+        total, counted = 0.0, set[frozenset[str]]()
+        for name, here in some.items():
+            for other in self._beside[name]:
+                pair = frozenset((name, other))
+                if other not in held or pair in counted:
+                    continue
+                counted.add(pair)
+                there = held[other].placement
+                total += sum(
+                    self._problem.move.get(component, 0.0)
+                    for component, computer in here.placement.items()
+                    if there.get(component, computer) != computer
+                )
+        return total

@@ -1,0 +1,81 @@
+"""Places the phases of a task so that little moves between them.
+
+Each phase is placed alone first: where nothing moves then, that is the best. Else each
+is placed with what it costs to be elsewhere than in the phases beside it, forwards and
+backwards; then, until the time is over, phases beside each other are placed as one
+problem, which `merged` makes of them.
+"""
+
+from __future__ import annotations
+
+from math import inf
+from time import perf_counter
+
+from poise.plan.phases.problem import PhasedProblem
+from poise.plan.phases.result import PhasedResult
+from poise.plan.phases.search import Held, How, PhaseSearch
+from poise.plan.result import Result
+from poise.plan.result_records import Ask
+
+BUDGET = 0.3
+"""How long to decide all phases by default [s]."""
+GAIN = 1e-9
+"""F that is lower by less is not better: rounding only."""
+
+
+def solve_phases(  # noqa: PLR0913 - each says how to decide, and has a default
+    problem: PhasedProblem,
+    budget: float = BUDGET,
+    method: str = "auto",
+    seed: int = 0,
+    *,
+    steps: int | None = None,
+    fewer: bool = False,
+    stop: Ask | None = None,
+    why: bool = True,
+) -> PhasedResult:
+    """Return the best placements of all phases found within `budget` [s].
+
+    The parameters are those of `poise.plan.solve`. A method other than ``auto`` and
+    ``search`` places one phase after the other only. A phase in which nothing was
+    found, though there may be something, gets the whole budget once.
+    """
+    begin = perf_counter()
+    search = PhaseSearch(problem, How(method, budget, seed, steps, fewer, stop))
+    alone = search.alone()
+    result = PhasedResult(problem, alone)
+    bounds = [each.bound for each in alone.values() if each.bound is not None]
+    bound = sum(bounds) if len(bounds) == len(alone) else None
+    if result.moves:
+        held = {
+            phase.name: Held(phase.problem, alone[phase.name])
+            for phase in problem.phases
+            if alone[phase.name].feasible
+        }
+        better = search.chained(held, begin + budget)
+        if method in {"auto", "search"}:
+            enough = -inf if bound is None else bound + GAIN
+            better = search.together(better, begin + budget, enough)
+        if search.total(better) < search.total(held) - GAIN:
+            result = PhasedResult(problem, {**alone, **_results(better, alone)})
+    if why and method != "greedy":
+        for each in result.results.values():
+            each.find_conflict(stop)
+    if not result.feasible:
+        result.proven = any(r.proven for r in alone.values() if not r.feasible)
+    elif bound is not None and result.total is not None:
+        # Nothing is below phases that do without moves.
+        result.bound = min(bound, result.total)
+        result.proven = result.total <= bound + GAIN
+    if search.interrupted:
+        result.stopped_by = "interrupted"
+    result.seconds = perf_counter() - begin
+    return result
+
+
+def _results(held: dict[str, Held], alone: dict[str, Result]) -> dict[str, Result]:
+    """Return each placement as a result: that of the phase alone where it is equal."""
+    return {
+        name: alone[name] if each.placement == alone[name].placement else each.result()
+        for name, each in held.items()
+    }
