@@ -15,7 +15,8 @@ from poise.cli.interrupts import Interrupts
 from poise.cli.options import parse_option
 from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import UsageError
-from poise.runtime.agent.agent import Agent, AgentSetup, ignore
+from poise.runtime.agent.agent import Agent, ignore
+from poise.runtime.agent.agent_setup import AgentSetup
 from poise.session.launch.temporary_folders import agent_folder
 from poise.units import SECONDS
 from poise.wire.control_session import LEASE, locator

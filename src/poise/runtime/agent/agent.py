@@ -19,9 +19,7 @@ from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
 
-import msgspec
 import zenoh
-from msgspec import Struct
 from msgspec.msgpack import encode
 
 from poise.clock import Clock, SystemClock
@@ -30,6 +28,7 @@ from poise.errors import RunError, UsageError
 from poise.priority import ahead, go_first
 from poise.runtime._calls import PageSampler
 from poise.runtime.agent.adoption import Adoption, AgentFolder, AgentState
+from poise.runtime.agent.agent_setup import AgentSetup
 from poise.runtime.agent.checkpoint_files import CheckpointFiles
 from poise.runtime.agent.clock_synchronisation import ClockSynchronisation
 from poise.runtime.agent.container_processes import STOP_LIMIT
@@ -37,8 +36,10 @@ from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.health import Usage
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
 from poise.runtime.agent.inbox import AgentInbox, answer
+from poise.runtime.agent.managed import Managed
 from poise.runtime.agent.migration_relay import MigrationRelay
 from poise.runtime.agent.sampler import Sampler
+from poise.runtime.agent.status_reports import StatusReports
 from poise.runtime.agent.supervisor import Supervisor
 from poise.runtime.agent.watchdog import Silence
 from poise.runtime.container import zygote
@@ -47,7 +48,7 @@ from poise.runtime.hosting.wiring import Place
 from poise.runtime.waker import Waker, wait_readable
 from poise.wire.connections.gateway import Gateway
 from poise.wire.connections.socket_path import socket_path
-from poise.wire.control_session import LEASE, identity_key, locator, open_session
+from poise.wire.control_session import identity_key, locator, open_session
 from poise.wire.records.checkpoints import CheckpointCopy
 from poise.wire.records.clocks import ClockStatus
 from poise.wire.records.deployment import Deployment
@@ -58,58 +59,16 @@ from poise.wire.records.requests import (
     Answer,
     Claim,
     Claimed,
-    ManagerId,
     ManagerRequest,
     Refused,
 )
-from poise.wire.records.samples import SAMPLE_EVERY
 from poise.wire.records.status import AgentStatus
 
 log = logging.getLogger(__name__)
 
-REPORT_EVERY = 0.5
-"""A status goes out at least this often [s]."""
-
 
 def ignore(_: str) -> None:
     """Say nothing."""
-
-
-class AgentSetup(Struct, frozen=True, kw_only=True):
-    """Where an agent is and whom it knows.
-
-    Parameters
-    ----------
-    robot, computer
-        Names.
-    address
-        IP address on which it and its containers listen.
-    port
-        TCP port of the agent.
-    gateway
-        TCP port for connections from other computers to its containers; 0: a free one.
-    peers
-        zenoh endpoints of the other computers' agents.
-    folder
-        A folder of its own for sockets; the same one when it is started again.
-    lifeline
-        A file descriptor at whose end of file the agent ends; None: it runs on.
-    lease
-        Who is silent for this time [s] is lost.
-    sample_every
-        How often it tells what its containers count [s]; 0: never.
-    """
-
-    robot: str
-    computer: str
-    address: str
-    port: int = 7447
-    gateway: int = 0
-    peers: tuple[str, ...] = ()
-    folder: str
-    lifeline: int | None = None
-    lease: float = LEASE
-    sample_every: float = SAMPLE_EVERY
 
 
 class Agent:
@@ -167,9 +126,8 @@ class Agent:
         self._endpoint = Endpoint(setup.address, setup.port)
         self._locator = locator(self._endpoint)
         self._heartbeats: HeartbeatExchange
-        self._cut_off = 0.0
+        self._managed: Managed
         self._say = say
-        self._manager: ManagerId | None = None
 
     def run(self) -> None:
         """Work until asked to end by a signal or by the end of the lifeline.
@@ -241,6 +199,9 @@ class Agent:
                 self._waker.wake,
             )
             heartbeats.begin_again(self._agents_before)
+            self._managed = Managed(
+                self._fence, self._supervisor, heartbeats, self._say
+            )
             go_first()
             try:
                 sampler.start()
@@ -327,7 +288,7 @@ class Agent:
             answer(query, Refused(f"{older}{wanted.generation}"))
         else:
             self._supervisor.take(request)
-            self._note_told()
+            self._managed.note_told()
             self._checkpoints.keep_only(request)
             answer(query, Accepted())
 
@@ -339,54 +300,21 @@ class Agent:
         return Accepted()
 
     def _serve(self, publisher: zenoh.Publisher) -> None:
-        report_at, reported = 0.0, (0, _states(self._status()))
+        reports = StatusReports(publisher.put, self._clock, self._status())
         while not self._stopping:
-            self._wait(report_at)
+            self._wait(reports.due)
             for request, query in self._requests.take():
                 self._attend(request, query)
             self._keep_state()
             while self._silences:
                 self._supervisor.note_silence(self._silences.popleft())
-            self._say_manager()
-            self._note_cut_off()
+            self._managed.look()
             self._relay.give_up(self._clock.now())
             self._adoption.give_up()
             self._supervisor.reconcile()
             for process in self._supervisor.processes.values():
                 process.tell_clocks(self._clocks())
-            status = self._status()
-            # a manager that came waits for it
-            seen = self._fence.arrivals, _states(status)
-            if seen != reported or self._clock.now() >= report_at:
-                publisher.put(msgspec.msgpack.encode(status))
-                report_at, reported = self._clock.now() + REPORT_EVERY, seen
-
-    def _say_manager(self) -> None:
-        before, self._manager = self._manager, self._fence.present_manager()
-        if self._manager == before:
-            return
-        if before is not None:
-            self._say(f"{before} is gone; containers go on")
-        if self._manager is not None:
-            self._say(f"managed by {self._manager}")
-
-    def _note_cut_off(self) -> None:
-        """Make leased components inactive once the lease has ended."""
-        if self._heartbeats.is_cut_off and not self._cut_off:
-            self._cut_off = time.time()
-            self._fence.expire()
-            self._supervisor.is_cut_off = True
-            self._say(
-                "cut off from its manager, which may start movable components "
-                "elsewhere: they are inactive here until it says what runs where"
-            )
-
-    def _note_told(self) -> None:
-        """Do what the manager says, which knows what runs elsewhere."""
-        if self._cut_off:
-            self._cut_off = 0.0
-            self._supervisor.is_cut_off = self._heartbeats.is_cut_off = False
-            self._say("reached by its manager again")
+            reports.note(self._status(), self._fence.arrivals)
 
     def _wait(self, until: float) -> None:
         """Wait for news until some moment [s], and take them in."""
@@ -450,7 +378,7 @@ class Agent:
             faults=supervisor.health.faults(),
             health=supervisor.records(usage),
             clocks=self._clocks(),
-            cut_off=self._cut_off,
+            cut_off=self._managed.cut_off,
             links=self._heartbeats.links(),
         )
 
@@ -470,21 +398,3 @@ class Agent:
             self._supervisor.reconcile()
         for process in self._supervisor.processes.values():
             process.kill()
-
-
-def _states(status: AgentStatus) -> tuple[object, ...]:
-    """Return the part of a status whose change is sent at once."""
-    components = [
-        (component.name, component.state, component.errors)
-        for container in status.containers
-        for component in container.components
-    ]
-    connectors = [
-        (connector.name, connector.ready)
-        for container in status.containers
-        for connector in container.connectors
-    ]
-    health = [(health.name, health.state) for health in status.health]
-    last = status.faults[-1].number if status.faults else 0
-    found = (status.generation, status.token, last, bool(status.cut_off))
-    return (*found, health, components, connectors)

@@ -40,6 +40,7 @@ class CheckpointFiles:
         self._wanted: tuple[tuple[str, int], ...] = ()
         self._sent: dict[tuple[str, int], tuple[int, int]] = {}
         self._ended = threading.Event()
+        self._has_work = threading.Event()
         self._thread = threading.Thread(
             target=self._main, name="checkpoints", daemon=True
         )
@@ -51,6 +52,7 @@ class CheckpointFiles:
     def stop(self) -> None:
         """Send no more."""
         self._ended.set()
+        self._has_work.set()
         if self._thread.is_alive():
             self._thread.join(_JOIN_LIMIT)
 
@@ -61,6 +63,8 @@ class CheckpointFiles:
         for path in set(self._folder.glob("*.checkpoint")) - kept:
             path.unlink(missing_ok=True)
         self._wanted = tuple((c.name, c.epoch) for c in components if c.checkpoint)
+        if self._wanted:
+            self._has_work.set()
 
     def resend(self) -> None:
         """Send all again: there is another manager."""
@@ -73,6 +77,7 @@ class CheckpointFiles:
         os.utime(path, (time.time() - copy.age,) * 2)
 
     def _main(self) -> None:
+        self._has_work.wait()  # most robots have no checkpoints
         while not self._ended.wait(LOOK_EVERY):
             for copy in self._news():
                 try:

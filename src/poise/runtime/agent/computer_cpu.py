@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from poise.runtime.agent.kernel_file import KernelFile
+
 CPU_FILE = "POISE_CPU_FILE"
 """Environment variable of an emulated computer: its cgroup's CPU time; empty: nobody
 counts it. Not set on a real computer, where the kernel counts all."""
@@ -14,18 +16,26 @@ _BUSY = (1, 2, 3, 6, 7)
 """Of a CPU's times in /proc/stat: user, nice, system, and those of interrupts."""
 
 
-def computer_cpu() -> float | None:
-    """Return the CPU time of all programs of this computer so far [s].
+class ComputerCpu:
+    """Reads the CPU time of all programs of this computer."""
 
-    None when nobody counts it: on an emulated computer without a cgroup.
-    """
-    file = os.environ.get(CPU_FILE)
-    try:
-        if file is None:
-            return _of_all(Path("/proc/stat").read_text(encoding="ascii"))
-        return _of_group(Path(file)) if file else None
-    except (OSError, ValueError, IndexError):
-        return None
+    def __init__(self) -> None:
+        path = os.environ.get(CPU_FILE)
+        self._is_group = path is not None
+        self._file = KernelFile(Path(path or "/proc/stat")) if path != "" else None
+
+    def read(self) -> float | None:
+        """Return the CPU time so far [s].
+
+        None when nobody counts it: on an emulated computer without a cgroup.
+        """
+        if self._file is None:
+            return None
+        try:
+            text = self._file.read()
+            return _of_group(text) if self._is_group else _of_all(text)
+        except (OSError, ValueError, IndexError):
+            return None
 
 
 def _of_all(stat: str) -> float:
@@ -33,9 +43,8 @@ def _of_all(stat: str) -> float:
     return sum(int(times[i]) for i in _BUSY) * _TICK
 
 
-def _of_group(file: Path) -> float:
+def _of_group(usage: str) -> float:
     """Return what a cgroup used: version 1 counts in ns, version 2 in us."""
-    text = file.read_text(encoding="ascii")
-    if text.startswith("usage_usec "):
-        return int(text.split()[1]) / 1e6
-    return int(text) / 1e9
+    if usage.startswith("usage_usec "):
+        return int(usage.split()[1]) / 1e6
+    return int(usage) / 1e9

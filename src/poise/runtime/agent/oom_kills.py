@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from pathlib import Path
 
+from poise.runtime.agent.kernel_file import KernelFile
 from poise.units import format_bytes
 
 _LATE = 10.0
@@ -32,7 +33,8 @@ class OomKills:
             group / "memory.oom_control",
             proc / "vmstat",
         ]
-        self._file = next((f for f in counters if _count(f) is not None), None)
+        files = map(KernelFile, counters)
+        self._file = next((f for f in files if _count(f) is not None), None)
         self._limits = group / "memory.max", group / "memory.limit_in_bytes"
         self._seen = (_count(self._file) or 0) if self._file else 0
         self._unclaimed: deque[float] = deque()
@@ -66,9 +68,9 @@ class OomKills:
         return ""
 
 
-def _count(file: Path) -> int | None:
+def _count(file: KernelFile) -> int | None:
     try:
-        lines = file.read_text().splitlines()
+        lines = file.read().splitlines()
     except OSError:
         return None
     counts = (line.split()[1] for line in lines if line.startswith("oom_kill "))

@@ -14,7 +14,7 @@ import msgspec
 from msgspec import Struct, structs
 
 from poise.runtime._calls import PageSampler
-from poise.runtime.agent.computer_cpu import computer_cpu
+from poise.runtime.agent.computer_cpu import ComputerCpu
 from poise.runtime.agent.health import Usage
 from poise.runtime.agent.watchdog import LOOK_EVERY, Silence, Watchdog
 
@@ -26,8 +26,10 @@ millisecond or two, more than all the rest. It is skipped while the container's 
 memory stays the same, but not more than `_ANYWAY` times: what it shares with others may
 have changed."""
 _ANYWAY = 10
+_COMPARED = 5
+"""Every fifth sample looks whether one has grown."""
 _GROWN = 1.1
-"""One container whose resident memory grew by this factor is read at every sample."""
+"""One container whose resident memory grew by this factor is read then."""
 
 
 USAGE_EVERY = 1.0
@@ -70,6 +72,7 @@ class Sampler:
         self._watchdog = Watchdog()
         self._memory: dict[int, _Weight] = {}
         self._own_memory: _Weight | None = None
+        self._computer_cpu = ComputerCpu()
         self._count = 0
         self._rates: dict[str, _Rate] = {}
         self._usage: Usage = {}
@@ -105,7 +108,7 @@ class Sampler:
         now, own = time.monotonic(), time.process_time()
         self._note_usage(now, own, {n: (cpu, m) for n, _, _, cpu, m, *_ in found})
         # an `AgentSample`, whose records are arrays
-        sample = (self._computer, now, own, found, computer_cpu())
+        sample = (self._computer, now, own, found, self._computer_cpu.read())
         return self._encoder.encode(sample)
 
     def _note_usage(
@@ -140,13 +143,15 @@ class Sampler:
         """Read the memory of new and grown containers; of others one after another."""
         self._count = (self._count + 1) % max(1, len(containers) * _SELDOM)
         before, self._memory = self._memory, {}
-        one_grew = False
+        one_grew = self._count % _COMPARED != 0  # or it does not matter now
         for place, (_, pid, page) in enumerate(containers):
-            known, processes = before.get(pid), [pid, *page.commands()]
-            has_grown = known and not one_grew and _has_grown(processes, known)
-            one_grew = one_grew or bool(has_grown)
-            if known is None or has_grown or self._count == place * _SELDOM:
-                known = _weigh(processes, known)
+            known, is_due = before.get(pid), self._count == place * _SELDOM
+            if known is None or is_due or not one_grew:
+                processes = [pid, *page.commands()]
+                has_grown = known is not None and _has_grown(processes, known)
+                one_grew = one_grew or has_grown
+                if known is None or is_due or has_grown:
+                    known = _weigh(processes, known)
             self._memory[pid] = known
 
 
