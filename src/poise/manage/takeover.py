@@ -38,8 +38,9 @@ def start_or_take_over(run: Run, *, is_rule: bool = False, by_force: bool) -> No
     """
     began = time.monotonic()
     before = [status.manager for status in run.agents.statuses().values()]
+    claimed = run.computers()
     try:
-        deployments = run.agents.claim(run.computers(), take_over=by_force)
+        deployments = run.agents.claim(claimed, take_over=by_force)
     except RunError as error:
         run.leave()
         hint = "; `poise up --take-over` takes the robot over"
@@ -48,7 +49,8 @@ def start_or_take_over(run: Run, *, is_rule: bool = False, by_force: bool) -> No
     if not found:
         run.start_all()
         return
-    run.excused |= run.agents.out_of_reach().keys()
+    # what comes back from now on is claimed and told then
+    run.excused |= {computer.name for computer in run.robot.computers} - claimed
     said = next((f" of {manager}" for manager in before if manager), "")
     run.journal.note("seen", f"the robot{said} runs: taking over")
     planned = run.placement()
@@ -63,7 +65,7 @@ def start_or_take_over(run: Run, *, is_rule: bool = False, by_force: bool) -> No
     )
     run.adopt(adoption.kept, _last_epochs(found))
     _note(run, adoption)
-    run.tell(run.placed.values())
+    _tell(run)
     for sentence in run.unreached().values():
         run.journal.note("wrong", sentence)
     seconds = time.monotonic() - began
@@ -136,7 +138,18 @@ def _start(run: Run, adoption: Adoption, found: Sequence[Found]) -> None:
     except RunError as error:
         run.journal.note("failed", f"not all that is missing started: {error}")
     run.placed |= {each.component: each for each in starts}
-    run.tell(run.placed.values())
+    _tell(run)
+
+
+def _tell(run: Run) -> None:
+    """Tell agents what should run; one that is lost meanwhile is told when it is back.
+
+    Nothing of a robot at work ends because one of its agents cannot be told.
+    """
+    try:
+        run.tell(run.placed.values(), run.computers() - run.excused)
+    except RunError as error:
+        run.journal.note("failed", f"not all agents know yet what should run: {error}")
 
 
 def _move(run: Run, wanted: Mapping[str, str]) -> None:
