@@ -94,7 +94,9 @@ def _holds(placed: poise.Placement, chosen: str) -> bool:
 
 def main() -> int:
     """Print the regret, as JSON with ``--json``; return 1 when a goal is missed."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(
+        "python -m benchmarks.learning", description=__doc__
+    )
     parser.add_argument("--seeds", type=int, default=400, help="how many robots")
     parser.add_argument("--json", action="store_true", help="print JSON")
     options = parser.parse_args()

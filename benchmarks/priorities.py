@@ -70,7 +70,9 @@ def deadlines_met(priority: int, seconds: float, folder: Path) -> Mapping[str, f
 
 def main() -> None:
     """Print the shares with and without priorities."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(
+        "python -m benchmarks.priorities", description=__doc__
+    )
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=10.0)
     options = parser.parse_args()

@@ -160,7 +160,7 @@ def test_a_lack_of_file_descriptors_is_told_until_it_is_over(
     told = f"on 'small' {who} accepts no connection for now: [Errno 24] Too many open"
     shown = " ".join(done.stdout.split())
     assert told in shown
-    assert f"Process {short} may open 4 files: raise that where" in shown
+    assert f"Process {short} may open 8 files: raise that where" in shown
     wait_long(lambda: not status().deviations)
     assert pid() == container
     wrong, right = journal(up)
