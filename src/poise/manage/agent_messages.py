@@ -8,6 +8,7 @@ import socket
 import time
 import uuid
 from collections.abc import Callable
+from pathlib import Path
 from queue import SimpleQueue
 from typing import TypeVar
 
@@ -41,6 +42,12 @@ def manager_id() -> ManagerId:
         pid=os.getpid(),
         since=time.time(),
     )
+
+
+def has_ended(manager: ManagerId) -> bool:
+    """Return whether a manager of this computer has ended; False where unknown."""
+    is_here = manager.host == socket.gethostname()
+    return is_here and not Path(f"/proc/{manager.pid}").exists()
 
 
 def reading(

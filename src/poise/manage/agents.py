@@ -11,6 +11,8 @@ from poise.endpoint import Endpoint
 from poise.errors import RunError
 from poise.manage.agent_heartbeats import AgentHeartbeats
 from poise.manage.agent_messages import (
+    AgentAnswer,
+    has_ended,
     manager_id,
     reading,
 )
@@ -47,6 +49,8 @@ from poise.wire.records.requests import (
 from poise.wire.records.samples import AgentSample
 from poise.wire.records.status import AgentStatus
 
+_LATE = LEASE + 1.0
+"""An agent that was cut off knows within this time that its manager ended [s]."""
 MARGIN = 0.1
 """An agent's answer to migration steps may come this much after their limit [s]."""
 _PROBE_LIMIT = 0.1
@@ -226,15 +230,7 @@ class Agents(AgentReports):
         """
         deployments = {}
         for computer in sorted(computers):
-            known = self._statuses[computer].token, self._tokens.get(computer, 0)
-            token = max(known) + 1
-            self._tokens[computer] = token
-            claim = Claim(self.manager, take_over, self._agents)
-            answers, refusals = self._requests.send({computer: claim})
-            if refusals:
-                raise RunError(refusals[computer])
-            self._claimed[computer] = token
-            answer = answers[computer]
+            answer = self._claim(computer, take_over=take_over)
             if isinstance(answer, Claimed) and answer.deployment is not None:
                 deployments[computer] = answer.deployment
             self.wait_news(
@@ -244,6 +240,23 @@ class Agents(AgentReports):
         if self._agents:
             self._heartbeats.start()
         return deployments
+
+    def _claim(self, computer: str, *, take_over: bool) -> AgentAnswer:
+        """Claim an agent; one that was cut off learns late that its manager ended."""
+        before = self._statuses[computer].manager
+        is_late = bool(self._claimed) or (before is not None and has_ended(before))
+        until = self._clock.now() + (_LATE if is_late else 0.0)
+        while True:
+            known = self._statuses[computer].token, self._tokens.get(computer, 0)
+            token = self._tokens[computer] = max(known) + 1
+            claim = Claim(self.manager, take_over, self._agents)
+            answers, refusals = self._requests.send({computer: claim})
+            if not refusals:
+                self._claimed[computer] = token
+                return answers[computer]
+            if self._clock.now() >= until:
+                raise RunError(refusals[computer])
+            self._clock.sleep(LOOK_EVERY)
 
     def heard_by(self, computer: str) -> str:
         """Return a computer that still hears one out of reach; empty when none does."""

@@ -34,23 +34,20 @@ def start_or_take_over(run: Run, *, is_rule: bool = False, by_force: bool) -> No
     Raises
     ------
     RunError
-        Another manager is at work; or nothing ran, and it cannot start.
+        Another manager is at work; or nothing ran, and it cannot start. A robot that
+        is at work goes on.
     """
     began = time.monotonic()
     before = [status.manager for status in run.agents.statuses().values()]
-    claimed = run.computers()
-    try:
-        deployments = run.agents.claim(claimed, take_over=by_force)
-    except RunError as error:
-        run.leave()
-        hint = "; `poise up --take-over` takes the robot over"
-        raise RunError(f"{error}{hint}") from error
+    deployments, unclaimed = _claim(run, by_force=by_force)
     found = found_in(deployments)
     if not found:
+        if unclaimed:
+            raise RunError("; ".join(unclaimed.values()))
         run.start_all()
         return
     # what comes back from now on is claimed and told then
-    run.excused |= {computer.name for computer in run.robot.computers} - claimed
+    run.excused |= unclaimed.keys() | run.agents.out_of_reach().keys()
     said = next((f" of {manager}" for manager in before if manager), "")
     run.journal.note("seen", f"the robot{said} runs: taking over")
     planned = run.placement()
@@ -66,7 +63,7 @@ def start_or_take_over(run: Run, *, is_rule: bool = False, by_force: bool) -> No
     run.adopt(adoption.kept, _last_epochs(found))
     _note(run, adoption)
     _tell(run)
-    for sentence in run.unreached().values():
+    for sentence in (unclaimed | run.unreached()).values():
         run.journal.note("wrong", sentence)
     seconds = time.monotonic() - began
     run.journal.note("done", "took over", placement=run.placement(), seconds=seconds)
@@ -124,7 +121,8 @@ def _start(run: Run, adoption: Adoption, found: Sequence[Found]) -> None:
         for name, computer in adoption.starts.items()
     ]
     # what is out of reach starts elsewhere, if it may, or once it is reached
-    new = [each for each in starts if each.computer in run.computers()]
+    told = run.computers() - run.excused
+    new = [each for each in starts if each.computer in told]
     if not starts:
         return
     try:
@@ -139,6 +137,28 @@ def _start(run: Run, adoption: Adoption, found: Sequence[Found]) -> None:
         run.journal.note("failed", f"not all that is missing started: {error}")
     run.placed |= {each.component: each for each in starts}
     _tell(run)
+
+
+def _claim(run: Run, *, by_force: bool) -> tuple[dict[str, Deployment], dict[str, str]]:
+    """Return what the agents work towards, and why some were not claimed.
+
+    Those are claimed once they answer.
+    """
+    deployments: dict[str, Deployment] = {}
+    unclaimed: dict[str, str] = {}
+    computers = sorted(run.computers())
+    for computer in computers:
+        try:
+            deployments |= run.agents.claim({computer}, take_over=by_force)
+        except RunError as error:
+            unclaimed[computer] = str(error)
+            if computer == computers[0] and computer in run.computers():
+                break  # another manager has the robot
+    if computers and computers[0] in unclaimed and not deployments:
+        run.leave()
+        hint = "`poise up --take-over` takes the robot over"
+        raise RunError(f"{unclaimed[computers[0]]}; {hint}")
+    return deployments, unclaimed
 
 
 def _tell(run: Run) -> None:
