@@ -64,8 +64,13 @@ def robot_with(high: int = 10, low: int = 1, layer: str = "sequencing") -> Robot
 class Robbed:
     """A robot that runs, and what is put aside of it."""
 
-    def __init__(self, robot: Robot, placement: Mapping[str, str] = BOTH) -> None:
-        self.agents = FakeAgents("left")
+    def __init__(
+        self,
+        robot: Robot,
+        placement: Mapping[str, str] = BOTH,
+        agents: FakeAgents | None = None,
+    ) -> None:
+        self.agents = agents or FakeAgents("left")
         self.journal = Journal(":memory:")
         agents = cast("Agents", self.agents)
         self.run = Run(robot, placement, agents, self.journal, "/run")

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 
 from poise.errors import RunError, UsageError
 from poise.manage.adaptation.admission import check_move
+from poise.manage.adaptation.crash_loops import CrashLoops, components_in
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.move_limits import MoveLimits
 from poise.manage.adaptation.policies import Symptom
@@ -39,6 +40,7 @@ class Actions:
             "move": self._move,
             "replace": self._replace,
             "restart": self._restart,
+            "restart elsewhere": CrashLoops(run, put_aside, limits).restart_elsewhere,
             "put aside": self._put,
         }
 
@@ -92,12 +94,7 @@ class Actions:
     def _restart(self, symptom: Symptom, facts: Facts, _now: float) -> None:
         run = self._run
         if symptom.policy.for_each == "container":
-            components = [
-                name
-                for name, computer in facts.placement.items()
-                if computer == symptom.computer
-                and run.layout.container_of(name) == symptom.values.name
-            ]
+            components = components_in(run, symptom)
         else:
             components = [_component(symptom)]
         steps = []

@@ -144,6 +144,8 @@ class Adaptation:
             Nothing fits, or there is no way to what does.
         """
         facts = self._facts().within_reach()
+        if not dry:
+            self._put_aside.forgive()
         robot = replace(facts.robot, computers=facts.computers_left())
         proposal = propose(
             robot, facts.task, facts.placement, facts.demand_estimates, move
@@ -193,7 +195,7 @@ class Adaptation:
             self._put_aside.put(found.aside, why, now)
         if found.placement:
             note("decided", _sentence(found.placement), placement=found.placement)
-            if start_together(self._run, found.placement):
+            if start_together(self._run, found.placement, lost):
                 self._failover_limits.forget_nothing()
             else:
                 self._failover_limits.note_nothing(now)

@@ -13,14 +13,14 @@ from itertools import groupby, islice, product
 
 from msgspec import Struct
 
-from poise.errors import RobotError, UsageError
+from poise.errors import UsageError
+from poise.estimate.profile.code_version import version_of
 from poise.manage.adaptation.facts import Facts
-from poise.manage.adaptation.room import placed_beside
+from poise.manage.adaptation.room import room_for
 from poise.manage.migration.transition import TransitionStep
 from poise.manage.migration.transition_run import start_together, transit
 from poise.manage.observe.deviations import Deviation
 from poise.manage.run import Run
-from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Architecture, Robot
 from poise.units import quoted
 
@@ -67,6 +67,8 @@ class PutAside:
         self._why = why
         self._known: dict[str, _Aside] = {}
         self._stays: dict[str, tuple[float, float]] = {}
+        self._crashed: dict[str, str] = {}
+        self._look_at_code = 0.0
         self._try_at = 0.0
         self._try_again = _TRY_AGAIN
         self._lost: frozenset[str] = frozenset()
@@ -148,6 +150,17 @@ class PutAside:
             self._stay(name, now, first=FIRST)
             self._add(name, why)
 
+    def bar(self, name: str) -> None:
+        """Take an architecture that crashes back only with other code, or `forgive`."""
+        architecture = _architecture(self._run.robot, name)
+        self._crashed[name] = self._code_of(architecture)
+
+    def forgive(self) -> None:
+        """Take back what fits at once, also what crashed: a person asked for it."""
+        self._crashed.clear()
+        self._stays.clear()
+        self._try_at = 0.0
+
     def look(self) -> None:
         """Note what does not run, and what runs again."""
         aside = {each.name: each.function for each in self._aside()}
@@ -193,6 +206,7 @@ class PutAside:
             self._calm_since = now if is_calm else None
         if self._calm_since is None or now - self._calm_since < CALM:
             return False
+        self._forgive_mended(now)
         due = [a for a in self._aside() if self._is_due(a.name, now)]
         if not due or now < self._try_at:
             return False
@@ -200,7 +214,8 @@ class PutAside:
         if not choices:
             return False
         for architectures in choices:
-            if where := _room_for(facts, architectures):
+            names = {c.name for a in architectures for c in a.components}
+            if where := room_for(facts, names):
                 return self._start(architectures, where, now)
         self._try_at = now + self._try_again
         self._try_again = min(2 * self._try_again, LONGEST)
@@ -254,7 +269,25 @@ class PutAside:
         self._stays[name] = now + (first if is_first else stay), stay
 
     def _is_due(self, name: str, now: float) -> bool:
-        return now >= self._stays.get(name, (now, 0.0))[0]
+        is_over = now >= self._stays.get(name, (now, 0.0))[0]
+        return is_over and name not in self._crashed
+
+    def _forgive_mended(self, now: float) -> None:
+        """Look, now and then, whether the code of what crashed is another."""
+        if now < self._look_at_code:
+            return
+        self._look_at_code = now + _TRY_AGAIN
+        for name, code in list(self._crashed.items()):
+            if self._code_of(_architecture(self._run.robot, name)) != code:
+                del self._crashed[name]
+                self._try_at = 0.0
+                what = f"the code of architecture '{name}' has changed"
+                self._run.journal.note("seen", what)
+
+    def _code_of(self, architecture: Architecture) -> str:
+        robot = self._run.robot
+        folders = robot.folder, *robot.repository
+        return " ".join(version_of(c, *folders) for c in architecture.components)
 
     def _aside(self) -> list[Architecture]:
         return not_running(self._run.robot, self._task, self._run.placed)
@@ -286,25 +319,6 @@ def not_running(robot: Robot, task: str, placed: Iterable[str]) -> list[Architec
         ),
         key=lambda a: (-a.priority, -a.quality),
     )
-
-
-def _room_for(facts: Facts, architectures: Iterable[Architecture]) -> Mapping[str, str]:
-    """Return where their components fit beside what runs; empty: they do not."""
-    allowed = allowed_computers(facts.robot)
-    homes: dict[str, tuple[str, ...]] = {
-        n: (at,) for n, at in facts.placement.items() if at not in facts.lost
-    }
-    names = {c.name for a in architectures for c in a.components}
-    for name in names:
-        choices = tuple(sorted(allowed[name] - facts.lost))
-        if not choices:
-            return {}
-        homes[name] = choices
-    try:
-        result = placed_beside(facts, homes, is_cautious=True)
-    except RobotError:
-        return {}
-    return {n: at for n, at in result.placement.items() if n in names}
 
 
 def _architecture(robot: Robot, name: str) -> Architecture:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from msgspec.structs import replace
 
 from poise import plan
+from poise.errors import RobotError
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.replan import SOLVE_FOR, with_present_demands
+from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import ComponentEntry, Robot
 
 Homes = Mapping[str, tuple[str, ...]]
@@ -42,6 +44,31 @@ def placed_beside(
     )
     problem = replace(problem, architectures=bundles)
     return plan.solve(problem, budget=SOLVE_FOR, fewer=fewer)
+
+
+def room_for(
+    facts: Facts, components: Collection[str], not_on: Collection[str] = ()
+) -> Mapping[str, str]:
+    """Return where components fit beside all others; empty: they do not.
+
+    Parameters
+    ----------
+    not_on
+        Computers where they must not be.
+    """
+    allowed = allowed_computers(facts.robot)
+    homes: dict[str, tuple[str, ...]] = {
+        n: (at,) for n, at in facts.placement.items() if at not in facts.lost
+    }
+    for name in components:
+        homes[name] = tuple(sorted(allowed[name] - facts.lost - set(not_on)))
+        if not homes[name]:
+            return {}
+    try:
+        result = placed_beside(facts, homes, is_cautious=True)
+    except RobotError:
+        return {}
+    return {n: at for n, at in result.placement.items() if n in components}
 
 
 def _what_is_left(facts: Facts, homes: Homes, *, is_cautious: bool) -> Robot:

@@ -41,11 +41,18 @@ class TransitionReport(Struct, frozen=True, kw_only=True):
     moves: tuple[MoveReport, ...] = ()
 
 
-def start_together(run: Run, placement: Mapping[str, str]) -> bool:
+def start_together(
+    run: Run, placement: Mapping[str, str], lost: Collection[str] = ()
+) -> bool:
     """Start components from their checkpoints; return whether they work.
 
-    Without a checkpoint they start without state. What is left of them where they ran,
-    which is out of reach, is ended once that is back.
+    Without a checkpoint they start without state. What is left of them where they ran
+    is ended before; on a computer that is out of reach, once that is back.
+
+    Parameters
+    ----------
+    lost
+        The computers that are out of reach.
     """
     new = [
         structs.replace(
@@ -57,13 +64,16 @@ def start_together(run: Run, placement: Mapping[str, str]) -> bool:
     ]
     new = [_with_checkpoint(run, each) for each in new]
     old = [run.placed[name] for name in placement.keys() & run.placed.keys()]
-    lost = {each.computer for each in old}
+    lost = {each.computer for each in old}.intersection(lost)
     others = [each for name, each in run.placed.items() if name not in placement]
     prepared = [each.with_goal("inactive") for each in new]
     try:
         # one of the lost that comes back meanwhile must keep what it has
         run.tell([*others, *prepared], run.computers() - lost)
         run.wait(prepared, READY_LIMIT)
+        for each in old:
+            if each.computer not in lost:
+                run.wait_ended(each)
         _revoke_leases(run, lost)
     except RunError as error:
         run.journal.note("failed", f"components did not start: {error}")

@@ -11,7 +11,14 @@ from poise.model.file_keys import Name, Reference, Seconds, says, written
 from poise.model.policy.values import SUBJECTS, Subject
 
 Do: TypeAlias = Literal[
-    "replan", "fail over", "move", "replace", "restart", "put aside", "notify"
+    "replan",
+    "fail over",
+    "move",
+    "replace",
+    "restart",
+    "restart elsewhere",
+    "put aside",
+    "notify",
 ]
 
 ACTIONS: Mapping[Do, tuple[Subject, ...]] = {
@@ -20,6 +27,7 @@ ACTIONS: Mapping[Do, tuple[Subject, ...]] = {
     "move": ("component", "timer"),
     "replace": ("component", "container", "timer"),
     "restart": ("component", "container"),
+    "restart elsewhere": ("container",),
     "put aside": ("component", "container", "timer", "computer"),
     "notify": tuple(SUBJECTS),
 }

@@ -79,10 +79,10 @@ class HealthRecords:
 
     def forget(self, container: str) -> None:
         """Record that a container is not wanted any more; its faults are kept."""
+        self._restarts.pop(container, None)
         known = self._of.get(container)
         if known is not None and known.last_fault is None:
             del self._of[container]
-            self._restarts.pop(container, None)
         elif known is not None:
             self.enter(container, "stopped")
 
