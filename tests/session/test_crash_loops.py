@@ -20,14 +20,21 @@ import os
 from poise import Component, every
 
 class Worker(Component):
+    count = 0
+
     @every(0.05)
     def tick(self):
+        self.count += 1
+        here = os.readlink("/proc/self/ns/net")
         path = os.path.join(self.parameters["folder"], self.name)
-        with open(path + ".log", "a") as file:
-            file.write(f"{os.getpid()}\\n")
-        at = os.environ["POISE_COMPUTER"] if "POISE_COMPUTER" in os.environ else ""
-        if os.path.exists(path + ".crash") and not os.path.exists("/proc/self/never"):
-            os._exit(3)
+        with open(path + ".new", "w") as file:
+            file.write(f"{self.count} {os.getpid()} {here}")
+        os.replace(path + ".new", path)
+        if os.path.exists(path + ".crash"):
+            with open(path + ".crash") as file:
+                where = file.read()
+            if where in (here, "everywhere"):
+                os._exit(3)
 """
 FILE = """
 robot: {name}
@@ -48,3 +55,78 @@ architectures:
 tasks:
   work: {{actions: [{{name: work, functions: [shake, stand]}}]}}
 """
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    (tmp_path / "workers_of_test.py").write_text(CODE)
+    text = FILE.format(name=f"crashes-{os.getpid()}", folder=tmp_path)
+    (tmp_path / "robot.yaml").write_text(text)
+    return tmp_path / "robot.yaml"
+
+
+@pytest.fixture
+def emulated(file: Path) -> Iterator[EmulatedSet]:
+    if reasons := look().without_network():
+        pytest.skip("; ".join(reasons))
+    with poise.emulated(poise.load(file), say=print) as emulated:
+        yield emulated
+
+
+class Worker:
+    """What a component says of itself, and where it is to crash."""
+
+    def __init__(self, file: Path, name: str) -> None:
+        self._path = file.parent / name
+
+    def now(self) -> tuple[int, str, str]:
+        """Return its count, its process and its computer's network."""
+        try:
+            count, pid, network = self._path.read_text().split()
+        except FileNotFoundError:
+            return 0, "", ""
+        return int(count), pid, network
+
+    def crash(self, where: str) -> None:
+        """Let it crash on a computer, or everywhere, or nowhere (empty)."""
+        new = self._path.with_suffix(".next")
+        new.write_text(where)
+        new.replace(self._path.with_suffix(".crash"))
+
+    def wait_more(self) -> None:
+        before = self.now()[0]
+        wait_long(lambda: self.now()[0] > before + 20)
+
+
+def test_it_runs_on_the_other_computer_and_is_put_aside_when_it_crashes_there(
+    emulated: EmulatedSet, file: Path
+) -> None:
+    shaky, steady = Worker(file, "shaky"), Worker(file, "steady")
+    with robot_up(file):
+        robot = poise.connect(emulated.robot)
+        steady.wait_more()
+        _, neighbour, _ = steady.now()
+        shaky.wait_more()
+        _, _, network = shaky.now()
+        first = robot.status().placement["shaky"]
+
+        shaky.crash(network)
+        wait_long(lambda: robot.status().placement.get("shaky", first) != first)
+        wait_long(lambda: shaky.now()[0] > 20 and shaky.now()[2] != network)
+
+        shaky.crash("everywhere")
+        wait_long(lambda: "shaky" not in robot.status().placement)
+        done = run_poise("status", "--robot", emulated.robot)
+        assert done.returncode == 1
+        said = " ".join(done.stdout.split())
+        assert "architecture 'shaky' is put aside: container 'shaky' crashes" in said
+        assert "exit code 3" in said
+        steady.wait_more()
+        assert steady.now()[1] == neighbour
+
+        shaky.crash("")
+        done = run_poise("balance", "--robot", emulated.robot)
+        assert done.returncode == 0, done.stderr
+        wait_long(lambda: "shaky" in robot.status().placement)
+        wait_long(lambda: shaky.now()[0] > 20)
+        assert steady.now()[1] == neighbour
