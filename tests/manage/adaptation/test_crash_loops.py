@@ -13,7 +13,6 @@ from poise.manage.adaptation.put_aside import CALM
 from poise.model.robot import Computer, Robot
 from poise.wire.records.status import AgentStatus, ContainerHealth, Fault
 from tests.manage.adaptation.test_put_aside import HIGH, Robbed, robot_with
-from tests.manage.conftest import FakeAgents
 
 SPECS = {"cpu": 1.0, "memory": 1e9}
 
@@ -29,7 +28,7 @@ class Crashing(Robbed):
             computers=tuple(Computer(name=n, capacity=SPECS) for n in names),
             architectures=free,
         )
-        super().__init__(robot, agents=FakeAgents(*names))
+        super().__init__(robot, computers=names)
         self.crashing: set[str] = {"left"}
         self.now = 0.0
         self.loop = Adaptation(

@@ -68,9 +68,9 @@ class Robbed:
         self,
         robot: Robot,
         placement: Mapping[str, str] = BOTH,
-        agents: FakeAgents | None = None,
+        computers: tuple[str, ...] = ("left",),
     ) -> None:
-        self.agents = agents or FakeAgents("left")
+        self.agents = FakeAgents(*computers)
         self.journal = Journal(":memory:")
         agents = cast("Agents", self.agents)
         self.run = Run(robot, placement, agents, self.journal, "/run")
