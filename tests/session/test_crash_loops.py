@@ -17,7 +17,10 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(LONG)]
 
 CODE = """
 import os
-from poise import Component, every
+from poise import Component, Message, every
+
+class Counted(Message):
+    count: int
 
 class Worker(Component):
     count = 0
@@ -35,6 +38,12 @@ class Worker(Component):
                 where = file.read()
             if where in (here, "everywhere"):
                 os._exit(3)
+
+    def snapshot(self):
+        return Counted(self.count)
+
+    def restore(self, state: Counted):
+        self.count = state.count
 """
 FILE = """
 robot: {name}
@@ -46,7 +55,7 @@ architectures:
     function: shake
     components:
       shaky: {{implementation: "workers_of_test:Worker", cpu: 5%, memory: 30 MiB,
-              parameters: {{folder: "{folder}"}}}}
+              checkpoint: 300 ms, parameters: {{folder: "{folder}"}}}}
   steady:
     function: stand
     components:
@@ -106,13 +115,15 @@ def test_it_runs_on_the_other_computer_and_is_put_aside_when_it_crashes_there(
         robot = poise.connect(emulated.robot)
         steady.wait_more()
         _, neighbour, _ = steady.now()
-        shaky.wait_more()
+        wait_long(lambda: shaky.now()[0] > 100)
         _, _, network = shaky.now()
         first = robot.status().placement["shaky"]
 
         shaky.crash(network)
         wait_long(lambda: robot.status().placement.get("shaky", first) != first)
-        wait_long(lambda: shaky.now()[0] > 20 and shaky.now()[2] != network)
+        wait_long(lambda: shaky.now()[2] != network)
+        assert shaky.now()[0] > 50  # it goes on from its checkpoint
+        shaky.wait_more()
 
         shaky.crash("everywhere")
         wait_long(lambda: "shaky" not in robot.status().placement)

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.put_aside import CALM
-from poise.model.robot import Computer, Robot
+from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
 from poise.wire.records.status import AgentStatus, ContainerHealth, Fault
 from tests.manage.adaptation.test_put_aside import HIGH, Robbed, robot_with
 
@@ -109,6 +109,23 @@ def test_it_is_taken_back_when_its_code_has_changed(tmp_path: Path) -> None:
     (tmp_path / "a.py").write_text("B = 2")
     robbed.look(2, 10.0)
     assert robbed.run.placement().keys() == {"high", "low"}
+
+
+def test_an_alternative_takes_its_place() -> None:
+    robot = robot_with()
+    spare = Architecture(
+        name="spare-task",
+        function="low",
+        components=(
+            ComponentEntry(name="spare", implementation="a:B", demand={"cpu": 0.4}),
+        ),
+    )
+    robbed = Crashing(replace(robot, architectures=(*robot.architectures, spare)))
+    robbed.crashing = {"left", "right"}
+    robbed.look(2)
+    assert robbed.run.placement() == HIGH
+    robbed.look(3, CALM)
+    assert robbed.run.placement().keys() == {"high", "spare"}
 
 
 def test_where_there_is_no_other_computer_it_is_put_aside() -> None:

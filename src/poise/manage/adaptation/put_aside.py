@@ -156,7 +156,10 @@ class PutAside:
         self._crashed[name] = self._code_of(architecture)
 
     def forgive(self) -> None:
-        """Take back what fits at once, also what crashed: a person asked for it."""
+        """Take back soon what fits, also what crashed: a person asked for it."""
+        for name in self._crashed:
+            what = f"architecture '{name}' may start again, though it crashed"
+            self._run.journal.note("decided", what)
         self._crashed.clear()
         self._stays.clear()
         self._try_at = 0.0
