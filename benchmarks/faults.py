@@ -20,7 +20,6 @@ from pathlib import Path
 from statistics import median
 
 import poise
-from poise.wire.records.status import AgentStatus
 
 CODE = """
 import os, time
@@ -108,9 +107,13 @@ class Watched:
         _, active, restored = self.said(component, "active")
         return active - began, began - restored
 
-    def agent(self) -> AgentStatus:
-        """Return what the agent reported last."""
-        return self.robot.status().computers["only"]
+    def agent(self) -> int:
+        """Return the process of the agent that reported last."""
+        return self.robot.status().computers["only"].pid
+
+    def containers(self) -> set[int]:
+        """Return the processes of the containers that the agent reported last."""
+        return {each.pid for each in self.robot.status().computers["only"].containers}
 
 
 def wait(holds: Callable[[], object]) -> None:
@@ -162,16 +165,15 @@ def kills(rounds: int) -> Iterator[tuple[str, float]]:
         yield "container killed, active again: median [s]", median(back)
         yield f"container killed, active again: longest of {len(back)} [s]", max(back)
         yield f"age of a restored state: oldest of {len(ages)} [s]", max(ages)
-        pids = {each.pid for each in watched.agent().containers}
-        before = watched.agent().pid
+        pids, before = watched.containers(), watched.agent()
         began = time.monotonic()
         os.kill(before, signal.SIGKILL)
 
         def is_managed() -> bool:
-            agent = watched.agent()
-            there = {each.pid for each in agent.containers}
             out = watched.robot.status().out_of_reach
-            return agent.pid != before and pids <= there and not out
+            return (
+                watched.agent() != before and pids <= watched.containers() and not out
+            )
 
         wait(is_managed)
         yield "agent killed, its containers managed again [s]", time.monotonic() - began
@@ -188,7 +190,7 @@ def cost(size: int, checkpoint: str, seconds: float) -> tuple[float, float, floa
     with up({"kept": (size, checkpoint)}) as watched:
         time.sleep(2.0)
         container = watched.said("kept", "active")[0]
-        others = watched.agent().pid, watched.robot.status().manager.pid
+        others = watched.agent(), watched.robot.status().manager.pid
         before = cpu_time(container), sum(map(cpu_time, others))
         time.sleep(seconds)
         after = cpu_time(container), sum(map(cpu_time, others))

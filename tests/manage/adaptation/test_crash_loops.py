@@ -79,13 +79,25 @@ def test_what_crashes_everywhere_is_put_aside_and_stays_so() -> None:
     (deviation,) = robbed.aside.deviations()
     assert deviation.what == (
         "architecture 'low-task' is put aside: container 'low-task' crashes again and "
-        "again on 'left' and 'right': it ended with exit code 3; it is taken back when "
-        "its code has changed, or by `poise balance`"
+        "again on 'left' and 'right' (the last time: ended with exit code 3); it is "
+        "taken back when its code has changed, or by `poise balance`"
     )
     assert robbed.wrong()[-1] == deviation.what
     robbed.crashing = set()
     robbed.look(1000, 10.0)
     assert robbed.run.placement() == HIGH
+
+
+def test_what_could_not_be_tried_elsewhere_is_not_held_to_crash_there() -> None:
+    robbed = Crashing(robot_with())
+    robbed.agents.lose_when_told = "right"
+    robbed.look()
+    assert "'right' is out of reach meanwhile" in robbed.wrong()[-1]
+    assert robbed.run.placement() == {"high": "left", "low": "left"}
+    robbed.agents.lose_when_told = ""
+    robbed.agents.gone.clear()
+    robbed.look(2, 60.0)
+    assert robbed.run.placement() == {"high": "left", "low": "right"}
 
 
 def test_it_is_taken_back_when_a_person_asks() -> None:

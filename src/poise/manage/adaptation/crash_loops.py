@@ -38,7 +38,8 @@ class CrashLoops:
         Raises
         ------
         RunError
-            A component of it is pinned, or all of them are gone meanwhile.
+            A component of it is pinned; or a computer was lost, or all of its
+            components have gone meanwhile.
         """
         run, container = self._run, symptom.values.name
         names = components_in(run, symptom)
@@ -58,6 +59,9 @@ class CrashLoops:
             self._limits.note(_steps(facts, where), now)
             if start_together(run, where, facts.lost):
                 return
+            if lost := set(where.values()) - run.computers():
+                away = " and ".join(f"'{name}'" for name in sorted(lost))
+                raise RunError(f"{away} is out of reach meanwhile")
             crashed |= dict.fromkeys(where.values(), now)
         del self._crashed[container]
         self._put(names, symptom, facts, sorted(crashed), now)
@@ -76,7 +80,7 @@ class CrashLoops:
         health = facts.statuses[symptom.computer].health
         fault = next((h.last_fault for h in health if h.name == container), None)
         way_out = "it is taken back when its code has changed, or by `poise balance`"
-        said = f": it {fault.message}" if fault else ""
+        said = f" (the last time: {fault.message})" if fault else ""
         why = f"container '{container}' crashes again and again on {computers}{said}"
         (architecture,) = (
             a
