@@ -170,10 +170,11 @@ def kills(rounds: int) -> Iterator[tuple[str, float]]:
         os.kill(before, signal.SIGKILL)
 
         def is_managed() -> bool:
-            out = watched.robot.status().out_of_reach
-            return (
-                watched.agent() != before and pids <= watched.containers() and not out
-            )
+            status = watched.robot.status()
+            agent = status.computers.get("only")
+            if agent is None or agent.pid == before or status.out_of_reach:
+                return False
+            return pids <= {each.pid for each in agent.containers}
 
         wait(is_managed)
         yield "agent killed, its containers managed again [s]", time.monotonic() - began
