@@ -348,6 +348,6 @@ def test_a_second_manager_is_refused_until_the_first_is_gone(
     up.process.kill()
     up.process.wait(LONG)
     third = Up(field, other)
-    third.wait_for("an earlier manager left containers")
+    third.wait_for("runs: taking over")
     third.wait_for("is up with task")
     assert third.end() == 128 + 15

@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks.priorities import deadlines_met
 from poise.emulate.computer import CPU_GROUP, EmulatedComputer
+from tests.busy import needs_quiet_machine
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("cpu")]
 
@@ -18,7 +19,8 @@ def test_without_priorities_both_miss_their_deadlines(tmp_path: Path) -> None:
 
 
 def test_the_higher_priority_keeps_its_rate(tmp_path: Path) -> None:
-    assert deadlines_met(10, 3.0, tmp_path)["important"] > 0.8
+    with needs_quiet_machine():
+        assert deadlines_met(10, 3.0, tmp_path)["important"] > 0.8
 
 
 def test_it_does_by_nice_values_where_there_are_no_cgroups(
@@ -30,4 +32,5 @@ def test_it_does_by_nice_values_where_there_are_no_cgroups(
         return {**whole(self), CPU_GROUP: ""}
 
     monkeypatch.setattr(EmulatedComputer, "_environment", without)
-    assert deadlines_met(10, 3.0, tmp_path)["important"] > 0.8
+    with needs_quiet_machine():
+        assert deadlines_met(10, 3.0, tmp_path)["important"] > 0.8
