@@ -11,6 +11,8 @@ from poise.wire.records.status import AgentStatus
 
 REPORT_EVERY = 0.5
 """A status goes out at least this often [s]."""
+_MISSES_EVERY = 0.2
+"""While deadlines are missed, it goes out this often [s]."""
 
 
 class StatusReports:
@@ -33,6 +35,7 @@ class StatusReports:
         self._publish = publish
         self._clock = clock
         self._seen = 0, _states(first)
+        self._missed, self._sent = 0, 0.0
         self.due = 0.0
 
     def note(self, status: AgentStatus, arrivals: int) -> None:
@@ -44,9 +47,13 @@ class StatusReports:
             How many managers have come: one that came waits for it.
         """
         seen = arrivals, _states(status)
+        if _missed(status) != self._missed:
+            self.due = min(self.due, self._sent + _MISSES_EVERY)
         if seen != self._seen or self._clock.now() >= self.due:
             self._publish(encode(status))
-            self._seen, self.due = seen, self._clock.now() + REPORT_EVERY
+            self._seen, self._missed = seen, _missed(status)
+            self._sent = self._clock.now()
+            self.due = self._sent + REPORT_EVERY
 
 
 def _states(status: AgentStatus) -> tuple[object, ...]:
@@ -65,3 +72,13 @@ def _states(status: AgentStatus) -> tuple[object, ...]:
     last = status.faults[-1].number if status.faults else 0
     found = (status.generation, status.token, last, bool(status.cut_off))
     return (*found, health, components, connectors)
+
+
+def _missed(status: AgentStatus) -> int:
+    """Return how many deadlines of timers were missed on the computer."""
+    return sum(
+        timer.missed
+        for container in status.containers
+        for component in container.components
+        for timer in component.timers
+    )

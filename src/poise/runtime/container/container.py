@@ -130,7 +130,7 @@ class Container:
         self._waker.wake()
 
     def _serve(self) -> None:
-        report_at, unjoined = 0.0, self._wiring.unjoined()
+        report_at, unjoined, missed = 0.0, self._wiring.unjoined(), 0
         orphans = Orphans()
         while not self._stopping:
             self._stats_page.beat()
@@ -142,11 +142,18 @@ class Container:
             has_news = self._listen(max(0.0, look_at - self._clock.now()))
             has_news |= self._settle()
             self._raise_on_hang()
-            before, unjoined = unjoined, self._wiring.unjoined()
-            if has_news or unjoined != before or self._clock.now() >= report_at:
+            before = unjoined, missed
+            unjoined, missed = self._wiring.unjoined(), self._missed()
+            has_news |= (unjoined, missed) != before
+            if has_news or self._clock.now() >= report_at:
                 self._report(self._status())
                 report_at = self._clock.now() + REPORT_EVERY
                 orphans.reap()
+
+    def _missed(self) -> int:
+        """Return how many deadlines of timers were missed."""
+        now = self._clock.now()
+        return sum(each.timers.missed(now) for each in self._runners.values())
 
     def _listen(self, limit: float) -> bool:
         """Wait up to `limit` [s] for news, and take it in; whether it is to be told.

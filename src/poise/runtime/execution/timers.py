@@ -53,16 +53,23 @@ class Releases:
         if deadline is not None and now - release > deadline:
             self._missed += 1
 
+    def missed(self, now: float) -> int:
+        """Return how many missed the deadline until `now` [s]."""
+        waiting = self._passed(now) - (self._next - 1)
+        return self._missed + (waiting if self.timer.deadline is not None else 0)
+
+    def _passed(self, now: float) -> int:
+        """Return how many have begun, or should have by `now` [s]."""
+        return max(self._next - 1, int((now - self.start) / self.timer.period) - 1)
+
     def status(self, now: float) -> TimerStatus:
         """Return what was counted; releases that should have begun by now are in."""
-        passed = max(self._next - 1, int((now - self.start) / self.timer.period) - 1)
-        waiting = passed - (self._next - 1) if self.timer.deadline is not None else 0
         return TimerStatus(
             name=self.timer.name,
             period=self.timer.period,
             deadline=self.timer.deadline,
-            releases=passed,
-            missed=self._missed + waiting,
+            releases=self._passed(now),
+            missed=self.missed(now),
             lateness=self._lateness.summary(),
             duration=self._duration.summary(),
         )
@@ -104,7 +111,15 @@ class Timers:
         """Return the time until each is due next [s]."""
         return {each.timer.name: each.due - now for each in self}
 
+    def missed(self, now: float) -> int:
+        """Return how many releases missed their deadlines, as `status`."""
+        until = self._until(now)
+        return sum(each.missed(until) for each in self)
+
     def status(self, now: float) -> tuple[TimerStatus, ...]:
         """Return what was counted until `now` [s], or until they were stopped."""
-        until = now if self._stopped_at is None else self._stopped_at
+        until = self._until(now)
         return tuple(each.status(until) for each in self)
+
+    def _until(self, now: float) -> float:
+        return now if self._stopped_at is None else self._stopped_at
