@@ -99,6 +99,7 @@ class Chaos:
         self._say = say
         self._running = Running("chaos")
         self._lasting: dict[str, Callable[[], object]] = {}
+        self._moves: list[subprocess.Popen[bytes]] = []
         self._measures: dict[tuple[str, int, int], dict[str, float]] = {}
         self._memory: dict[int, tuple[str, int, int]] = {}
         self.report = ChaosReport(events=Counter(), trouble=[], settled=[])
@@ -115,7 +116,8 @@ class Chaos:
             finally:
                 self._heal()
                 self._manager.send_signal(signal.SIGTERM)
-                self._manager.wait(SETTLE_LIMIT)
+                for process in (self._manager, *self._moves):
+                    process.wait(SETTLE_LIMIT)
 
     def go(self, seconds: float) -> None:
         """Break the robot again and again for a time [s], or until it stays broken."""
@@ -186,10 +188,13 @@ class Chaos:
     def _move(self) -> str:
         component = self._chance.choice(COMPONENTS)
         computer = self._chance.choice(COMPUTERS)
-        subprocess.Popen(
-            [sys.executable, "-m", "poise", "move", component, computer],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
+        self._moves = [each for each in self._moves if each.poll() is None]
+        self._moves.append(
+            subprocess.Popen(
+                [sys.executable, "-m", "poise", "move", component, computer],
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
         )
         return f"move of {component} to {computer}"
 

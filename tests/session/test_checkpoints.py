@@ -106,8 +106,7 @@ class Watched:
 def last_fault(robot: poise.Running) -> str:
     """Return what the agents say of the one container."""
     (health,) = (h for c in robot.status().computers.values() for h in c.health)
-    assert health.last_fault is not None
-    return health.last_fault.message
+    return health.last_fault.message if health.last_fault else ""
 
 
 def test_a_component_goes_on_from_its_checkpoint(kept: EmulatedSet, file: Path) -> None:
@@ -118,13 +117,13 @@ def test_a_component_goes_on_from_its_checkpoint(kept: EmulatedSet, file: Path) 
         os.kill(pid, signal.SIGKILL)
         # 10 ms for each: lost is what it counted since its last checkpoint
         assert watched.wait_other(pid) > count - 60
-        assert "'kept' restarts with its state of 0." in last_fault(robot)
+        wait_long(lambda: "'kept' restarts with its state of 0." in last_fault(robot))
 
         count, pid = watched.wait_more()
         (file.parent / "kept.hang").touch()
         count = watched.now()[0]
         assert watched.wait_other(pid) > count - 60
-        assert "component 'kept' hangs: 'tick' runs for 1" in last_fault(robot)
+        wait_long(lambda: "'kept' hangs: 'tick' runs for 1" in last_fault(robot))
 
         count, pid = watched.wait_more()
         where = robot.status().placement["kept"]
