@@ -43,6 +43,7 @@ def start_or_take_over(run: Run, *, is_rule: bool = False, by_force: bool) -> No
     found = found_in(deployments)
     if not found:
         if unclaimed:
+            run.leave()  # what runs there may be another manager's
             raise RunError("; ".join(unclaimed.values()))
         run.start_all()
         return

@@ -30,7 +30,7 @@ LEASE = 0.7
 SURELY_ENDED = 0.95
 """The lease of an agent that is silent for longer has ended, on its clock, too [s]."""
 _WINDOW = 50
-"""Loss is counted over so many heartbeats."""
+"""The number of heartbeats over which loss is counted."""
 _DELAYS = 15
 _FORGOTTEN = 3.0
 """Who is silent for longer is named no more [s]."""

@@ -33,7 +33,7 @@ FORGET_AFTER = 600.0
 CALM = 5.0
 """Nothing must have been wrong for this time before one is taken back [s]."""
 _MOST_CHOICES = 8
-"""Of alternatives of needed functions so many combinations are tried."""
+"""The most combinations of alternatives of needed functions that are tried."""
 _TRY_AGAIN = 2.0
 """When there is no room, that is looked at again after this time [s]; then after twice
 as long, up to `LONGEST`, until a computer is lost or back."""

@@ -50,7 +50,7 @@ class Misses(Struct, frozen=True, kw_only=True):
 
 
 def is_late(times: int, missed: int) -> bool:
-    """Return whether so many misses are more than a single one among others."""
+    """Return whether misses are too many to be a single one among others."""
     several = missed >= _SEVERAL and missed >= _MISSED * times
     return several or 0 < times == missed
 

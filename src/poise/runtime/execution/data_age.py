@@ -67,7 +67,7 @@ class _ChainAge:
 class DataAges:
     """The chains that one component is part of.
 
-    Used by whoever runs the component's code, within its exclusion.
+    Used by the thread that runs the component's code, within its exclusion.
     """
 
     def __init__(self, parts: Iterable[ChainPart], clock: ComponentClock) -> None:
