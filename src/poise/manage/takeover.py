@@ -37,7 +37,6 @@ def start_or_take_over(run: Run, *, is_rule: bool = False, by_force: bool) -> No
         Another manager is at work; or nothing ran, and it cannot start. A robot that
         is at work goes on.
     """
-    began = time.monotonic()
     before = [status.manager for status in run.agents.statuses().values()]
     deployments, unclaimed = _claim(run, by_force=by_force)
     found = found_in(deployments)
@@ -47,10 +46,26 @@ def start_or_take_over(run: Run, *, is_rule: bool = False, by_force: bool) -> No
             raise RunError("; ".join(unclaimed.values()))
         run.start_all()
         return
-    # what comes back from now on is claimed and told then
-    run.excused |= unclaimed.keys() | run.agents.out_of_reach().keys()
     said = next((f" of {manager}" for manager in before if manager), "")
     run.journal.note("seen", f"the robot{said} runs: taking over")
+    try:
+        _take_over(run, deployments, unclaimed, found, is_rule=is_rule)
+    except Exception:
+        run.leave()  # no error of a new manager ends a robot that is at work
+        raise
+
+
+def _take_over(
+    run: Run,
+    deployments: Mapping[str, Deployment],
+    unclaimed: Mapping[str, str],
+    found: Sequence[Found],
+    *,
+    is_rule: bool,
+) -> None:
+    began = time.monotonic()
+    # what comes back from now on is claimed and told then
+    run.excused |= unclaimed.keys() | run.agents.out_of_reach().keys()
     planned = run.placement()
     is_committed = is_half_done(found, run.robot) and _is_committed(run, deployments)
     adoption = adopt(
@@ -64,7 +79,7 @@ def start_or_take_over(run: Run, *, is_rule: bool = False, by_force: bool) -> No
     run.adopt(adoption.kept, _last_epochs(found))
     _note(run, adoption)
     _tell(run)
-    for sentence in (unclaimed | run.unreached()).values():
+    for sentence in (*unclaimed.values(), *run.unreached().values()):
         run.journal.note("wrong", sentence)
     seconds = time.monotonic() - began
     run.journal.note("done", "took over", placement=run.placement(), seconds=seconds)
