@@ -57,6 +57,8 @@ class Incarnation(Struct, frozen=True, kw_only=True):
         Whether it begins without state.
     gently
         Whether it is prepared with the CPU time that others leave.
+    unjoined
+        Whether no connector ends at it: it waits, and others do not reach it.
     """
 
     component: str
@@ -67,6 +69,7 @@ class Incarnation(Struct, frozen=True, kw_only=True):
     adapt: str = ""
     fresh: bool = False
     gently: bool = False
+    unjoined: bool = False
 
     def with_goal(self, goal: Goal) -> Incarnation:
         """Return the same with another goal."""
@@ -287,7 +290,8 @@ class DeploymentPlan:
         """Yield the connectors with an end at one of `inside`."""
         by_name: dict[str, list[Incarnation]] = {}
         for each in placed:
-            by_name.setdefault(each.component, []).append(each)
+            if not each.unjoined:
+                by_name.setdefault(each.component, []).append(each)
         for connector in self._joinable:
             first, second = connector.between
             for source in by_name.get(first.component, ()):

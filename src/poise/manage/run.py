@@ -78,6 +78,8 @@ class Run:
             )
             for name, computer in placement.items()
         }
+        self.prepared: dict[str, Incarnation] = {}
+        """Components that are configured, inactive and unjoined, to be active soon."""
         self.check: Callable[[], object] = lambda: None
         """Called at all news while all is started or watched; may raise to end that."""
         self.faults_before = last_numbers(agents.statuses())
@@ -207,6 +209,7 @@ class Run:
         RunError
             An agent refused, or something still ran after `STOP_LIMIT`.
         """
+        self.prepared.clear()
         self.tell((), computers)
         if not self.agents.wait_news(lambda: not self._running(computers), STOP_LIMIT):
             running = ", ".join(self._running(computers))
@@ -235,6 +238,8 @@ class Run:
     ) -> None:
         """Tell the agents of `computers` what should run, where that has changed.
 
+        What is prepared stays beside it.
+
         Parameters
         ----------
         computers
@@ -246,6 +251,9 @@ class Run:
             An agent refused or did not answer.
         """
         self.wanted = tuple(wanted)
+        names = {each.component for each in self.wanted}
+        others = (e for name, e in self.prepared.items() if name not in names)
+        self.wanted += tuple(others)
         statuses = self.agents.statuses()
         self._faults_before_tell = last_numbers(statuses)
         # later than any that the agents ever saw, from whatever manager

@@ -200,6 +200,13 @@ class Architecture(Struct, frozen=True, kw_only=True):
     exclusive: Annotated[
         bool, says("Whether only one action may use its function at a time.")
     ] = False
+    linger: Annotated[
+        Seconds | None,
+        says(
+            "How long it stays prepared when no action needs it any more: 10 s. "
+            "Default: as long as what that costs is less than a start."
+        ),
+    ] = None
     components: Annotated[
         tuple[ComponentEntry, ...],
         by_name(ComponentEntry),

@@ -170,6 +170,13 @@ class Task(Struct, frozen=True, kw_only=True):
             "without the others it goes on degraded."
         ),
     ] = ()
+    priority: Annotated[
+        int,
+        says(
+            "Of tasks that need the same device or the same room, the one with the "
+            "higher priority runs. Default: 0."
+        ),
+    ] = 0
 
 
 StepPath = tuple[str | int, ...]

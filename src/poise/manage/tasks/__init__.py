@@ -1,0 +1,1 @@
+"""The task manager: which actions run now, what ends them, and what comes next."""

@@ -1,0 +1,294 @@
+"""How far the steps of one task are. Pure; times are given, in [s since 1970].
+
+The records of progress mirror the steps: they can be sent to agents and read again by
+the next manager.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+
+from msgspec import Struct
+
+from poise.model.tasks.steps import (
+    Action,
+    Choice,
+    Parallel,
+    Repeat,
+    Retry,
+    Sequence,
+    Step,
+    Subtask,
+    Task,
+    Until,
+)
+
+Choose = Callable[[Choice], int]
+"""Returns the index of the step of a choice that is done."""
+Say = Callable[[str], object]
+
+
+class Progress(Struct, kw_only=True, omit_defaults=True):
+    """How far one step is.
+
+    Parameters
+    ----------
+    state
+        `ended` is an action that done or failed is yet to be dealt with.
+    index
+        Which step of a sequence or choice is inside.
+    rounds
+        How often a repetition has been done, or an action begun again.
+    number
+        Tells the tries of actions of all tasks apart; 0: it is no action.
+    since
+        When the action's functions began to work; None: they do not.
+    spent
+        How long they worked before that [s].
+    """
+
+    state: str = "going"
+    index: int = 0
+    rounds: int = 0
+    number: int = 0
+    since: float | None = None
+    spent: float = 0.0
+    why: str = ""
+    inside: list[Progress] = []
+
+
+class Try(Struct, frozen=True, kw_only=True):
+    """An action that is to run now.
+
+    Parameters
+    ----------
+    name
+        As in phases: with the name of the other task whose step it is.
+    """
+
+    name: str
+    action: Action
+    progress: Progress
+
+    @property
+    def number(self) -> int:
+        """What tells it apart from all other tries."""
+        return self.progress.number
+
+
+class Steps:
+    """Goes through the steps of a task.
+
+    Parameters
+    ----------
+    tasks
+        All tasks of the robot, by name.
+    number
+        Returns a number that no try has had.
+    say
+        Takes what happened, for people.
+    """
+
+    def __init__(
+        self,
+        tasks: Mapping[str, Task],
+        task: str,
+        choose: Choose,
+        number: Callable[[], int],
+        say: Say,
+    ) -> None:
+        self._tasks = tasks
+        self._whole = Subtask(task=task)
+        self._choose = choose
+        self._number = number
+        self._say = say
+
+    def begin(self) -> Progress:
+        """Return the progress of a task that begins."""
+        return self._begin(self._whole)
+
+    def tries(self, whole: Progress) -> Iterator[Try]:
+        """Yield the actions that run now."""
+        yield from self._tries(self._whole, whole, "", is_top=True)
+
+    def settle(self, whole: Progress) -> str:
+        """Deal with all actions that have ended; return the state of the whole."""
+        return self._settle(self._whole, whole)
+
+    def conditions(self, whole: Progress) -> Iterator[tuple[Until, Progress]]:
+        """Yield the conditions that end something now, and what they end."""
+        for step, progress in self._walk(self._whole, whole):
+            is_at_work = isinstance(step, Repeat) or progress.since is not None
+            if isinstance(step, Repeat | Action) and step.until and is_at_work:
+                yield step.until, progress
+
+    def next_actions(self, whole: Progress) -> list[tuple[Try, float]]:
+        """Return the actions that may come next, with their probabilities.
+
+        What may come next are the first actions behind each one that runs, taken to be
+        done. Which branch of a choice comes is what would be chosen now.
+        """
+        found: dict[str, tuple[Try, float]] = {}
+        running = {each.name for each in self.tries(whole)}
+        after = self._after(self._whole, whole, "", is_top=True)
+        first = [each for each in after if each.name not in running]
+        for each in first:
+            found[each.name] = each, 1.0 / len(first)
+        return list(found.values())
+
+    def _of(self, step: Step) -> tuple[Step, ...]:
+        """Return what a step does one after another; empty: something else."""
+        match step:
+            case Subtask(task=name):
+                return self._tasks[name].actions
+            case Sequence(steps=steps) | Repeat(steps=steps):
+                return steps
+        return ()
+
+    def _begin(self, step: Step) -> Progress:
+        match step:
+            case Action():
+                return Progress(number=self._number())
+            case Parallel(steps=steps):
+                return Progress(inside=[self._begin(each) for each in steps])
+            case Choice(steps=steps):
+                index = self._choose(step)
+                return Progress(index=index, inside=[self._begin(steps[index])])
+        return Progress(inside=[self._begin(self._of(step)[0])])
+
+    def _pairs(self, step: Step, progress: Progress) -> Iterator[tuple[Step, Progress]]:
+        """Yield what is inside a step with its progress."""
+        match step:
+            case Action():
+                if progress.inside:
+                    yield _instead(step), progress.inside[0]
+            case Parallel(steps=steps):
+                yield from zip(steps, progress.inside, strict=True)
+            case Choice(steps=steps):
+                yield steps[progress.index], progress.inside[0]
+            case _:
+                yield self._of(step)[progress.index], progress.inside[0]
+
+    def _walk(self, step: Step, progress: Progress) -> Iterator[tuple[Step, Progress]]:
+        if progress.state != "going":
+            return
+        if not (isinstance(step, Action) and progress.inside):
+            yield step, progress
+        for inner, inside in self._pairs(step, progress):
+            yield from self._walk(inner, inside)
+
+    def _tries(
+        self, step: Step, progress: Progress, prefix: str, *, is_top: bool = False
+    ) -> Iterator[Try]:
+        if progress.state != "going":
+            return
+        if isinstance(step, Action) and not progress.inside:
+            yield Try(name=prefix + step.name, action=step, progress=progress)
+        if isinstance(step, Subtask) and not is_top:
+            prefix = f"{step.task}."
+        for inner, inside in self._pairs(step, progress):
+            yield from self._tries(inner, inside, prefix)
+
+    def _settle(self, step: Step, progress: Progress) -> str:
+        if progress.state != "going":
+            if progress.state == "ended" and isinstance(step, Action):
+                self._settle_action(step, progress)
+            return progress.state
+        if isinstance(step, Action):
+            if progress.inside:
+                self._take(progress, self._settle(_instead(step), progress.inside[0]))
+            return progress.state
+        states = [self._settle(*pair) for pair in self._pairs(step, progress)]
+        if isinstance(step, Parallel | Choice):
+            if "failed" in states:
+                self._take(progress, "failed")
+            elif "going" not in states:
+                self._take(progress, "done")
+        else:
+            self._settle_sequence(step, progress, states[0])
+        return progress.state
+
+    def _settle_sequence(self, step: Step, progress: Progress, state: str) -> None:
+        if state == "failed":
+            self._take(progress, "failed")
+        elif state == "done":
+            steps = self._of(step)
+            progress.index += 1
+            if progress.index == len(steps):
+                progress.index = 0
+                progress.rounds += 1
+                times = step.times if isinstance(step, Repeat) else 1
+                if times is not None and progress.rounds >= times:
+                    self._take(progress, "done")
+                    return
+            progress.inside = [self._begin(steps[progress.index])]
+
+    def _settle_action(self, action: Action, progress: Progress) -> None:
+        """Do what follows when an action has failed."""
+        failed = action.on_failure
+        progress.state = "going"
+        progress.since, progress.spent = None, 0.0
+        if isinstance(failed, Retry) and progress.rounds < failed.times:
+            progress.rounds += 1
+            progress.number = self._number()
+            again = f"{progress.rounds} of {failed.times}"
+            self._say(f"action '{action.name}' begins again ({again})")
+        elif (instead := failed.then if isinstance(failed, Retry) else failed) != (
+            "give up"
+        ):
+            progress.inside = [self._begin(instead)]
+            self._say(f"instead of action '{action.name}' something else is done")
+        else:
+            progress.state = "failed"
+
+    def _take(self, progress: Progress, state: str) -> None:
+        if state == "going":
+            return
+        progress.state = state
+        if state == "failed" and not progress.why:
+            whys = [each.why for each in progress.inside if each.state == "failed"]
+            progress.why = "; ".join(filter(None, whys))
+        progress.inside = []
+
+    def _after(
+        self, step: Step, progress: Progress, prefix: str, *, is_top: bool = False
+    ) -> list[Try]:
+        """Return the actions with which it may go on once those inside are done."""
+        if progress.state != "going":
+            return []
+        if isinstance(step, Subtask) and not is_top:
+            prefix = f"{step.task}."
+        found: list[Try] = []
+        for inner, inside in self._pairs(step, progress):
+            found += self._after(inner, inside, prefix)
+        if found:
+            return found
+        steps = self._of(step)
+        if not steps:
+            return []
+        if progress.index + 1 < len(steps):
+            return self._first(steps[progress.index + 1], prefix)
+        goes_on = isinstance(step, Repeat) and (
+            step.times is None or progress.rounds + 1 < step.times
+        )
+        return self._first(steps[0], prefix) if goes_on else []
+
+    def _first(self, step: Step, prefix: str) -> list[Try]:
+        match step:
+            case Action():
+                return [Try(name=prefix + step.name, action=step, progress=Progress())]
+            case Parallel(steps=steps):
+                return [t for each in steps for t in self._first(each, prefix)]
+            case Choice(steps=steps):
+                return self._first(steps[self._choose(step)], prefix)
+            case Subtask(task=name):
+                prefix = f"{name}."
+        return self._first(self._of(step)[0], prefix)
+
+
+def _instead(action: Action) -> Step:
+    """Return what is done instead of an action that failed."""
+    failed = action.on_failure
+    instead = failed.then if isinstance(failed, Retry) else failed
+    assert not isinstance(instead, str)  # noqa: S101, it has progress
+    return instead

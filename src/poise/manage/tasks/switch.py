@@ -1,0 +1,127 @@
+"""From the components of some actions to those of the next: at work, or prepared.
+
+A prepared component is configured, inactive and joined to nothing. It keeps its state
+and uses memory, but no CPU; it becomes active within moments.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Collection, Iterable, Mapping
+
+from msgspec.structs import replace
+
+from poise.errors import RunError
+from poise.manage.deployment import Incarnation
+from poise.manage.run import ACTIVE_LIMIT, READY_LIMIT, Run
+from poise.manage.statuses import components_of
+
+
+def prepare(run: Run, placement: Mapping[str, str], *, gently: bool = True) -> None:
+    """Let components be prepared on computers; return before they are.
+
+    What is prepared elsewhere is dropped there; what is at work stays as it is.
+
+    Parameters
+    ----------
+    gently
+        Whether they take only the CPU time that others leave.
+
+    Raises
+    ------
+    RunError
+        An agent refused or did not answer; nothing more is prepared then.
+    """
+    before = dict(run.prepared)
+    for name, computer in placement.items():
+        if name not in run.placed:
+            run.prepared[name] = _prepared(run, name, computer, gently=gently)
+    try:
+        run.tell(run.placed.values())
+    except RunError:
+        run.prepared = before
+        with contextlib.suppress(RunError):  # agents out of reach get it later
+            run.tell(run.placed.values())
+        raise
+
+
+def drop(run: Run, components: Iterable[str]) -> None:
+    """End prepared components; their state is lost."""
+    gone = [name for name in components if run.prepared.pop(name, None)]
+    if gone:
+        run.tell(run.placed.values())
+
+
+def switch(run: Run, ends: Collection[str], begins: Mapping[str, str]) -> None:
+    """Let components rest, prepared, and others begin to work.
+
+    Parameters
+    ----------
+    ends
+        Components at work.
+    begins
+        Component -> computer. What is prepared there already only becomes active.
+
+    Raises
+    ------
+    RunError
+        Something did not begin within the limits: then nothing of `begins` works, and
+        all of `ends` rests.
+    """
+    for name in ends:
+        old = run.placed.pop(name)
+        run.prepared[name] = replace(old, goal="inactive", unjoined=True)
+    new = [
+        replace(_prepared(run, name, at), unjoined=False, gently=False)
+        for name, at in begins.items()
+    ]
+    resting = [run.prepared[name] for name in ends]
+    run.prepared |= {each.component: each for each in new}
+    try:
+        run.tell(run.placed.values())
+        _wait(run, [*resting, *new], READY_LIMIT)
+        for each in new:
+            del run.prepared[each.component]
+            run.placed[each.component] = each.with_goal("active")
+        run.tell(run.placed.values())
+        _wait(run, [run.placed[each.component] for each in new], ACTIVE_LIMIT)
+    except RunError:
+        for each in new:
+            run.prepared.pop(each.component, None)
+            run.placed.pop(each.component, None)
+        with contextlib.suppress(RunError):  # agents out of reach get it later
+            run.tell(run.placed.values())
+        raise
+
+
+def _prepared(
+    run: Run, name: str, computer: str, *, gently: bool = False
+) -> Incarnation:
+    before = run.prepared.get(name)
+    if before is not None and before.computer == computer:
+        return before
+    return Incarnation(
+        component=name,
+        computer=computer,
+        epoch=run.next_epoch(name),
+        goal="inactive",
+        gently=gently,
+        unjoined=True,
+    )
+
+
+def _wait(run: Run, wanted: Collection[Incarnation], limit: float) -> None:
+    """Wait until components are at their goals; others' troubles do not count."""
+    mine = {(each.component, each.epoch) for each in wanted}
+
+    def trouble() -> bool:
+        run.look()
+        for component in components_of(run.agents.statuses()):
+            is_mine = (component.name, component.epoch) in mine
+            if is_mine and component.state == "failed":
+                raise RunError(
+                    f"component '{component.name}' failed:\n{component.error}"
+                )
+        return False
+
+    run.wait(wanted, limit, trouble)

@@ -1,0 +1,387 @@
+"""Several tasks at once: which of them may run now, and what runs for them. Pure.
+
+Times are given, in [s since 1970].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Literal
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from poise.errors import UsageError
+from poise.manage.tasks.progress import Choose, Progress, Steps, Try
+from poise.model.robot import Robot
+from poise.model.suggest import unknown
+from poise.model.tasks.exclusive import clashes
+from poise.model.tasks.steps import Until
+
+TaskState = Literal["going", "waiting", "paused", "done", "failed", "cancelled"]
+"""`waiting`: for what other tasks use, or for room; `paused`: because it was asked."""
+OVER = {"done", "failed", "cancelled"}
+MOST_OVER = 20
+"""So many tasks that are over are remembered."""
+
+
+class TaskRecord(Struct, kw_only=True):
+    """One task since it was started.
+
+    Parameters
+    ----------
+    order
+        Later tasks have a higher one.
+    why
+        What it waits for, or why it ended so; else empty.
+    since
+        When its state began.
+    """
+
+    name: str
+    priority: int
+    order: int
+    state: TaskState = "going"
+    why: str = ""
+    began: float
+    since: float
+    progress: Progress
+
+
+class Saved(Struct, kw_only=True):
+    """All that the next manager needs to go on with the tasks."""
+
+    records: list[TaskRecord] = []
+    number: int = 0
+
+
+class Ended(Struct, frozen=True, kw_only=True):
+    """An action that has ended."""
+
+    task: str
+    name: str
+    action: str
+    done: bool
+    why: str
+
+
+class Tasks:
+    """The tasks of a robot that were started.
+
+    Parameters
+    ----------
+    choose
+        Decides between the steps of a choice.
+    say
+        Takes each change, for people.
+
+    Attributes
+    ----------
+    ended
+        The actions that have ended, which `take_ended` hands out.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        say: Callable[[str], object] = lambda _: None,
+        choose: Choose = lambda _: 0,
+        saved: Saved | None = None,
+    ) -> None:
+        self._robot = robot
+        self._tasks = {each.name: each for each in robot.tasks}
+        self._choose = choose
+        self._say = say
+        self._saved = saved or Saved()
+        self._blocked: dict[str, str] = {}
+        self._ended: list[Ended] = []
+        for record in list(self._saved.records):
+            if record.name not in self._tasks:
+                self._saved.records.remove(record)
+                say(f"task '{record.name}' is given up: the robot file has it no more")
+
+    @property
+    def saved(self) -> Saved:
+        """What the next manager needs."""
+        return self._saved
+
+    @property
+    def records(self) -> list[TaskRecord]:
+        """All tasks, those that are over, too; the first started first."""
+        return self._saved.records
+
+    def start(self, name: str, now: float, priority: int | None = None) -> TaskRecord:
+        """Begin a task.
+
+        Raises
+        ------
+        UsageError
+            There is no such task, or it runs already.
+        """
+        if name not in self._tasks:
+            raise UsageError(unknown("task", name, list(self._tasks)))
+        if any(r.name == name and r.state not in OVER for r in self.records):
+            raise UsageError(
+                f"task '{name}' runs already; `poise task cancel {name}` ends it"
+            )
+        record = TaskRecord(
+            name=name,
+            priority=self._tasks[name].priority if priority is None else priority,
+            order=self._next(),
+            began=now,
+            since=now,
+            progress=self._steps(name).begin(),
+        )
+        over = [r for r in self.records if r.state in OVER]
+        for old in over[: max(0, len(over) - MOST_OVER + 1)]:
+            self.records.remove(old)
+        self.records.append(record)
+        self._say(f"task '{name}' starts, with priority {record.priority}")
+        return record
+
+    def pause(self, name: str, now: float) -> None:
+        """Let a task rest until it is resumed; UsageError when it does not run."""
+        record = self.find(name)
+        if record.state != "paused":
+            self._rest(record, now)
+            self._enter(record, "paused", now, "it was asked")
+
+    def resume(self, name: str, now: float) -> None:
+        """Let a paused task go on; UsageError when it is not paused."""
+        record = self.find(name)
+        if record.state != "paused":
+            raise UsageError(f"task '{name}' is {record.state}, not paused")
+        self._enter(record, "waiting", now, "it is resumed")
+
+    def cancel(self, name: str, now: float, why: str = "it was asked") -> None:
+        """End a task; UsageError when it does not run."""
+        record = self.find(name)
+        self._rest(record, now)
+        self._enter(record, "cancelled", now, why)
+
+    def find(self, name: str) -> TaskRecord:
+        """Return a task that is not over; UsageError when there is none."""
+        running = [r for r in self.records if r.state not in OVER]
+        for record in running:
+            if record.name == name:
+                return record
+        if name not in self._tasks:
+            raise UsageError(unknown("task", name, list(self._tasks)))
+        raise UsageError(f"task '{name}' does not run; `poise task start {name}`")
+
+    def tries(self, record: TaskRecord) -> tuple[Try, ...]:
+        """Return the actions of a task that are its turn now."""
+        return tuple(self._steps(record.name).tries(record.progress))
+
+    def going(self) -> list[TaskRecord]:
+        """Return the tasks that may run now, the most important first."""
+        return [r for r in self._by_rank() if r.state == "going"]
+
+    def arbitrate(self, now: float) -> None:
+        """Decide which tasks may run now: the others wait, and say for what.
+
+        A task waits while another of higher priority, or of the same that is at work,
+        uses what only one may use; or while `block` says so.
+        """
+        granted: list[tuple[TaskRecord, Try]] = []
+        for record in self._by_rank():
+            mine = [(record, each) for each in self.tries(record)]
+            why = self._blocked.get(record.name, "") or self._clash(granted, mine)
+            if why:
+                self._rest(record, now)
+                self._enter(record, "waiting", now, why)
+            else:
+                self._enter(record, "going", now, "")
+                granted += mine
+
+    def block(self, name: str, why: str) -> None:
+        """Let a task wait, for a reason, until `unblock`."""
+        self._blocked[name] = why
+
+    def unblock(self) -> None:
+        """Let all that were blocked be looked at again."""
+        self._blocked.clear()
+
+    def began(self, number: int, now: float) -> None:
+        """Note that an action's functions work."""
+        for record, each in self._all_tries():
+            if each.number == number and each.progress.since is None:
+                each.progress.since = now
+                self._say(f"action '{each.name}' of task '{record.name}' begins")
+
+    def end(self, number: int, now: float, why: str, *, done: bool) -> None:
+        """Note that an action has ended, and begin what comes next."""
+        for record, each in list(self._all_tries()):
+            if each.number == number:
+                self._end(record, each, why, done=done)
+                self._settle(record, now)
+
+    def look(self, now: float, holds: Callable[[Until], bool]) -> None:
+        """End actions whose time is over, and what conditions end.
+
+        Parameters
+        ----------
+        holds
+            Whether a condition holds now.
+        """
+        for record in self.going():
+            for until, progress in list(
+                self._steps(record.name).conditions(record.progress)
+            ):
+                if progress.state == "going" and holds(until):
+                    self._end_by(record, until, progress)
+            for each in self.tries(record):
+                limit, worked = each.action.limit, self.worked(each, now)
+                if limit is not None and worked >= limit:
+                    self._end(record, each, f"{limit:g} s are over", done=False)
+            self._settle(record, now)
+
+    def due(self, now: float) -> float | None:
+        """Return in how long the next limit is over [s]; None: there is none."""
+        left = [
+            each.action.limit - self.worked(each, now)
+            for record in self.going()
+            for each in self.tries(record)
+            if each.action.limit is not None and each.progress.since is not None
+        ]
+        return min(left, default=None)
+
+    def worked(self, each: Try, now: float) -> float:
+        """Return for how long an action's functions have worked [s]."""
+        since = each.progress.since
+        return each.progress.spent + (0.0 if since is None else now - since)
+
+    def functions(self) -> tuple[str, ...]:
+        """Return the functions that should run now, each once."""
+        return tuple(
+            dict.fromkeys(
+                function
+                for record in self.going()
+                for each in self.tries(record)
+                for function in each.action.functions
+            )
+        )
+
+    def next_actions(self) -> list[tuple[TaskRecord, Try, float]]:
+        """Return the actions that may come next, with their probabilities."""
+        return [
+            (record, each, probability)
+            for record in self._by_rank()
+            for each, probability in self._next_of(record)
+        ]
+
+    def take_ended(self) -> list[Ended]:
+        """Return the actions that have ended since the last call."""
+        ended, self._ended = self._ended, []
+        return ended
+
+    def _next_of(self, record: TaskRecord) -> Iterable[tuple[Try, float]]:
+        if record.state != "going":  # it goes on where it was
+            return [(each, 1.0) for each in self.tries(record)]
+        return self._steps(record.name).next_actions(record.progress)
+
+    def _by_rank(self) -> list[TaskRecord]:
+        """Return what is not over or paused, the most important first.
+
+        Of the same priority, what is at work keeps what it has.
+        """
+        return sorted(
+            (r for r in self.records if r.state not in OVER | {"paused"}),
+            key=lambda r: (-r.priority, not self._is_at_work(r), r.order),
+        )
+
+    def _is_at_work(self, record: TaskRecord) -> bool:
+        return any(each.progress.since is not None for each in self.tries(record))
+
+    def _clash(
+        self,
+        granted: list[tuple[TaskRecord, Try]],
+        mine: list[tuple[TaskRecord, Try]],
+    ) -> str:
+        """Return what a task cannot share with those before it; empty: nothing."""
+        actions = {
+            f"{record.name}.{each.name}": record.name for record, each in granted + mine
+        }
+        renamed = [
+            replace(each.action, name=f"{record.name}.{each.name}")
+            for record, each in granted + mine
+        ]
+        for clash in clashes(self._robot, renamed):
+            # that of a task with itself is for `poise check`
+            users = [n for n in actions if any(f"'{n}'" in u for u in clash.users)]
+            others = {actions[n] for n in users} - {mine[0][0].name} if mine else ()
+            if others and any(actions[n] == mine[0][0].name for n in users):
+                who = " and ".join(f"'{name}'" for name in sorted(others))
+                return f"task {who} uses the {clash.kind} '{clash.name}'"
+        return ""
+
+    def _rest(self, record: TaskRecord, now: float) -> None:
+        """Stop the clocks of a task's actions: their functions do not work for it."""
+        for each in self.tries(record):
+            each.progress.spent = self.worked(each, now)
+            each.progress.since = None
+
+    def _end_by(self, record: TaskRecord, until: Until, progress: Progress) -> None:
+        for each in self.tries(record):
+            if each.progress is progress:
+                self._end(record, each, f"{until.when} holds", done=True)
+                return
+        progress.state = "done"
+        progress.inside = []
+        self._say(f"task '{record.name}': a repetition is done: {until.when} holds")
+
+    def _end(self, record: TaskRecord, each: Try, why: str, *, done: bool) -> None:
+        progress = each.progress
+        progress.state = "done" if done else "ended"
+        progress.why = "" if done else f"action '{each.name}' failed: {why}"
+        how = "done" if done else "failed"
+        self._say(f"action '{each.name}' of task '{record.name}' has {how}: {why}")
+        self._ended.append(
+            Ended(
+                task=record.name,
+                name=each.name,
+                action=each.action.name,
+                done=done,
+                why=why,
+            )
+        )
+
+    def _settle(self, record: TaskRecord, now: float) -> None:
+        steps = self._steps(record.name)
+        state = steps.settle(record.progress)
+        if state == "done":
+            self._enter(record, "done", now, "")
+        elif state == "failed":
+            self._enter(record, "failed", now, record.progress.why)
+
+    def _enter(
+        self, record: TaskRecord, state: TaskState, now: float, why: str
+    ) -> None:
+        if (record.state, record.why) == (state, why):
+            return
+        is_new = record.state != state
+        record.state, record.why = state, why
+        if is_new:
+            record.since = now
+        what = f"task '{record.name}' " + {
+            "going": "goes on",
+            "waiting": "waits",
+            "paused": "is paused",
+            "done": "is done",
+            "failed": "is given up",
+            "cancelled": "is cancelled",
+        }.get(state, state)
+        self._say(f"{what}: {why}" if why else what)
+
+    def _all_tries(self) -> Iterator[tuple[TaskRecord, Try]]:
+        for record in self.records:
+            if record.state not in OVER:
+                for each in self.tries(record):
+                    yield record, each
+
+    def _steps(self, name: str) -> Steps:
+        return Steps(self._tasks, name, self._choose, self._next, self._say)
+
+    def _next(self) -> int:
+        self._saved.number += 1
+        return self._saved.number
