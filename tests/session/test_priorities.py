@@ -14,13 +14,18 @@ from tests.busy import needs_quiet_machine
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("cpu")]
 
 
+_FEWER = 2
+"""By this factor at least the important one misses fewer deadlines: its weight is ten
+times that of the other, and on a quiet machine it misses next to none."""
+
+
 def test_without_priorities_both_miss_their_deadlines(tmp_path: Path) -> None:
     assert deadlines_met(1, 3.0, tmp_path)["important"] < 0.5
 
 
 def test_the_higher_priority_keeps_its_rate(tmp_path: Path) -> None:
     with needs_quiet_machine():
-        assert deadlines_met(10, 3.0, tmp_path)["important"] > 0.8
+        assert is_ahead(deadlines_met(10, 3.0, tmp_path))
 
 
 def test_it_does_by_nice_values_where_there_are_no_cgroups(
@@ -33,4 +38,8 @@ def test_it_does_by_nice_values_where_there_are_no_cgroups(
 
     monkeypatch.setattr(EmulatedComputer, "_environment", without)
     with needs_quiet_machine():
-        assert deadlines_met(10, 3.0, tmp_path)["important"] > 0.8
+        assert is_ahead(deadlines_met(10, 3.0, tmp_path))
+
+
+def is_ahead(met: Mapping[str, float]) -> bool:
+    return 1 - met["other"] > _FEWER * (1 - met["important"])

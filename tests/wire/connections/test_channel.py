@@ -184,6 +184,27 @@ def test_a_source_that_takes_nothing_back_holds_nobody_up(wire: Wire) -> None:
 
 
 @both
+def test_each_connection_for_messages_says_first_how_many_went_before(
+    wire: Wire,
+) -> None:
+    receiver, sent = Receiver(), [0]
+
+    def count() -> None:
+        sent[0] += 1
+
+    wire.server().open("echo", receiver)
+    channel = wire.channel(use=MESSAGES, first=lambda: message(f"{sent[0]} went"))
+    wait_until(channel.is_ready)
+    channel.push(message("a"), LIMIT, count)
+    channel.push(message("b"), LIMIT, count)
+    assert receiver.wait_for(3) == ["0 went", "a", "b"]
+    (connection,) = channel._messages
+    connection.end()
+    wait_until(channel.is_ready)  # although nothing more is sent
+    assert receiver.wait_for(4)[-1] == "2 went"
+
+
+@both
 def test_a_large_message_comes_whole(wire: Wire) -> None:
     wire.server().open("echo", Receiver())
     text = "0123456789" * 600_000

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -21,6 +23,7 @@ from poise.manage.run import Run
 from poise.manage.statuses import components_of
 from poise.model.robot import Robot
 from poise.session.launch.printer import STDERR, Printer
+from poise.session.launch.temporary_folders import scratch_folder
 from poise.session.placement import Placement, place
 from poise.session.render.moves import outcome_sentence
 from poise.session.render.progress import progress
@@ -132,8 +135,10 @@ def demo_command(
 def _play(scene: str, examples: Path, *, as_json: bool) -> None:
     with Printer(STDERR) as printer, Interrupts() as interrupts:
         example, play = SCENES[scene]
-        robot = load(examples / example / "robot.yaml", say=printer.print)
-        report = play(robot, printer.print, interrupts.check)
+        with scratch_folder("poise-demo-") as folder:
+            file = _renamed(examples / example, folder / example)
+            robot = load(file, say=printer.print)
+            report = play(robot, printer.print, interrupts.check)
     if as_json:
         print_json(report)
     else:
@@ -141,6 +146,17 @@ def _play(scene: str, examples: Path, *, as_json: bool) -> None:
             Console(highlight=False).print(f"{key:16}{value}")
     if not report.ok:
         raise typer.Exit(1)
+
+
+def _renamed(example: Path, folder: Path) -> Path:
+    """Return the robot file in a copy of an example, with a name of its own.
+
+    Emulated computers and managers are found by it, and another may be up.
+    """
+    file = shutil.copytree(example, folder) / "robot.yaml"
+    old, new = f"robot: {example.name}\n", f"robot: {example.name}-{os.getpid()}\n"
+    file.write_text(file.read_text(encoding="utf-8").replace(old, new, 1))
+    return file
 
 
 def _drive(examples: Path, method: str, console: Console, check: Check) -> RunReport:

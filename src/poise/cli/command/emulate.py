@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -13,6 +14,7 @@ from rich.markup import escape
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import AsJson, RobotFile, parse_option, print_json
 from poise.emulate import EmulatedSet, InjectedFault, all_sets, find_set
+from poise.errors import UsageError
 from poise.session.emulated import emulated
 from poise.session.launch.printer import Printer, log_printer
 from poise.session.render.shown import console_to
@@ -171,12 +173,23 @@ def load_command(
     find_set(robot).load(computer, parse_option("--cpu", cpu, CORES))
 
 
-def stop_command(robot: Robot = None) -> None:
+def stop_command(
+    file: Annotated[
+        Path | None, typer.Argument(help="The robot's file, instead of its name.")
+    ] = None,
+    robot: Robot = None,
+) -> None:
     """End the emulated computers of a robot, with all that runs on them.
 
-    Example: poise emulate stop
+    Examples
+    --------
+    poise emulate stop
+
+    poise emulate stop robot.yaml
     """
-    find_set(robot).stop()
+    if file is not None and robot is not None:
+        raise UsageError(f"give {file} or --robot, not both")
+    find_set(load(file).name if file is not None else robot).stop()
     console_to().print("stopped")
 
 

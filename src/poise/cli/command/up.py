@@ -91,7 +91,8 @@ def up_command(
                 check=interrupts.check,
             ) as running,
         ):
-            say(f"robot '{robot.name}' is up with task '{chosen}'; Ctrl-C ends it")
+            ends = "Ctrl-C" if sys.stdin.isatty() else "`poise stop`"
+            say(f"robot '{robot.name}' is up with task '{chosen}'; {ends} ends it")
             while not running.wait(_LOOK_EVERY):
                 interrupts.check()
             say("stopping")

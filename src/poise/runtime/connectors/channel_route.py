@@ -82,14 +82,10 @@ class ChannelRoute:
         if type(value) is Stamped:
             coder, value = with_stamps(coder), (value.stamps, value.value)
         credit = self._credit
-        number = credit.sent + 1
         pieces = segments(
-            coder, value, kind, tag=tag, number=number, chain=credit.route
+            coder, value, kind, tag=tag, number=credit.sent + 1, chain=credit.route
         )
-        if number == 1:
-            self.ask()
-        self._channel.push(pieces, self._limit)
-        credit.sent = number
+        self._channel.push(pieces, self._limit, credit.note_sent)
         return size_of(pieces)
 
     def has_room(self) -> bool:

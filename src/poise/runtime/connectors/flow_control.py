@@ -3,9 +3,11 @@
 A target whose queue blocks sends *credit*: how many messages the source may have sent
 in all. The number is a total, so credit that is lost, doubled or late does no harm: the
 next one says all. A source without credit *requests* it, again and again, in the stream
-of its messages: what it sent before has arrived by then, or never will. Both numbers
-count from the first message over one route. The route has a random number of its own:
-a restarted source or target, and one that moves, begins with another.
+of its messages: what it sent before has arrived by then, or never will. Each connection
+begins with a request: so what got lost with the one before is counted at once, also
+when nothing more is sent. Both numbers count from the first message over one route. The
+route has a random number of its own: a restarted source or target, and one that moves,
+begins with another.
 
 A target sends credit when half of its queue was emptied since the last time: one frame
 for many messages, back over the connection on which they come. Nobody waits for that: a
@@ -49,6 +51,10 @@ class Credit:
     def has_room(self) -> bool:
         """Return whether one more message may go."""
         return self.sent < self._total
+
+    def note_sent(self) -> None:
+        """Count a message that went out."""
+        self.sent += 1
 
     def request(self) -> Pieces:
         """Return the frame that requests credit."""

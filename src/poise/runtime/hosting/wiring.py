@@ -29,7 +29,6 @@ from poise.wire.address import Address
 from poise.wire.connections.channel import Channel
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.connections.opening import CALLS, MESSAGES
-from poise.wire.frame import Frame
 from poise.wire.records.deployment import ConnectorSpec
 from poise.wire.records.status import ConnectorStatus, Side
 
@@ -74,7 +73,7 @@ class Transports:
         connector: str,
         address: str,
         use: int = CALLS,
-        on_frame: Callable[[Frame], bool] | None = None,
+        credit: Credit | None = None,
     ) -> Channel:
         """Return a channel to the container at an address (`Channel`).
 
@@ -84,7 +83,10 @@ class Transports:
             `address` is none.
         """
         where, folder = Address.parse(address), Path(self._place.folder)
-        return Channel(connector, where, folder, use, on_frame)
+        if credit is None:
+            return Channel(connector, where, folder, use)
+        take, request = credit.take, credit.request
+        return Channel(connector, where, folder, use, take, request)
 
     def close(self) -> None:
         """Receive no more."""
@@ -261,7 +263,7 @@ class Wiring:
             credit = Credit()
             credit.on_credit = sender.room
             use = CALLS if port.kind == "requires" else MESSAGES
-            channel = self._transports.channel(spec.key, spec.address, use, credit.take)
+            channel = self._transports.channel(spec.key, spec.address, use, credit)
             ends.route = ChannelRoute(
                 channel, port, spec.limit, credit, ends.remote_clock
             )

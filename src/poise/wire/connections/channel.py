@@ -6,7 +6,7 @@ need no sorting, and the thread that calls reads the answer; concurrent callers 
 several. The thread that reads a call at the other end runs it and answers: no thread
 wakes another. Messages use one connection, which keeps their order; credit comes back
 over it. When it breaks and another replaces it, the receiver first takes all that came
-over the first.
+over the first, and then hears how much was sent over that: so it knows what was lost.
 """
 
 from __future__ import annotations
@@ -34,6 +34,10 @@ _SPARE = 8
 """Connections kept open per connector when no call uses them."""
 _IDLE = 30.0
 """Connections unused for this time are closed, with their shared memory [s]."""
+
+
+def _do_nothing() -> None:
+    pass
 
 
 class _Connections:
@@ -123,6 +127,8 @@ class Channel:
         `CALLS` or `MESSAGES`: the use of the connection that `is_ready` opens.
     on_frame
         Takes what comes back where messages go; returns whether more may come.
+    first
+        Returns what each connection for messages begins with; None: nothing.
     """
 
     def __init__(
@@ -132,12 +138,14 @@ class Channel:
         folder: Path,
         use: int = CALLS,
         on_frame: Callable[[Frame], bool] | None = None,
+        first: Callable[[], Pieces] | None = None,
     ) -> None:
         self._connector = connector
         self._address = address
         self._folder = folder
         self._use = use
         self._on_frame = on_frame
+        self._first = first
         self._calls, self._messages = self._connections = _Connections(), _Connections()
         self._openings: dict[int, Opening] = {}
         self._is_closed = False
@@ -200,16 +208,27 @@ class Channel:
             if found is None:  # else the receiver had closed it while it was idle
                 raise Unavailable(f"{self._connector}: {self._address} went away")
 
-    def push(self, pieces: Pieces, limit: float) -> None:
+    def push(
+        self,
+        pieces: Pieces,
+        limit: float,
+        on_sent: Callable[[], object] = _do_nothing,
+    ) -> None:
         """Send a message; all use one connection, which keeps their order.
 
         It may block up to `limit` [s] when the receiver is slow; raises as `request`.
+
+        Parameters
+        ----------
+        on_sent
+            Called once it went out, and before another connection replaces this one.
         """
         deadline = time.monotonic() + limit
         if not self._ordering.acquire(timeout=limit):
             raise Timeout(f"{self._connector}: others send since {limit:g} s")
         try:
             self._messages.give_back(self._send(pieces, deadline))
+            on_sent()
         finally:
             self._ordering.release()
 
@@ -296,8 +315,8 @@ class Channel:
         if opening.go_on(use, deadline):
             self._is_lost = False
             connection = opening.connection
-            if use == MESSAGES and self._on_frame:
-                connection.follow(self._on_frame)
+            if use == MESSAGES:
+                self._begin(connection, deadline)
             self._connections[use].add(connection)
             return connection
         if opening.is_late() or self._is_closed:
@@ -306,3 +325,13 @@ class Channel:
         else:
             self._openings[use] = opening
         return None
+
+    def _begin(self, connection: Connection, deadline: float) -> None:
+        try:
+            if self._on_frame:
+                connection.follow(self._on_frame)
+            if self._first:
+                connection.send(self._first(), deadline)
+        except BaseException:
+            connection.close()
+            raise

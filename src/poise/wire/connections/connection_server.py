@@ -210,8 +210,9 @@ class ConnectionServer:
         served.connector, served.use = name, hello.number
         before = None
         if served.use == MESSAGES:
-            before = self._messages.get(name)
-            self._messages[name] = served
+            with self._lock:  # of two that come at once, each waits for another
+                before = self._messages.get(name)
+                self._messages[name] = served
         connection.send(frame.segments(NAME, name, Kind.HELLO), deadline)
         if before is not None:
             _wait_until_taken(before)
