@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from poise.runtime.component.ports import subscribed as subscribed
     from poise.session.calibration.calibrate import Calibration as Calibration
     from poise.session.calibration.calibrate import calibrate as calibrate
-    from poise.session.diagrams.draw import Drawing as Drawing
-    from poise.session.diagrams.draw import draw as draw
     from poise.session.emulated import emulated as emulated
     from poise.session.placement import Placement as Placement
     from poise.session.placement import place as place
@@ -64,7 +62,6 @@ else:
         "CallError": "errors",
         "CalleeError": "errors",
         "Component": "runtime.component.component",
-        "Drawing": "session.diagrams.draw",
         "Entry": "manage.journal",
         "FileProblem": "errors",
         "Message": "runtime.component.ports",
@@ -93,7 +90,6 @@ else:
         "calibrate": "session.calibration.calibrate",
         "check": "session.robot_file",
         "connect": "session.running",
-        "draw": "session.diagrams.draw",
         "emulated": "session.emulated",
         "every": "runtime.component.ports",
         "load": "session.robot_file",

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from msgspec import Struct
 
 from poise.model.robot import Robot
+from poise.model.tasks.steps import actions_of
 
 USUAL = 100
 """The weight of the lowest priority: that of any other program."""
@@ -36,11 +37,16 @@ class CpuWeight(Struct, frozen=True):
 
 
 def cpu_weights(robot: Robot) -> Mapping[str, CpuWeight]:
-    """Return architecture -> CPU weight; only the order of priorities counts."""
+    """Return architecture -> CPU weight; only the order of priorities counts.
+
+    What is prepared for a later action has none: so where there may be such, others
+    have one though all priorities are equal.
+    """
     priorities = sorted({a.priority for a in robot.architectures})
     steps = len(priorities) - 1
     if steps < 1:
-        return {a.name: CpuWeight() for a in robot.architectures}
+        alike = CpuWeight(USUAL if _may_prepare(robot) else 0)
+        return {a.name: alike for a in robot.architectures}
     step = min(STEP, RANGE ** (1 / steps))
     nicer = math.log(step) / math.log(_LESS_A_STEP)
     weights = {
@@ -50,3 +56,9 @@ def cpu_weights(robot: Robot) -> Mapping[str, CpuWeight]:
         for rank, priority in enumerate(priorities)
     }
     return {a.name: weights[a.priority] for a in robot.architectures}
+
+
+def _may_prepare(robot: Robot) -> bool:
+    tasks = {task.name: task for task in robot.tasks}
+    actions = [action for name in tasks for action in actions_of(tasks, name)]
+    return not robot.prefetch.off and len(actions) > 1

@@ -151,6 +151,7 @@ class DeploymentPlan:
         incarnations: Iterable[Incarnation],
         generation: int,
         gateways: Mapping[str, str],
+        spare: Mapping[str, float] = {},
     ) -> dict[str, Deployment]:
         """Return what should run on each computer, by its name.
 
@@ -158,6 +159,8 @@ class DeploymentPlan:
         ----------
         gateways
             Computer -> IP address and port of its gateway.
+        spare
+            Computer -> CPU for what is being prepared there [cores].
         """
         placed = tuple(incarnations)
         containers: dict[str, list[ContainerSpec]] = {
@@ -170,6 +173,9 @@ class DeploymentPlan:
                     folder=self._robot.folder,
                     weight=self._weights[container].weight,
                     nice=self._weights[container].nice,
+                    spare=spare.get(computer, 0.0)
+                    if all(each.unjoined and each.gently for each in inside)
+                    else 0.0,
                     repository=self._robot.repository,
                     components=tuple(map(self.component_spec, inside)),
                     connectors=tuple(self._connectors(inside, placed, gateways)),

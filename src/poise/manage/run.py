@@ -21,6 +21,7 @@ from poise.manage.deployment import (
 )
 from poise.manage.journal import Journal
 from poise.manage.observe.faults import fault_sentence, faults_after, last_numbers
+from poise.manage.prefetch.report import Switches
 from poise.manage.statuses import (
     components_of,
     containers_left,
@@ -80,6 +81,9 @@ class Run:
         }
         self.prepared: dict[str, Incarnation] = {}
         """Components that are configured, inactive and unjoined, to be active soon."""
+        self.spare: dict[str, float] = {}
+        """Computer -> CPU for what is being prepared there [cores]."""
+        self.switches = Switches()
         self.check: Callable[[], object] = lambda: None
         """Called at all news while all is started or watched; may raise to end that."""
         self.faults_before = last_numbers(agents.statuses())
@@ -259,7 +263,9 @@ class Run:
         # later than any that the agents ever saw, from whatever manager
         seen = [status.generation for status in statuses.values()]
         self.generation = max(self.generation, *seen, 0) + 1
-        specs = self.layout.specs(self.wanted, self.generation, self.gateways())
+        specs = self.layout.specs(
+            self.wanted, self.generation, self.gateways(), self.spare
+        )
         news = {
             computer: specs[computer]
             for computer in (self.computers() if computers is None else computers)
@@ -390,9 +396,11 @@ class Run:
 
     def _raise_on_trouble(self) -> bool:
         self.look()
+        prepared = {(name, each.epoch) for name, each in self.prepared.items()}
         for computer, status in self.agents.statuses().items():
             for component in components_of({computer: status}):
-                if component.state == "failed":
+                is_prepared = (component.name, component.epoch) in prepared
+                if component.state == "failed" and not is_prepared:
                     what = f"component '{component.name}' on '{computer}' failed"
                     self.journal.note("failed", what)
                     raise RunError(f"{what}:\n{component.error}")

@@ -36,6 +36,7 @@ from poise.model.software import (
     Layer,
     WhenCutOff,
 )
+from poise.model.tasks.prefetch import PREFETCH, Prefetch
 from poise.model.tasks.steps import Action, Task, actions_of
 
 __all__ = [
@@ -223,6 +224,11 @@ class Robot(Struct, frozen=True, kw_only=True):
     tasks: Annotated[
         tuple[Task, ...], by_name(Task), says("The tasks of the robot.")
     ] = ()
+    prefetch: Annotated[
+        Prefetch,
+        PREFETCH,
+        says("What is prepared of the next actions while others run, or `off`."),
+    ] = Prefetch()
     objective: Annotated[
         Objective,
         written(ObjectiveKeys, dict),

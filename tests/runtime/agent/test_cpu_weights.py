@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 
 from poise.priority import REAL_TIME
 from poise.runtime.agent.cpu_weights import CPU_GROUP, CpuWeights, own_group
@@ -94,3 +95,32 @@ def test_an_emulated_computer_says_which_group_is_its_own(
     assert own_group() == tmp_path
     monkeypatch.setenv(CPU_GROUP, "")
     assert own_group() is None
+
+
+def test_what_is_prepared_gets_only_what_nobody_else_wants(first: Path) -> None:
+    (first / "prepared").mkdir()
+    for name in ("cpu.shares", "cpu.idle"):
+        (first / "prepared" / name).touch()
+    weights = CpuWeights(first)
+    prepared = structs.replace(HIGH, spare=0.1)
+    weights.nice_of(prepared)
+    weights.settle(prepared, 12)
+    # a tenth of 20 ms
+    assert (first / "prepared/cpu.cfs_period_us").read_text() == "20000"
+    assert (first / "prepared/cpu.cfs_quota_us").read_text() == "2000"
+    assert (first / "prepared/cpu.idle").read_text() == "1"
+    assert (first / "prepared/cgroup.procs").read_text() == "12"
+    weights.settle(HIGH, 12)
+    assert (first / "container-nav/cgroup.procs").read_text() == "12"
+
+
+def test_little_cpu_is_counted_over_a_longer_time(tmp_path: Path) -> None:
+    (tmp_path / "cgroup.subtree_control").touch()
+    (tmp_path / "cgroup.procs").touch()
+    weights = CpuWeights(tmp_path)
+    prepared = structs.replace(LOW, spare=0.01)
+    weights.nice_of(prepared)
+    weights.settle(prepared, 12)
+    # the kernel counts 1 ms at least
+    assert (tmp_path / "prepared/cpu.max").read_text() == "1000 100000"
+    assert (tmp_path / "prepared/cpu.weight").read_text() == "1"

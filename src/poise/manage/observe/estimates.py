@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Collection
 
 from msgspec import Struct
 
@@ -70,6 +71,8 @@ class Estimates:
         self.loads = Loads(robot, emulated=emulated)
         self._lock = threading.Lock()
         self._followed: dict[str, _Followed] = {}
+        self.resting: Collection[tuple[str, int]] = ()
+        """Components and epochs that are not at work: what they use is no demand."""
         self._ends: dict[tuple[str, str], tuple[float, ConnectorSample]] = {}
         self._traffic: dict[str, tuple[str, ConnectorProfile]] = {}
 
@@ -121,6 +124,9 @@ class Estimates:
             return None  # the incarnation that a move leaves behind
         if component.epoch != known.epoch:
             known.running.skip_to_next()  # the counters are another incarnation's
+        if (component.name, component.epoch) in self.resting:
+            known.running.skip_to_next()
+            return None
         known.epoch, known.computer = component.epoch, computer
         speed = self._speeds.get(computer, 1.0)
         return known.running.update(

@@ -7,6 +7,7 @@ and uses memory, but no CPU; it becomes active within moments.
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Collection, Iterable, Mapping
 
 from msgspec.structs import replace
@@ -15,6 +16,7 @@ from poise.errors import RunError
 from poise.manage.deployment import Incarnation
 from poise.manage.run import ACTIVE_LIMIT, READY_LIMIT, Run
 from poise.manage.statuses import components_of
+from poise.wire.records.status import State
 
 
 def prepare(run: Run, placement: Mapping[str, str], *, gently: bool = True) -> None:
@@ -68,9 +70,10 @@ def switch(run: Run, ends: Collection[str], begins: Mapping[str, str]) -> None:
         Something did not begin within the limits: then nothing of `begins` works, and
         all of `ends` rests.
     """
+    began, is_hit = time.monotonic(), _are_ready(run, begins)
     for name in ends:
         old = run.placed.pop(name)
-        run.prepared[name] = replace(old, goal="inactive", unjoined=True)
+        run.prepared[name] = replace(old, goal="inactive", unjoined=True, gently=False)
     new = [
         replace(_prepared(run, name, at), unjoined=False, gently=False)
         for name, at in begins.items()
@@ -85,6 +88,8 @@ def switch(run: Run, ends: Collection[str], begins: Mapping[str, str]) -> None:
             run.placed[each.component] = each.with_goal("active")
         run.tell(run.placed.values())
         _wait(run, [run.placed[each.component] for each in new], ACTIVE_LIMIT)
+        if begins:
+            run.switches.note(time.monotonic() - began, is_hit=is_hit)
     except RunError:
         for each in new:
             run.prepared.pop(each.component, None)
@@ -94,11 +99,30 @@ def switch(run: Run, ends: Collection[str], begins: Mapping[str, str]) -> None:
         raise
 
 
+def _are_ready(run: Run, components: Mapping[str, str]) -> bool:
+    """Return whether all of some components are prepared where they are to work."""
+    states = _states(run)
+    return all(
+        (each := run.prepared.get(name)) is not None
+        and each.computer == computer
+        and states.get((name, each.epoch)) == "inactive"
+        for name, computer in components.items()
+    )
+
+
+def _states(run: Run) -> dict[tuple[str, int], State]:
+    return {(c.name, c.epoch): c.state for c in components_of(run.current())}
+
+
 def _prepared(
     run: Run, name: str, computer: str, *, gently: bool = False
 ) -> Incarnation:
     before = run.prepared.get(name)
-    if before is not None and before.computer == computer:
+    if (
+        before is not None
+        and before.computer == computer
+        and _states(run).get((name, before.epoch)) != "failed"
+    ):
         return before
     return Incarnation(
         component=name,

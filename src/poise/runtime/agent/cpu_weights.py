@@ -4,6 +4,10 @@ Each container is in a control group of its own with the weight of its architect
 priority, where the agent may make groups: on an emulated computer, or on a real one in
 a folder that was delegated to it (systemd's ``Delegate=cpu``). Elsewhere the threads of
 less important containers have higher nice values.
+
+What is prepared for an action that has not begun shares one group: it gets the CPU when
+nobody else wants it, and no more than it is given. Without groups nothing holds it back
+but that its threads that import are nice (`gives_way`).
 """
 
 from __future__ import annotations
@@ -26,6 +30,10 @@ _MOST = 10_000
 """The highest weight that the kernel takes: the agent's own."""
 _SHARES = 10.24
 """Shares of version 1 for a weight of 1 of version 2."""
+_LEAST_QUOTA = 0.001
+"""The kernel counts quotas from this on [s]."""
+_PERIOD = 0.02
+"""What a quota is counted over, or longer where it would be too small [s]."""
 
 
 class CpuWeights:
@@ -53,13 +61,16 @@ class CpuWeights:
         return spec.nice if self.means == "nice" else 0
 
     def settle(self, spec: ContainerSpec, pid: int) -> None:
-        """Put a container that began into its group."""
+        """Put a container that began, or goes to work, into its group."""
         if not spec.weight or self._folder is None or self.means == "nice":
             return
-        group = self._folder / f"container-{spec.name}"
+        group = self._folder / ("prepared" if spec.spare else f"container-{spec.name}")
         try:
             group.mkdir(exist_ok=True)
-            _weigh(group, spec.weight)
+            if spec.spare:
+                _hold_back(group, spec.spare)
+            else:
+                _weigh(group, spec.weight)
             _enter(group, [pid])
         except OSError as error:
             log.warning("container '%s' shares the CPU as any: %s", spec.name, error)
@@ -132,3 +143,18 @@ def _weigh(group: Path, weight: int) -> None:
         shares.write_text(str(round(weight * _SHARES)))
     else:
         (group / "cpu.weight").write_text(str(weight))
+
+
+def _hold_back(group: Path, cores: float) -> None:
+    """Let a group have the CPU when nobody else wants it, and at most some cores."""
+    period = max(_PERIOD, _LEAST_QUOTA / cores)
+    quota_us, period_us = round(cores * period * 1e6), round(period * 1e6)
+    if (group / "cpu.shares").exists():
+        (group / "cpu.cfs_period_us").write_text(str(period_us))
+        (group / "cpu.cfs_quota_us").write_text(str(quota_us))
+    else:
+        (group / "cpu.max").write_text(f"{quota_us} {period_us}")
+    if (idle := group / "cpu.idle").exists():  # Linux 5.15
+        idle.write_text("1")
+    else:
+        _weigh(group, 1)

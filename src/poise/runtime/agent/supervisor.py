@@ -37,6 +37,11 @@ from poise.wire.records.status import ContainerHealth, ContainerStatus
 
 log = logging.getLogger(__name__)
 
+_OOM_SCORE = 500
+_PREPARED_OOM_SCORE = 1000
+"""When memory is short, the kernel ends first what is only prepared, then other
+containers, and last the agent."""
+
 
 class Supervisor:
     """The container processes of an agent; for the agent's own thread.
@@ -97,8 +102,7 @@ class Supervisor:
             process.keep_limits(now)
         for name, spec in wanted.items():
             if name in self.processes:
-                if not self.processes[name].is_stopping:
-                    self.processes[name].tell(spec)
+                self._tell(self.processes[name], spec)
             elif name in self._backoffs and not self._backoffs[name].is_over(now):
                 continue
             elif not self._awaits(name):
@@ -135,7 +139,7 @@ class Supervisor:
                 self._forget(process, event.reason)
                 return
             try:
-                self.cpu_weights.settle(process.spec, event.pid)
+                self._settle(process.spec, event.pid)
                 process.note_born(event.pid)
             except (OSError, RuntimeError) as error:  # no memory is free
                 process.give_up(f"its counters cannot be read: {error}")
@@ -175,6 +179,8 @@ class Supervisor:
         process = self.processes.get(silence.container)
         if process is None or process.pid != silence.pid or process.is_stopping:
             return
+        if process.spec.spare or (process.silence is None and not silence.reason):
+            return  # what is prepared may have to wait long for the CPU
         process.silence = silence if silence.reason else None
         process.silent_since = self._clock.now() - silence.seconds
         if silence.reason:
@@ -208,6 +214,20 @@ class Supervisor:
         if self.is_cut_off:
             containers = tuple(map(_without_lease, containers))
         return {each.name: each for each in containers}
+
+    def _tell(self, process: ContainerProcess, spec: ContainerSpec) -> None:
+        if process.is_stopping:
+            return
+        if process.pid and process.spec.spare != spec.spare:
+            self._settle(spec, process.pid)
+        process.tell(spec)
+
+    def _settle(self, spec: ContainerSpec, pid: int) -> None:
+        """Give a process what its container is to have of the computer."""
+        self.cpu_weights.settle(spec, pid)
+        with contextlib.suppress(OSError):  # it has ended
+            score = _PREPARED_OOM_SCORE if spec.spare else _OOM_SCORE
+            Path(f"/proc/{pid}/oom_score_adj").write_text(str(score))
 
     def _start(self, spec: ContainerSpec) -> None:
         with contextlib.ExitStack() as undo:

@@ -20,7 +20,6 @@ import socket
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 
 from msgspec import Struct
 
@@ -43,7 +42,6 @@ log = logging.getLogger(__name__)
 
 PATIENCE = 2.0
 """Containers end within this time after they should have by themselves [s]."""
-_OOM_SCORE = "500"
 _LARGEST = 1 << 16
 _KILL_LIMIT = 1.0
 _PASSED = 2
@@ -282,9 +280,6 @@ class _Zygote:
         adopt_orphans()
         self._agent.close()
         self._waker.close()
-        # when memory is short, the kernel ends a container before the agent
-        with contextlib.suppress(OSError):
-            Path("/proc/self/oom_score_adj").write_text(_OOM_SCORE)
         be_nice(wanted.nice)
         Container(wanted.name, connection, stats_page, wanted.place).run()
 

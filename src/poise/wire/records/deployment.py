@@ -155,12 +155,17 @@ class ContainerSpec(Struct, frozen=True, kw_only=True, tag=True):
         Its weight when the CPU is not enough for all (cgroups); 0: all are alike.
     nice
         The nice value of its threads where there are no cgroups.
+    spare
+        It is prepared for an action that has not begun: all such containers together
+        get this much CPU [cores] at most, and only what nobody else wants. 0: it gets
+        its share.
     """
 
     name: str
     folder: str
     weight: int = 0
     nice: int = 0
+    spare: float = 0.0
     components: tuple[ComponentSpec, ...]
     connectors: tuple[ConnectorSpec, ...]
     repository: tuple[str, ...] = ()

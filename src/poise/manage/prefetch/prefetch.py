@@ -1,0 +1,228 @@
+"""Keeps prepared what the next actions are likely to need, while others run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Iterable, Mapping
+
+from poise.errors import RunError
+from poise.manage.deployment import Incarnation
+from poise.manage.observe.loads import Load
+from poise.manage.prefetch.choice import Choice, choose
+from poise.manage.prefetch.report import PrefetchReport
+from poise.manage.run import Run
+from poise.manage.statuses import components_of
+from poise.manage.tasks.likely import Likely
+from poise.manage.tasks.switch import prepare
+from poise.wire.records.status import AgentStatus
+
+LOOK_EVERY = 1.0
+"""What is prepared is chosen again so often though nothing is new [s]."""
+TRY_AGAIN = 60.0
+"""What could not be prepared is tried again after this time [s]."""
+
+_Key = tuple[str, int]
+"""A component and its epoch."""
+
+
+class Prefetch:
+    """What waits, prepared, for actions that have not begun.
+
+    Parameters
+    ----------
+    clock
+        A time that never goes back [s].
+    """
+
+    def __init__(self, run: Run, clock: Callable[[], float] = time.monotonic) -> None:
+        self._run = run
+        self._clock = clock
+        self._chosen_at = float("-inf")
+        self._chosen_for: object = None
+        self._barred: dict[str, float] = {}
+        self._why_not: Mapping[tuple[str, str], str] = {}
+        self._begun: dict[_Key, Incarnation] = {}
+        self._ready: set[_Key] = set()
+        self._memory: dict[tuple[str, str], int] = {}
+        self._wasted = 0
+
+    def report(self) -> PrefetchReport:
+        """Return what it was good for; from any thread."""
+        switches = self._run.switches
+        return PrefetchReport(
+            hit=switches.summary(is_hit=True),
+            miss=switches.summary(is_hit=False),
+            prepared={n: e.computer for n, e in self._run.prepared.copy().items()},
+            memory=sum(self._memory.copy().values()),
+            wasted=self._wasted,
+        )
+
+    def look(self, likely: Collection[Likely], loads: Mapping[str, Load]) -> None:
+        """Note how preparations go, and prepare what is likely next.
+
+        Parameters
+        ----------
+        loads
+            Computer -> its CPU use, where it is known.
+        """
+        self._note_failures()
+        self._note_ready()
+        if self._run.robot.prefetch.off:
+            likely = ()
+        now, placement = self._clock(), self._run.placement()
+        situation = [*likely], placement, [*self._run.prepared], self._run.computers()
+        if situation == self._chosen_for and now < self._chosen_at + LOOK_EVERY:
+            return
+        self._chosen_at = now
+        likely = [each for each in likely if not self._is_barred(each)]
+        cpu = {name: self._cpu_left(name, loads) for name in self._run.computers()}
+        held = {name: each.computer for name, each in self._run.prepared.items()}
+        choice = choose(self._run.robot, placement, likely, cpu=cpu, held=held)
+        self._go_to(choice, likely, cpu)
+        self._chosen_for = [*likely], placement, [*self._run.prepared], cpu.keys()
+
+    def _go_to(
+        self, choice: Choice, likely: Collection[Likely], cpu: Mapping[str, float]
+    ) -> None:
+        run, note = self._run, self._run.journal.note
+        for (action, task), why in choice.why_not.items():
+            if task and (action, task) not in self._why_not:
+                note("seen", f"nothing is prepared for {_named(action, task)}: {why}")
+        self._why_not = choice.why_not
+        wanted = choice.placement
+        held = {name: each.computer for name, each in run.prepared.items()}
+        drops = [name for name in held if wanted.get(name) != held[name]]
+        begins = {n: at for n, at in wanted.items() if held.get(n) != at}
+        if not drops and not begins:
+            return
+        for name in drops:
+            del run.prepared[name]
+        if drops:
+            note("decided", f"{_list(drops)} prepared no more: room is needed")
+        for computer in begins.values():
+            run.spare[computer] = cpu[computer]
+        for each in likely:
+            mine = {n: at for n, at in begins.items() if each.placement.get(n) == at}
+            if mine:
+                what = f"{_named(each.action, each.task)} is likely next"
+                note(
+                    "decided",
+                    f"{what}: {_list(mine)} prepared",
+                    placement=mine,
+                    probability=each.probability,
+                )
+        try:
+            prepare(run, begins)
+        except RunError as error:
+            note("failed", f"{_list(begins)} not prepared: {error}")
+            self._bar(begins)
+        self._begun |= {
+            (name, run.prepared[name].epoch): run.prepared[name]
+            for name in begins.keys() & run.prepared.keys()
+        }
+
+    def _cpu_left(self, computer: str, loads: Mapping[str, Load]) -> float:
+        """Return the CPU of a computer that may be used to prepare [cores]."""
+        robot = self._run.robot
+        there = robot.computer(computer)
+        placed = self._run.placed
+        left = there.usable("cpu") - sum(
+            component.demand.get("cpu", 0.0)
+            for component in robot.components()
+            if component.name in placed and placed[component.name].computer == computer
+        )
+        if computer in loads:
+            load = loads[computer]
+            left = min(left, load.capacity - load.used)
+        return max(0.0, robot.prefetch.cpu * left / max(1.0, there.speed))
+
+    def _note_failures(self) -> None:
+        """Drop what cannot be prepared, and say why: its action may still begin."""
+        run = self._run
+        failed: dict[str, str] = {}
+        statuses = run.current()
+        for name, each in run.prepared.items():
+            status = statuses.get(each.computer)
+            why = status and _failure(status, each, run.layout.container_of(name))
+            if why:
+                failed[name] = why
+        for name, why in failed.items():
+            computer = run.prepared.pop(name).computer
+            where = f"component '{name}' cannot be prepared on '{computer}'"
+            text = f"{where}, and starts only with its action: {why}"
+            run.journal.note("failed", text)
+        if failed:
+            self._bar(failed)
+            try:
+                run.tell(run.placed.values())
+            except RunError as error:
+                run.journal.note("failed", f"it is not ended yet: {error}")
+
+    def _note_ready(self) -> None:
+        """Journal what is ready now, and count what was dropped that never worked."""
+        run = self._run
+        here = {(n, e.epoch) for n, e in run.prepared.items()}
+        at_work = {(n, e.epoch) for n, e in run.placed.items()}
+        used = {
+            self._container(each)
+            for each in (*run.prepared.values(), *run.placed.values())
+        }
+        gone = {
+            self._container(each)
+            for key, each in self._begun.items()
+            if key not in here | at_work
+        }
+        self._wasted += sum(self._memory.get(key, 0) for key in gone - used)
+        self._begun = {k: each for k, each in self._begun.items() if k in here}
+        self._ready &= self._begun.keys()
+        statuses, waiting = run.current(), map(self._container, run.prepared.values())
+        self._memory = {
+            key: health.memory
+            for key in waiting
+            if key[0] in statuses
+            for health in statuses[key[0]].health
+            if health.name == key[1]
+        }
+        found = [
+            component
+            for component in components_of(statuses)
+            if (component.name, component.epoch) in self._begun.keys() - self._ready
+            and component.state == "inactive"
+        ]
+        if found:
+            self._ready |= {(each.name, each.epoch) for each in found}
+            seconds = max(each.start for each in found)
+            names = _list([each.name for each in found])
+            run.journal.note("done", f"{names} prepared within {seconds:.2f} s")
+
+    def _container(self, each: Incarnation) -> tuple[str, str]:
+        return each.computer, self._run.layout.container_of(each.component)
+
+    def _bar(self, components: Iterable[str]) -> None:
+        until = self._clock() + TRY_AGAIN
+        self._barred |= dict.fromkeys(components, until)
+
+    def _is_barred(self, each: Likely) -> bool:
+        now = self._clock()
+        return any(now < self._barred.get(name, now) for name in each.placement)
+
+
+def _failure(status: AgentStatus, each: Incarnation, container: str) -> str:
+    """Return why something that is prepared fails; empty: it does not."""
+    for component in components_of({status.computer: status}):
+        if (component.name, component.epoch) == (each.component, each.epoch):
+            if component.state == "failed":
+                return component.error.rstrip().rpartition("\n")[2] or "it failed"
+            return ""
+    for health in status.health:
+        if health.name == container and health.state == "restarting":
+            return health.last_fault.message if health.last_fault else "it ended"
+    return ""
+
+
+def _named(action: str, task: str) -> str:
+    return f"action '{action}' of task '{task}'"
+
+
+def _list(names: Iterable[str]) -> str:
+    return ", ".join(f"'{name}'" for name in names)

@@ -1,0 +1,85 @@
+"""How switches from one action to the next went, and what was prepared for nothing."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from statistics import median
+
+from msgspec import Struct
+
+from poise.wire.records.status import Summary
+
+_MOST = 1000
+"""The times of so many switches are kept."""
+
+
+class PrefetchReport(Struct, frozen=True, kw_only=True):
+    """What prefetch was good for since the start.
+
+    Parameters
+    ----------
+    hit
+        Switches to actions of which all was prepared [s].
+    miss
+        Switches to others [s].
+    prepared
+        Component -> computer, of what waits now.
+    memory
+        What that uses [bytes].
+    wasted
+        What was used by what was dropped, and never worked [bytes].
+    """
+
+    hit: Summary = Summary()
+    miss: Summary = Summary()
+    prepared: Mapping[str, str] = {}
+    memory: int = 0
+    wasted: int = 0
+
+    @property
+    def hit_rate(self) -> float | None:
+        """The share of switches to what was prepared; None: there were none."""
+        count = self.hit.count + self.miss.count
+        return self.hit.count / count if count else None
+
+    def __str__(self) -> str:
+        said = []
+        if self.hit.count:
+            said.append(f"{self.hit.count} prepared ({_times(self.hit)})")
+        if self.miss.count:
+            said.append(f"{self.miss.count} not prepared ({_times(self.miss)})")
+        return ", ".join(said)
+
+
+class Switches:
+    """Counts switches from one action to the next."""
+
+    def __init__(self) -> None:
+        self._count = {True: 0, False: 0}
+        self._seconds: dict[bool, deque[float]] = {
+            True: deque(maxlen=_MOST),
+            False: deque(maxlen=_MOST),
+        }
+
+    def note(self, seconds: float, *, is_hit: bool) -> None:
+        """Count a switch that took so long [s]."""
+        self._count[is_hit] += 1
+        self._seconds[is_hit].append(seconds)
+
+    def summary(self, *, is_hit: bool) -> Summary:
+        """Return how long switches took [s]; count, mean and so on of the latest."""
+        times = sorted(self._seconds[is_hit])
+        if not times:
+            return Summary()
+        return Summary(
+            count=self._count[is_hit],
+            mean=sum(times) / len(times),
+            median=median(times),
+            p99=times[min(len(times) - 1, round(0.99 * len(times)))],
+            maximum=times[-1],
+        )
+
+
+def _times(seconds: Summary) -> str:
+    return f"{seconds.median * 1e3:.0f} ms, p99 {seconds.p99 * 1e3:.0f} ms"

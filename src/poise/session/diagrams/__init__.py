@@ -1,1 +1,0 @@
-"""UML diagrams of a robot: its software, where it runs, and how that changes."""

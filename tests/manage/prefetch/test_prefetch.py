@@ -1,0 +1,156 @@
+"""Components of the next actions wait, prepared, and hurt nobody."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, cast
+
+import pytest
+from msgspec.structs import replace
+
+from poise.manage.agents import Agents
+from poise.manage.journal import Journal
+from poise.manage.observe.loads import Load
+from poise.manage.prefetch.prefetch import TRY_AGAIN, Prefetch
+from poise.manage.run import Run
+from poise.manage.tasks.likely import Likely
+from poise.manage.tasks.switch import switch
+from poise.model.robot import Robot
+from poise.model.tasks.prefetch import Prefetch as Bounds
+from poise.wire.records.status import ComponentStatus, ContainerHealth
+from tests.manage.conftest import FakeAgents
+
+NEXT = Likely(
+    task="serve", action="think", placement={"thinker": "right"}, probability=0.8
+)
+
+
+class Rig:
+    """A run of `grabber` on the left, and what may be prepared beside it."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.agents = FakeAgents("left", "right")
+        self.journal = Journal(":memory:")
+        agents = cast("Agents", self.agents)
+        self.run = Run(robot, {"grabber": "left"}, agents, self.journal, "/run")
+        self.run.start()
+        self.now = 0.0
+        self.prefetch = Prefetch(self.run, lambda: self.now)
+
+    def look(self, *likely: Likely, loads: Mapping[str, Load] | None = None) -> None:
+        self.prefetch.look(likely, loads or {})
+
+    def told(self, computer: str) -> list[tuple[str, Any]]:
+        """Return the containers that an agent was told last, with their spare CPU."""
+        found = [told for at, told in self.agents.deployed if at == computer]
+        return [(each.name, each.spare) for each in found[-1].containers]
+
+    def said(self, kind: str) -> list[str]:
+        return [e.what for e in self.journal.entries() if e.kind == kind]
+
+
+@pytest.fixture
+def rig(robot: Robot) -> Rig:
+    return Rig(robot)
+
+
+def test_the_next_action_is_prepared_in_half_of_the_cpu_that_is_left(rig: Rig) -> None:
+    rig.look(NEXT)
+    assert rig.run.prepared["thinker"].computer == "right"
+    assert rig.told("right") == [("mind", 0.5)]
+    assert not rig.agents.deployed[-1][1].containers[0].connectors
+    rig.look(NEXT)
+    assert rig.said("decided")[-1] == (
+        "action 'think' of task 'serve' is likely next: 'thinker' prepared"
+    )
+    assert rig.said("done")[-1] == "'thinker' prepared within 0.00 s"
+    assert rig.prefetch.report().prepared == {"thinker": "right"}
+
+
+def test_what_is_prepared_begins_as_a_hit_and_gets_its_cpu(rig: Rig) -> None:
+    rig.look(NEXT)
+    switch(rig.run, ["grabber"], {"thinker": "right"})
+    assert rig.told("right") == [("mind", 0.0)]
+    assert rig.run.placed["thinker"].epoch == 0
+    switch(rig.run, ["thinker"], {"filter": "left"})
+    report = rig.prefetch.report()
+    assert (report.hit.count, report.miss.count, report.hit_rate) == (1, 1, 0.5)
+
+
+def test_nothing_is_prepared_when_that_is_off(robot: Robot) -> None:
+    rig = Rig(replace(robot, prefetch=Bounds(off=True)))
+    rig.look(NEXT)
+    assert not rig.run.prepared
+
+
+def test_nothing_begins_while_other_programs_use_all_cpu(rig: Rig) -> None:
+    full = Load(capacity=1.0, used=1.0, background=0.9)
+    rig.look(NEXT, loads={"right": full})
+    assert not rig.run.prepared
+    rig.look(NEXT, loads={"right": full})
+    assert rig.said("seen") == [
+        (
+            "nothing is prepared for action 'think' of task 'serve': what runs leaves "
+            "no CPU of computer 'right'"
+        )
+    ]
+
+
+def test_a_preparation_that_fails_is_said_and_dropped(rig: Rig) -> None:
+    rig.agents.states["thinker"] = ComponentStatus(
+        name="thinker", state="failed", error="Traceback\nKeyError: 'map'"
+    )
+    rig.look(NEXT)
+    rig.run.bring(rig.run.placed.values(), 1.0)  # what runs does not mind
+    rig.look(NEXT)
+    assert rig.said("failed") == [
+        (
+            "component 'thinker' cannot be prepared on 'right', and starts only with "
+            "its action: KeyError: 'map'"
+        )
+    ]
+    assert not rig.run.prepared
+    assert rig.told("right") == []
+    rig.look(NEXT)
+    assert not rig.run.prepared
+    rig.now += TRY_AGAIN
+    rig.look(NEXT)
+    assert rig.run.prepared
+
+
+def test_an_action_begins_anew_what_failed_when_it_was_prepared(rig: Rig) -> None:
+    rig.agents.states["thinker"] = ComponentStatus(name="thinker", state="failed")
+    rig.look(NEXT)
+    del rig.agents.states["thinker"]
+    switch(rig.run, [], {"thinker": "right"})
+    assert rig.run.placed["thinker"].epoch == 1
+
+
+def test_what_is_not_likely_any_more_stays_while_there_is_room(rig: Rig) -> None:
+    rig.look(NEXT)
+    rig.look()
+    assert rig.run.prepared
+
+
+def test_what_is_dropped_unused_counts_as_wasted(rig: Rig, robot: Robot) -> None:
+    rig.look(NEXT)
+    status = rig.agents.statuses()["right"]
+    health = ContainerHealth(name="mind", state="running", since=0.0, memory=7_000_000)
+    rig.agents._statuses["right"] = replace(status, health=(health,))
+    rig.look(NEXT)
+    assert rig.prefetch.report().memory == 7_000_000
+    rig.run.robot = robot.with_components(
+        lambda c: replace(c, demand={**c.demand, "memory": 6e8})
+    )
+    rig.now += 1.0
+    rig.look(NEXT)
+    rig.look(NEXT)
+    assert not rig.run.prepared
+    assert rig.said("decided")[-1] == "'thinker' prepared no more: room is needed"
+    assert rig.prefetch.report().wasted == 7_000_000
+
+
+def test_a_stop_ends_what_is_prepared(rig: Rig) -> None:
+    rig.look(NEXT)
+    rig.run.stop()
+    assert rig.told("right") == []
