@@ -1,5 +1,23 @@
-"""Samples of a robot that works steadily, as those of the manager's tests."""
+"""What tests of whole robots share."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import poise
+from poise.emulate import EmulatedSet, look
 from tests.manage.observe.conftest import steady
 
 __all__ = ["steady"]
+
+
+@pytest.fixture
+def emulated(file: Path) -> Iterator[EmulatedSet]:
+    """Return the emulated computers of a test's robot `file`."""
+    if reasons := look().without_network():
+        pytest.skip("; ".join(reasons))
+    with poise.emulated(poise.load(file), say=print) as emulated:
+        yield emulated

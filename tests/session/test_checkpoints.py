@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 import poise
-from poise.emulate import EmulatedSet, look
+from poise.emulate import EmulatedSet
 from tests.command import robot_up
+from tests.session.emulated_robot import written
 from tests.waiting import LONG, wait_long
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(LONG)]
@@ -64,18 +64,7 @@ tasks:
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    (tmp_path / "counters_of_test.py").write_text(CODE)
-    text = FILE.format(name=f"checkpoints-{os.getpid()}", folder=tmp_path)
-    (tmp_path / "robot.yaml").write_text(text)
-    return tmp_path / "robot.yaml"
-
-
-@pytest.fixture
-def kept(file: Path) -> Iterator[EmulatedSet]:
-    if reasons := look().without_network():
-        pytest.skip("; ".join(reasons))
-    with poise.emulated(poise.load(file), say=print) as emulated:
-        yield emulated
+    return written(tmp_path, "checkpoints", "counters_of_test", CODE, FILE)
 
 
 class Watched:
@@ -109,10 +98,12 @@ def last_fault(robot: poise.Running) -> str:
     return health.last_fault.message if health.last_fault else ""
 
 
-def test_a_component_goes_on_from_its_checkpoint(kept: EmulatedSet, file: Path) -> None:
+def test_a_component_goes_on_from_its_checkpoint(
+    emulated: EmulatedSet, file: Path
+) -> None:
     watched = Watched(file)
     with robot_up(file):
-        robot = poise.connect(kept.robot)
+        robot = poise.connect(emulated.robot)
         count, pid = watched.wait_more()
         os.kill(pid, signal.SIGKILL)
         # 10 ms for each: lost is what it counted since its last checkpoint
@@ -127,17 +118,19 @@ def test_a_component_goes_on_from_its_checkpoint(kept: EmulatedSet, file: Path) 
 
         count, pid = watched.wait_more()
         where = robot.status().placement["kept"]
-        kept.crash(where)
+        emulated.crash(where)
         assert watched.wait_other(pid) > count - 60
         wait_long(lambda: robot.status().placement["kept"] != where)
 
 
-def test_what_is_stopped_in_order_begins_anew(kept: EmulatedSet, file: Path) -> None:
+def test_what_is_stopped_in_order_begins_anew(
+    emulated: EmulatedSet, file: Path
+) -> None:
     watched = Watched(file)
     for _ in range(2):
         pid = watched.now()[1]
         with robot_up(file):
             watched.wait_other(pid)
             assert watched.wait_more(60)[0] < 1_000_400
-    for computer in kept.computers.values():
+    for computer in emulated.computers.values():
         assert not list(computer.folder.glob("**/*.checkpoint"))

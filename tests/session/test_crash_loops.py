@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 import poise
-from poise.emulate import EmulatedSet, look
+from poise.emulate import EmulatedSet
 from tests.command import robot_up, run_poise
+from tests.session.emulated_robot import written
 from tests.waiting import LONG, wait_long
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(LONG)]
@@ -68,18 +67,7 @@ tasks:
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    (tmp_path / "workers_of_test.py").write_text(CODE)
-    text = FILE.format(name=f"crashes-{os.getpid()}", folder=tmp_path)
-    (tmp_path / "robot.yaml").write_text(text)
-    return tmp_path / "robot.yaml"
-
-
-@pytest.fixture
-def emulated(file: Path) -> Iterator[EmulatedSet]:
-    if reasons := look().without_network():
-        pytest.skip("; ".join(reasons))
-    with poise.emulated(poise.load(file), say=print) as emulated:
-        yield emulated
+    return written(tmp_path, "crashes", "workers_of_test", CODE, FILE)
 
 
 class Worker:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 import poise
-from poise.emulate import EmulatedSet, look
+from poise.emulate import EmulatedSet
 from tests.command import robot_up
+from tests.session.emulated_robot import written
 from tests.waiting import LONG, wait_long
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(LONG)]
@@ -69,18 +69,7 @@ tasks:
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    (tmp_path / "numbers_of_test.py").write_text(CODE)
-    text = FILE.format(name=f"killed-{os.getpid()}", folder=tmp_path)
-    (tmp_path / "robot.yaml").write_text(text)
-    return tmp_path / "robot.yaml"
-
-
-@pytest.fixture
-def kept(file: Path) -> Iterator[EmulatedSet]:
-    if reasons := look().without_network():
-        pytest.skip("; ".join(reasons))
-    with poise.emulated(poise.load(file), say=print) as emulated:
-        yield emulated
+    return written(tmp_path, "killed", "numbers_of_test", CODE, FILE)
 
 
 def numbers(file: Path) -> tuple[int, int]:
@@ -110,10 +99,10 @@ def wait_restarted(robot: poise.Running, computer: str, but_not: int) -> None:
 
 
 def test_killed_agents_are_restarted_and_no_message_is_lost(
-    kept: EmulatedSet, file: Path
+    emulated: EmulatedSet, file: Path
 ) -> None:
     with robot_up(file):
-        robot = poise.connect(kept.robot)
+        robot = poise.connect(emulated.robot)
         wait_more(file)
         for computer in ("left", "right", "right", "left"):
             agent = robot.status().computers[computer].pid
