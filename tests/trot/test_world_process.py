@@ -101,6 +101,9 @@ def test_ends_with_its_standard_input(world: Process, tmp_path: Path) -> None:
         "seconds",
         "distance_to_goal",
         "collisions",
+        "path",
+        "path_error",
+        "path_error_most",
         "path_length",
     }
     assert list(tmp_path.iterdir()) == []

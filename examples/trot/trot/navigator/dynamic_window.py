@@ -20,10 +20,13 @@ MAX_SPEED = 0.7
 MAX_TURN = 1.4
 """[rad/s]"""
 
+BACKWARDS = -0.15
+"""[m/s]"""
+
 HORIZON = 1.2
 """[s] How far ahead a command is tried out."""
 
-STEPS = 8
+STEPS = 16
 """Points that are looked at within the horizon."""
 
 Commands = NDArray[np.float64]
@@ -71,11 +74,18 @@ class Trial:
         return x, y, heading
 
 
-def lattice() -> Commands:
-    """Return commands over the whole window of speeds, some backwards."""
-    speeds = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, MAX_SPEED, -0.15])
-    turns = np.linspace(-MAX_TURN, MAX_TURN, 15)
-    return np.stack(np.meshgrid(speeds, turns), axis=-1).reshape(-1, 2)
+def lattice(speeds: int, turns: int) -> Commands:
+    """Return commands over the whole window of speeds and turn rates, some backwards.
+
+    Parameters
+    ----------
+    speeds, turns
+        How many different ones.
+    """
+    ahead = np.linspace(0, MAX_SPEED, speeds - 1)
+    across = np.linspace(-MAX_TURN, MAX_TURN, turns)
+    pairs = np.meshgrid(np.append(ahead, BACKWARDS), across)
+    return np.stack(pairs, axis=-1).reshape(-1, 2)
 
 
 def _wrapped(angle: grid.Floats) -> grid.Floats:

@@ -8,7 +8,6 @@ import numpy as np
 
 from poise import Component, Published, every
 from trot.device import Device
-from trot.effort import Block, Effort
 from trot.laser_model import MAX_RANGE, PERIOD
 from trot.messages import Pose, Scan
 from trot.packets import Odometry, unpack_odometry, unpack_ranges
@@ -20,7 +19,6 @@ class LaserScanner(Component):
     scan: Published[Scan]
 
     def configure(self) -> None:
-        self._effort = Effort.declared(self.parameters)
         self._laser = Device(self.device("laser"))
         self._wheels = Device(self.device("wheels"))
         self._odometry: deque[Odometry] = deque(maxlen=64)
@@ -32,10 +30,8 @@ class LaserScanner(Component):
         self._odometry += [unpack_odometry(p) for p in self._wheels.receive()]
         if not packets or not self._odometry:
             return
-        since = self._effort.start()
         stamp, ranges = unpack_ranges(packets[-1])
         ranges = np.clip(ranges, 0.0, MAX_RANGE)
-        self._effort.spend(self._speckles, since)
         at, *pose = min(self._odometry, key=lambda o: abs(o[0] - stamp))
         odometry = Pose(self.clock.stamp(at), *pose)
         self.scan.publish(Scan(self.clock.stamp(stamp), ranges, odometry))
@@ -43,8 +39,3 @@ class LaserScanner(Component):
     def cleanup(self) -> None:
         self._laser.close()
         self._wheels.close()
-
-    def _speckles(self, block: Block) -> int:
-        """Count the readings of a stretch of past ones that agree with no neighbour."""
-        steps = np.abs(np.diff(block[:4096]))
-        return int(np.count_nonzero((steps[1:] > 0.5) & (steps[:-1] > 0.5)))

@@ -9,14 +9,13 @@ from numpy.typing import NDArray
 
 from poise import Component, Message, Provided, Published, Stamp, subscribed
 from trot import home
-from trot.effort import Block, Effort
 from trot.interfaces import Poses
 from trot.laser_model import ANGLES, MAX_RANGE
 from trot.messages import LocatedScan, Pose, Scan
 from trot.navigator import grid
 
-BEAM_STEP = 6
-"""Every sixth beam decides: neighbours say much the same."""
+BEAM_STEP = 3
+"""Every third beam decides: neighbours say much the same."""
 
 SIGMA = 0.1
 """[m] How far a beam may end from a wall and still speak for it."""
@@ -24,8 +23,11 @@ SIGMA = 0.1
 UNMAPPED = 0.1
 """The likelihood of a beam that ends on something that is no wall."""
 
-TRUST = 0.3
+TRUST = 0.15
 """Beams are not independent: so much of what each one says is believed."""
+
+PART = 200
+"""Particles that are weighed at once."""
 
 Particles = NDArray[np.float64]
 """x [m], y [m], heading [rad] of each particle, ``(n, 3)``."""
@@ -46,9 +48,8 @@ class Localiser(Component):
     located: Published[LocatedScan]
 
     def configure(self) -> None:
-        self._effort = Effort.declared(self.parameters)
         self._random = np.random.default_rng(0)
-        count = int(self.parameters.get("particles", 300))
+        count = int(self.parameters.get("particles", 2000))
         start = self.parameters.get("start", home.START)
         spread = self._random.normal(0, 1, (count, 3)) * (0.1, 0.1, 0.05)
         self._particles: Particles = np.asarray(start, float) + spread
@@ -63,14 +64,12 @@ class Localiser(Component):
 
     @subscribed(keep=1)
     def scan(self, message: Scan) -> None:
-        since = self._effort.start()
         self._ranges = message.ranges
         self._move(message.odometry)
         weights = self._weigh()
         self._pose = _mean(message.stamp, self._particles, weights)
         if 1 / np.sum(weights**2) < len(weights) / 2:
             self._resample(weights)
-        self._effort.spend(self._spread, since)
         self.located.publish(LocatedScan(self._pose, message.ranges))
 
     def snapshot(self) -> Belief:
@@ -109,10 +108,16 @@ class Localiser(Component):
         ranges, angles = self._ranges[::BEAM_STEP], ANGLES[::BEAM_STEP]
         hits = ranges < MAX_RANGE - 0.05
         ranges, angles = ranges[hits].astype(float), angles[hits]
-        directions = poses[:, 2:] + angles
-        x = poses[:, :1] + ranges * np.cos(directions)
-        y = poses[:, 1:2] + ranges * np.sin(directions)
-        return np.asarray(self._likelihood[grid.row(y), grid.column(x)].sum(axis=1))
+        scores = np.empty(len(poses))
+        # In parts that stay in the cache: twice as quick as all at once.
+        for first in range(0, len(poses), PART):
+            part = poses[first : first + PART]
+            directions = part[:, 2:] + angles
+            x = part[:, :1] + ranges * np.cos(directions)
+            y = part[:, 1:2] + ranges * np.sin(directions)
+            likelihood = self._likelihood[grid.row(y), grid.column(x)]
+            scores[first : first + PART] = likelihood.sum(axis=1)
+        return scores
 
     def _resample(self, weights: NDArray[np.float64]) -> None:
         """Draw particles by weight, evenly spaced over the cumulated weights."""
@@ -120,13 +125,6 @@ class Localiser(Component):
         ticks = (np.arange(count) + self._random.random()) / count
         chosen = np.searchsorted(np.cumsum(weights), ticks)
         self._particles = self._particles[np.minimum(chosen, count - 1)]
-
-    def _spread(self, block: Block) -> float:
-        """Return how sharply the scan fixes the pose, from 60 poses near it."""
-        near = block[:180].reshape(60, 3).astype(float) - 0.5
-        pose = self._pose
-        poses = near * (0.1, 0.1, 0.05) + (pose.x, pose.y, pose.heading)
-        return float(np.std(self._score(poses)))
 
 
 def _mean(stamp: Stamp, particles: Particles, weights: NDArray[np.float64]) -> Pose:

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from poise import Component, Provided, subscribed
-from trot.effort import Block, Effort
 from trot.interfaces import Maps
 from trot.laser_model import ANGLES, MAX_RANGE
 from trot.messages import LocatedScan, Map
@@ -25,7 +24,6 @@ class Mapper(Component):
     maps: Provided[Maps]
 
     def configure(self) -> None:
-        self._effort = Effort.declared(self.parameters)
         walls = np.where(grid.walls(), np.int8(WALL), np.int8(0))
         self._map = Map(self.clock.stamp(), walls)
         self._steps = np.arange(0, MAX_RANGE, grid.CELL)
@@ -35,10 +33,7 @@ class Mapper(Component):
 
     @subscribed(keep=1)
     def located(self, message: LocatedScan) -> None:
-        since = self._effort.start()
-        cells = self._updated(message)
-        self._effort.spend(self._agreement, since)
-        self._map = Map(message.pose.stamp, cells)
+        self._map = Map(message.pose.stamp, self._updated(message))
 
     def snapshot(self) -> Map:
         return self._map
@@ -67,11 +62,6 @@ class Mapper(Component):
         x = pose.x + lengths * np.cos(directions)
         y = pose.y + lengths * np.sin(directions)
         return grid.row(y), grid.column(x)
-
-    def _agreement(self, block: Block) -> float:
-        """Return the mean occupancy where 4096 points of past scans lie."""
-        cells = (block[:8192] * (grid.SIZE - 1)).astype(np.intp).reshape(2, -1)
-        return float(self._map.cells[cells[0], cells[1]].mean(dtype=np.float32))
 
 
 def occupied(cells: NDArray[np.int8]) -> NDArray[np.bool_]:

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from poise import CallError, Component, Required, Stamp, every, subscribed
 from trot.device import Device
-from trot.effort import Block, Effort
 from trot.interfaces import Maps, Poses
 from trot.messages import Map, Path, Pose
-from trot.navigator.dynamic_window import MAX_SPEED, MAX_TURN, Trial, lattice
+from trot.navigator.dynamic_window import Trial, lattice
 from trot.navigator.surroundings import Surroundings
 from trot.packets import pack_command
 
@@ -33,8 +32,8 @@ class MotionController(Component):
     maps: Required[Maps]
 
     def configure(self) -> None:
-        self._effort = Effort.declared(self.parameters)
         self._wheels = Device(self.device("wheels"))
+        self._commands = lattice(*self.parameters.get("commands", (15, 41)))
         self._path = Path(self.clock.stamp(), np.zeros((0, 2), np.float32))
 
     @subscribed(keep=1)
@@ -48,8 +47,7 @@ class MotionController(Component):
         except CallError as error:
             self.log.info("no command this time: %s", error)
             return
-        since = self._effort.start()
-        speed, turn = self._best(pose, seen, since)
+        speed, turn = self._best(pose, seen)
         ages = self._age("pose", pose.stamp), self._age("map", seen.stamp)
         if max(ages) > BLIND:
             speed = turn = 0.0
@@ -71,23 +69,14 @@ class MotionController(Component):
             self.measure(f"{what}_age", since.value)
         return since.most
 
-    def _best(self, pose: Pose, seen: Map, since: float) -> tuple[float, float]:
-        """Return the best command found in the time there is."""
+    def _best(self, pose: Pose, seen: Map) -> tuple[float, float]:
+        """Return the best of the commands that can be given."""
         around = Surroundings(pose, seen)
         target = make_for(self._path.points, pose, around)
         if target is None:
             return 0.0, 0.0
-        trial = Trial(pose, around, target)
-        best = trial.best(lattice())
-
-        def improve(block: Block) -> None:
-            nonlocal best
-            near = (block[:64].reshape(32, 2).astype(float) - 0.5) * (0.1, 0.3)
-            low, high = (0.0, -MAX_TURN), (MAX_SPEED, MAX_TURN)
-            best = trial.best(np.vstack([best, np.clip(best + near, low, high)]))
-
-        self._effort.spend(improve, since)
-        return float(best[0]), float(best[1])
+        speed, turn = Trial(pose, around, target).best(self._commands)
+        return float(speed), float(turn)
 
 
 def make_for(

@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 
 from poise import CallError, Component, Published, Required, every
 from trot import home
-from trot.effort import Block, Effort
 from trot.interfaces import Maps, Poses
 from trot.messages import Path, Pose
 from trot.navigator import grid
 from trot.navigator.mapper import occupied
 
-COARSE = 2
-"""Cells of the map to a side of a cell that the planner uses: 10 cm."""
+COARSE = 1
+"""Cells of the map to a side of a cell that the planner uses: 5 cm."""
 
 CELL = COARSE * grid.CELL
 CLEARANCE = home.ROBOT_RADIUS + 0.05
@@ -47,7 +46,6 @@ class PathPlanner(Component):
     path: Published[Path]
 
     def configure(self) -> None:
-        self._effort = Effort.declared(self.parameters)
         goals = self.parameters.get("goals", [home.GOAL])
         self._goals = deque((float(x), float(y)) for x, y in goals)
         self._was_there = False
@@ -59,9 +57,7 @@ class PathPlanner(Component):
         except CallError as error:
             self.log.info("no plan this time: %s", error)
             return
-        since = self._effort.start()
         points = way(seen.cells, (pose.x, pose.y), self._next_goal(pose))
-        self._effort.spend(self._detours, since)
         self.path.publish(Path(pose.stamp, points))
 
     def _next_goal(self, pose: Pose) -> tuple[float, float]:
@@ -70,13 +66,6 @@ class PathPlanner(Component):
             self._goals.rotate(-1)
         self._was_there = is_there
         return self._goals[0]
-
-    def _detours(self, block: Block) -> float:
-        """Return the shortest of 2048 ways through random points of the home."""
-        points = block[:8192].reshape(-1, 2, 2) * 8.0
-        legs = np.linalg.norm(points[:, 0] - points[:, 1], axis=1)
-        rest = np.linalg.norm(points[:, 1] - self._goals[0], axis=1)
-        return float((legs + rest).min())
 
 
 def way(
@@ -110,7 +99,9 @@ def costs(cells: grid.Cells) -> grid.Distances:
 def _free_around(cost: grid.Distances, here: tuple[int, int]) -> None:
     """Let the robot out of where it stands, however near an obstacle that is."""
     row, column = here
-    around = cost[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3]
+    near = round(0.2 / CELL)
+    rows = slice(max(0, row - near), row + near + 1)
+    around = cost[rows, max(0, column - near) : column + near + 1]
     np.minimum(around, 20, out=around)
 
 

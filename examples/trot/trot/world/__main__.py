@@ -17,6 +17,7 @@ import stat
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 from trot import laser_model
 from trot.packets import (
@@ -26,6 +27,7 @@ from trot.packets import (
     pack_sound,
     unpack_command,
 )
+from trot.world.drive import Drive
 from trot.world.outlet import Outlet
 from trot.world.simulation import STEP, Simulation
 from trot.world.sound import Sound
@@ -42,6 +44,7 @@ class World:
 
     def __init__(self, folder: Path) -> None:
         self.simulation = Simulation()
+        self._drive = Drive(self.simulation)
         self.finished_at: float | None = None
         self.is_told_to_end = False
         self._began = 0.0
@@ -59,6 +62,7 @@ class World:
                 self._began = self._began or self.simulation.now
         self._outlets["speakers"].poll()
         self.simulation.step()
+        self._drive.look()
         self._steps += 1
         self._sense(now)
         if self.simulation.goal_reached and self.finished_at is None:
@@ -85,16 +89,13 @@ class World:
             and self.simulation.now > self.finished_at + AFTER_GOAL
         )
 
-    def result(self) -> dict[str, float | bool]:
-        """Return how the drive went since the first command; lengths in [m]."""
-        simulation = self.simulation
-        seconds = (self.finished_at or simulation.now) - self._began
+    def result(self) -> dict[str, Any]:
+        """Return how it went since the first command; lengths in [m]."""
+        seconds = (self.finished_at or self.simulation.now) - self._began
         return {
             "goal_reached": self.finished_at is not None,
             "seconds": round(seconds, 2),
-            "distance_to_goal": round(simulation.distance_to_goal, 3),
-            "collisions": simulation.collisions,
-            "path_length": round(simulation.path_length, 3),
+            **self._drive.result(),
         }
 
     def end(self) -> None:

@@ -1,21 +1,18 @@
-"""The robot's base, its laser and its home, in simulated time.
-
-Pymunk (Chipmunk 2-D) does the contacts and the rays in C. It is one small package, and
-270 rays ten times a second take a few percent of a core. Simulators made for robots
-(ir-sim, for one) also draw, and bring matplotlib and shapely along for that.
-"""
+"""The robot, its home and its cup, in simulated time; MuJoCo does the physics."""
 
 from __future__ import annotations
 
 import math
 
+import mujoco
 import numpy as np
-import pymunk
 from numpy.typing import NDArray
 
 from trot import home
 from trot.laser_model import ANGLES, BEAMS, MAX_RANGE, NOISE
 from trot.packets import Odometry
+from trot.world import flat
+from trot.world.hand import Hand
 
 STEP = 0.02
 """[s] of simulated time per step."""
@@ -38,12 +35,12 @@ ACCELERATION = 1.2
 TURN_ACCELERATION = 4.0
 """[rad/s2]"""
 
-_ROBOT, _OBSTACLE = 1, 2
-_SEES = pymunk.ShapeFilter(mask=pymunk.ShapeFilter.ALL_MASKS() ^ 1)
+_SEEN = np.array([1, 0, 0, 0, 0, 0], np.uint8)
+_PHYSICS_STEPS = round(STEP / flat.STEP)
 
 
 class Simulation:
-    """A base with two wheels and a bumper in a home.
+    """A base with two wheels and a bumper in a home, and an arm on top of it.
 
     Parameters
     ----------
@@ -64,13 +61,16 @@ class Simulation:
         furniture: tuple[home.Box, ...] = home.FURNITURE,
     ) -> None:
         self._random = np.random.default_rng(seed)
-        self._space = pymunk.Space()
-        self._build(walls, furniture)
-        self._body = self._robot(start)
-        self._space.on_collision(_ROBOT, _OBSTACLE, begin=self._bump)
+        model = mujoco.MjModel.from_xml_string(flat.flat(walls, furniture))
+        self._model, self._data = model, mujoco.MjData(model)
+        self._hull, self._robot = model.geom("hull").id, model.body("robot").id
+        self._data.qpos[:3] = start
+        self.hand = Hand(model, self._data)
+        mujoco.mj_forward(model, self._data)
         self._wanted = (0.0, 0.0)
         self._commanded_at = -math.inf
         self._bumped_at = -math.inf
+        self._touches = False
         self._speed = self._turn = 0.0
         self._odometry = list(start)
         self.now = 0.0
@@ -80,8 +80,8 @@ class Simulation:
     @property
     def pose(self) -> tuple[float, float, float]:
         """Where the robot truly is: x [m], y [m], heading [rad]."""
-        x, y = self._body.position
-        return x, y, self._body.angle
+        x, y, heading = self._data.qpos[:3]
+        return float(x), float(y), float(heading)
 
     @property
     def odometry(self) -> Odometry:
@@ -111,34 +111,45 @@ class Simulation:
         """Let `STEP` of simulated time pass."""
         self._turn_wheels()
         self._count_wheels()
-        before = self._body.position
-        heading = self._body.angle
-        self._body.velocity = (
-            self._speed * math.cos(heading),
-            self._speed * math.sin(heading),
-        )
-        self._body.angular_velocity = self._turn
-        self._space.step(STEP)
-        self.path_length += before.get_distance(self._body.position)
+        before = self.pose
+        for _ in range(_PHYSICS_STEPS):
+            heading = self._data.qpos[2]
+            self._data.qvel[:3] = (
+                self._speed * math.cos(heading),
+                self._speed * math.sin(heading),
+                self._turn,
+            )
+            mujoco.mj_step(self._model, self._data)
+            self._feel()
+        self.hand.follow(STEP)
+        self.path_length += math.dist(before[:2], self.pose[:2])
         self.now += STEP
 
     def scan(self) -> NDArray[np.float32]:
         """Return the range of each beam [m], ``(BEAMS,)``, with noise."""
         x, y, heading = self.pose
-        ends = np.stack(
-            [
-                x + MAX_RANGE * np.cos(heading + ANGLES),
-                y + MAX_RANGE * np.sin(heading + ANGLES),
-            ],
-            axis=1,
-        ).tolist()
-        ranges = np.fromiter((self._ray((x, y), e) for e in ends), float, BEAMS)
+        directions = heading + ANGLES
+        rays = np.stack(
+            [np.cos(directions), np.sin(directions), np.zeros(BEAMS)], axis=1
+        )
+        ranges = np.zeros(BEAMS)
+        mujoco.mj_multiRay(
+            self._model,
+            self._data,
+            np.array([x, y, flat.LASER_HEIGHT]),
+            rays.reshape(-1),
+            _SEEN,
+            True,
+            self._robot,
+            np.zeros(BEAMS, np.int32),
+            ranges,
+            None,
+            BEAMS,
+            MAX_RANGE,
+        )
+        ranges[ranges < 0] = MAX_RANGE
         noisy = ranges + self._random.normal(0, NOISE, BEAMS)
         return np.clip(noisy, 0, MAX_RANGE).astype(np.float32)
-
-    def _ray(self, start: tuple[float, float], end: tuple[float, float]) -> float:
-        hit = self._space.segment_query_first(start, end, 0.0, _SEES)
-        return MAX_RANGE if hit is None else hit.alpha * MAX_RANGE
 
     def _turn_wheels(self) -> None:
         """Bring the speeds nearer to what was asked for."""
@@ -162,36 +173,18 @@ class Simulation:
             heading + angle,
         ]
 
-    def _bump(self, *_: object) -> None:
-        self.collisions += 1
-        self._bumped_at = self.now
-
-    def _build(
-        self, walls: tuple[home.Segment, ...], furniture: tuple[home.Box, ...]
-    ) -> None:
-        ground = self._space.static_body
-        shapes: list[pymunk.Shape] = [
-            pymunk.Segment(ground, (ax, ay), (bx, by), home.WALL_RADIUS)
-            for ax, ay, bx, by in walls
-        ]
-        shapes += [
-            pymunk.Poly(ground, [(a, b), (c, b), (c, d), (a, d)])
-            for a, b, c, d in furniture
-        ]
-        for shape in shapes:
-            shape.collision_type = _OBSTACLE
-            shape.filter = pymunk.ShapeFilter(categories=2)
-            self._space.add(shape)
-
-    def _robot(self, start: tuple[float, float, float]) -> pymunk.Body:
-        body = pymunk.Body(mass=50.0, moment=math.inf)
-        body.position = start[:2]
-        body.angle = start[2]
-        circle = pymunk.Circle(body, home.ROBOT_RADIUS)
-        circle.collision_type = _ROBOT
-        circle.filter = pymunk.ShapeFilter(categories=1)
-        self._space.add(body, circle)
-        return body
+    def _feel(self) -> None:
+        """Stop the wheels when the hull begins to touch anything."""
+        contact, count = self._data.contact, self._data.ncon
+        touches = bool(
+            np.any(contact.geom1[:count] == self._hull)
+            or np.any(contact.geom2[:count] == self._hull)
+        )
+        if touches and not self._touches:
+            self.collisions += 1
+            self._bumped_at = self.now
+            self._speed = self._turn = 0.0
+        self._touches = touches
 
 
 def _toward(value: float, target: float, most: float) -> float:
