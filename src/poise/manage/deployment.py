@@ -12,12 +12,14 @@ from msgspec import Struct, structs
 from poise.manage.cpu_weights import cpu_weights
 from poise.model.pinned import leased_components
 from poise.model.robot import (
+    Action,
     Architecture,
     ComponentEntry,
     Connector,
     ConnectorEnd,
     Robot,
 )
+from poise.model.tasks.steps import walk
 from poise.wire.records.deployment import (
     ChainPart,
     ComponentSpec,
@@ -123,6 +125,7 @@ class DeploymentPlan:
             if commands.isdisjoint(end.component for end in connector.between)
         ]
 
+        self._ends = _ends(robot)
         self._slots = _slots(robot)
         self._parts = _chain_parts(robot)
         self._carries, self._answers = _chains_over(robot, self._slots)
@@ -285,6 +288,7 @@ class DeploymentPlan:
             gently=incarnation.gently,
             chains=self._parts.get(component.name, ()),
             leased=component.name in self._leased,
+            ends=self._ends.get(component.name, ()),
         )
 
     def _connectors(
@@ -312,6 +316,18 @@ def name_of(connector: Connector) -> str:
     """Return the name that a connector has at run time."""
     source, target = connector.between
     return f"{source}-{target}"
+
+
+def _ends(robot: Robot) -> dict[str, tuple[str, ...]]:
+    """Return the ports of each component that end actions."""
+    ends: dict[str, tuple[str, ...]] = {}
+    for task in robot.tasks:
+        for _, step in walk(task):
+            if isinstance(step, Action) and step.ends is not None:
+                before = ends.get(step.ends.component, ())
+                ports = dict.fromkeys([*before, step.ends.port])
+                ends[step.ends.component] = tuple(ports)
+    return ends
 
 
 def _chain_parts(robot: Robot) -> dict[str, tuple[ChainPart, ...]]:

@@ -9,6 +9,8 @@ import contextlib
 import threading
 from collections.abc import Callable, Collection, Iterable, Mapping
 
+from msgspec import structs
+
 from poise.errors import RunError
 from poise.estimate.profile.code_version import version_of
 from poise.manage.agents import Agents
@@ -84,6 +86,8 @@ class Run:
         self.spare: dict[str, float] = {}
         """Computer -> CPU for what is being prepared there [cores]."""
         self.switches = Switches()
+        self.tasks = b""
+        """What the next manager needs to go on with the tasks; agents keep it."""
         self.check: Callable[[], object] = lambda: None
         """Called at all news while all is started or watched; may raise to end that."""
         self.faults_before = last_numbers(agents.statuses())
@@ -263,14 +267,17 @@ class Run:
         # later than any that the agents ever saw, from whatever manager
         seen = [status.generation for status in statuses.values()]
         self.generation = max(self.generation, *seen, 0) + 1
-        specs = self.layout.specs(
-            self.wanted, self.generation, self.gateways(), self.spare
-        )
+        specs = {
+            computer: structs.replace(spec, tasks=self.tasks)
+            for computer, spec in self.layout.specs(
+                self.wanted, self.generation, self.gateways(), self.spare
+            ).items()
+        }
         news = {
             computer: specs[computer]
             for computer in (self.computers() if computers is None else computers)
             if computer not in self._told
-            or self._told[computer].containers != specs[computer].containers
+            or _said(self._told[computer]) != _said(specs[computer])
         }
         refusals = self.agents.deploy(news)
         self._told |= {c: spec for c, spec in news.items() if c not in refusals}
@@ -420,3 +427,8 @@ class Run:
                 self.journal.note("wrong", sentence)
                 raise RunError(sentence)
         return False
+
+
+def _said(deployment: Deployment) -> Deployment:
+    """Return what a deployment says, whenever that is."""
+    return structs.replace(deployment, generation=0)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 from msgspec import Struct
 
 from poise.clock import ComponentClock
 from poise.errors import UsageError
+
+Verb = Literal["start", "pause", "resume", "cancel"]
+"""What can be done with a task."""
 
 
 class Context(Struct, frozen=True, kw_only=True):
@@ -25,6 +28,8 @@ class Context(Struct, frozen=True, kw_only=True):
         Lets a process's CPU time count as its own; 0: that of its thread again.
     give_up
         Ends the container, for this reason; the agent starts it again.
+    wish
+        Takes what it wants done, and with which task.
     """
 
     name: str
@@ -34,6 +39,34 @@ class Context(Struct, frozen=True, kw_only=True):
     measure: Callable[[str, float], None]
     count_process: Callable[[int], None] = lambda _: None
     give_up: Callable[[str], None] = lambda _: None
+    wish: Callable[[Verb, str], None] = lambda *_: None
+
+
+class TaskWishes:
+    """Asks the manager to start, pause, resume or cancel tasks of the robot.
+
+    Nothing waits for it. What the manager refuses is in its journal; it does what is
+    asked when it is back, if it is away.
+    """
+
+    def __init__(self, wish: Callable[[Verb, str], None]) -> None:
+        self._wish = wish
+
+    def start(self, task: str) -> None:
+        """Start a task, with the priority that the robot file gives it."""
+        self._wish("start", task)
+
+    def pause(self, task: str) -> None:
+        """Let a task rest until it is resumed."""
+        self._wish("pause", task)
+
+    def resume(self, task: str) -> None:
+        """Let a paused task go on."""
+        self._wish("resume", task)
+
+    def cancel(self, task: str) -> None:
+        """End a task."""
+        self._wish("cancel", task)
 
 
 class Component:
@@ -84,6 +117,11 @@ class Component:
     def log(self) -> logging.Logger:
         """Its logger, ``poise.component.<name>``."""
         return logging.getLogger(f"poise.component.{self.name}")
+
+    @property
+    def tasks(self) -> TaskWishes:
+        """The robot's tasks: ``self.tasks.start("fetch")``."""
+        return TaskWishes(self._context.wish)
 
     def device(self, name: str) -> str:
         """Return the path of a device that the robot file gives this component.

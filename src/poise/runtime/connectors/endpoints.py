@@ -6,8 +6,10 @@ They stay while routes change: connectors are joined to them, and a move reads t
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from types import MappingProxyType
+from typing import Any
 
 from poise.errors import Timeout
 from poise.runtime._calls import ComponentCounters
@@ -38,6 +40,8 @@ class Endpoints:
         Where what comes is counted.
     ages
         Of the data of the chains that it is part of.
+    listeners
+        Published port -> takes each message before it is sent.
     """
 
     def __init__(
@@ -48,8 +52,10 @@ class Endpoints:
         exclusion: Exclusion,
         counters: ComponentCounters,
         ages: DataAges,
+        listeners: Mapping[str, Callable[[Any], None]] = MappingProxyType({}),
     ) -> None:
         self.ages = ages
+        self._listeners = listeners
         self.component = component
         self.ports = ports
         self.exclusion = exclusion
@@ -176,6 +182,8 @@ class Endpoints:
         if port.kind != "publishes":
             return
         sends = [o.sending() for o in self.senders.values() if o.port == port]
+        if listener := self._listeners.get(port.name):
+            sends.insert(0, listener)
 
         def send_all(message: object) -> None:
             for send in sends:

@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections import deque
 from collections.abc import Callable
 from contextlib import nullcontext
+from functools import partial
 from typing import Any
 
 from poise.clock import ComponentClock
 from poise.errors import Timeout
 from poise.priority import ahead
 from poise.runtime._calls import ComponentCounters, Histogram
-from poise.runtime.component.component import Component, Context, create
+from poise.runtime.component.component import Component, Context, Verb, create
 from poise.runtime.component.error_report import Errors
 from poise.runtime.component.ports import ports_of, timers_of
 from poise.runtime.connectors.endpoints import Endpoints
@@ -31,10 +33,12 @@ from poise.runtime.hosting.execution_gate import ExecutionGate
 from poise.runtime.hosting.life_cycle import ENDED, LifeCycle
 from poise.wire.codec import codec
 from poise.wire.records.deployment import Aim, ComponentSpec
-from poise.wire.records.status import ComponentStatus, State
+from poise.wire.records.status import ActionEnd, ComponentStatus, State, TaskWish
 
 log = logging.getLogger(__name__)
 
+_MOST_WISHES = 16
+"""So many wishes are told again and again, in case nobody heard them."""
 _PATIENCE = 1.0
 """How long a timer or message waits to enter before it looks at the goal [s]."""
 
@@ -79,6 +83,7 @@ class Runner:
                 measure=self._measure,
                 count_process=self._count_process,
                 give_up=self._give_up,
+                wish=self._wish,
             ),
         )
         self.counters = ComponentCounters()
@@ -90,6 +95,7 @@ class Runner:
             self.exclusion,
             self.counters,
             self.ages,
+            {port: partial(self._note_end, port) for port in spec.ends},
         )
         self.life_cycle = LifeCycle()
         self.gate = ExecutionGate(
@@ -104,6 +110,9 @@ class Runner:
         self._handler: tuple[str, float] | None = None
         self._measures: dict[str, Histogram] = {}
         self._errors = Errors(spec.name)
+        self._ends: dict[str, ActionEnd] = {}
+        self._wishes: deque[TaskWish] = deque(maxlen=_MOST_WISHES)
+        self._num_wishes = 0
         self._thread = threading.Thread(
             target=self._main, name=spec.name[:15], daemon=True
         )
@@ -176,6 +185,8 @@ class Runner:
             subscribes=self._ports_that("subscribes"),
             timers=self.timers.status(now),
             chains=self.ages.status(),
+            ends=tuple(self._ends.copy().values()),
+            wishes=tuple(self._wishes.copy()),
             measures={n: h.summary() for n, h in list(self._measures.items())},
         )
 
@@ -193,6 +204,18 @@ class Runner:
 
     def _give_up(self, reason: str) -> None:
         self.reason_to_end = f"component '{self.spec.name}': {reason}"
+        self._on_change()
+
+    def _note_end(self, port: str, done: object) -> None:
+        before = self._ends.get(port)
+        count = before.count + 1 if before else 1
+        self._ends[port] = ActionEnd(port=port, count=count, done=bool(done))
+        self._on_change()
+
+    def _wish(self, verb: Verb, task: str) -> None:
+        self._num_wishes += 1
+        wish = TaskWish(number=self._num_wishes, verb=verb, task=task)
+        self._wishes.append(wish)
         self._on_change()
 
     def _main(self) -> None:

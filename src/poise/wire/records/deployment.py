@@ -71,6 +71,8 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
         Those that it is part of.
     leased
         Whether it is inactive while its agent is cut off: it may be active elsewhere.
+    ends
+        The ports with which it says that an action is done, or has failed.
     """
 
     name: str
@@ -90,6 +92,7 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
     gently: bool = False
     chains: tuple[ChainPart, ...] = ()
     leased: bool = False
+    ends: tuple[str, ...] = ()
 
 
 class ConnectorSpec(Struct, frozen=True, kw_only=True):
@@ -172,7 +175,15 @@ class ContainerSpec(Struct, frozen=True, kw_only=True, tag=True):
 
 
 class Deployment(Struct, frozen=True, kw_only=True, tag=True):
-    """All that should run on one computer. A higher `generation` replaces a lower."""
+    """All that should run on one computer. A higher `generation` replaces a lower.
+
+    Parameters
+    ----------
+    tasks
+        What the next manager needs to go on with the robot's tasks; only managers read
+        it.
+    """
 
     generation: int
     containers: tuple[ContainerSpec, ...]
+    tasks: bytes = b""

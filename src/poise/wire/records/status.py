@@ -145,6 +145,30 @@ class ErrorCount(Struct, frozen=True, kw_only=True):
     count: int
 
 
+class ActionEnd(Struct, frozen=True, kw_only=True):
+    """What a component said at a port that ends an action.
+
+    Parameters
+    ----------
+    count
+        How often it said so.
+    done
+        What it said last.
+    """
+
+    port: str
+    count: int
+    done: bool
+
+
+class TaskWish(Struct, frozen=True, kw_only=True):
+    """What a component wants done with a task; the first of it has the number 1."""
+
+    number: int
+    verb: Literal["start", "pause", "resume", "cancel"]
+    task: str
+
+
 class ComponentStatus(Struct, frozen=True, kw_only=True):
     """A component as its container sees it.
 
@@ -168,6 +192,10 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
         Its ports over which it calls others, and those to which messages come.
     chains
         Those that it is part of, and not the beginning.
+    ends
+        What it said of its actions.
+    wishes
+        The last ones.
     """
 
     name: str
@@ -187,6 +215,8 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
     subscribes: tuple[str, ...] = ()
     timers: tuple[TimerStatus, ...] = ()
     chains: tuple[ChainStatus, ...] = ()
+    ends: tuple[ActionEnd, ...] = ()
+    wishes: tuple[TaskWish, ...] = ()
     measures: Mapping[str, Summary] = {}
 
 
