@@ -45,6 +45,9 @@ class Progress(Struct, kw_only=True, omit_defaults=True):
         When the action's functions began to work; None: they do not.
     spent
         How long they worked before that [s].
+    heard
+        The epoch of the component of `ends` when the action began, and how often that
+        had said that an action has ended.
     """
 
     state: str = "going"
@@ -53,6 +56,7 @@ class Progress(Struct, kw_only=True, omit_defaults=True):
     number: int = 0
     since: float | None = None
     spent: float = 0.0
+    heard: tuple[int, int] = (0, 0)
     why: str = ""
     inside: list[Progress] = []
 

@@ -20,6 +20,12 @@ from poise.model.tasks.steps import Until
 
 TaskState = Literal["going", "waiting", "paused", "done", "failed", "cancelled"]
 """`waiting`: for what other tasks use, or for room; `paused`: because it was asked."""
+_SAYINGS = {
+    "paused": "is paused",
+    "done": "is done",
+    "failed": "is given up",
+    "cancelled": "is cancelled",
+}
 OVER = {"done", "failed", "cancelled"}
 MOST_OVER = 20
 """So many tasks that are over are remembered."""
@@ -61,6 +67,7 @@ class Ended(Struct, frozen=True, kw_only=True):
     task: str
     name: str
     action: str
+    functions: tuple[str, ...]
     done: bool
     why: str
 
@@ -95,6 +102,7 @@ class Tasks:
         self._saved = saved or Saved()
         self._blocked: dict[str, str] = {}
         self._ended: list[Ended] = []
+        self._announced = {r.order: (r.state, r.why) for r in self._saved.records}
         for record in list(self._saved.records):
             if record.name not in self._tasks:
                 self._saved.records.remove(record)
@@ -193,6 +201,16 @@ class Tasks:
             else:
                 self._enter(record, "going", now, "")
                 granted += mine
+
+    def announce(self) -> None:
+        """Say which tasks go on, and which wait for what, where that has changed."""
+        for record in self.records:
+            now = record.state, record.why
+            before = self._announced.get(record.order, ("going", ""))
+            self._announced[record.order] = now
+            if now != before and record.state in {"going", "waiting"}:
+                what = "goes on" if record.state == "going" else "waits"
+                self._say_of(record, what)
 
     def block(self, name: str, why: str) -> None:
         """Let a task wait, for a reason, until `unblock`."""
@@ -341,6 +359,7 @@ class Tasks:
                 task=record.name,
                 name=each.name,
                 action=each.action.name,
+                functions=each.action.functions,
                 done=done,
                 why=why,
             )
@@ -363,15 +382,12 @@ class Tasks:
         record.state, record.why = state, why
         if is_new:
             record.since = now
-        what = f"task '{record.name}' " + {
-            "going": "goes on",
-            "waiting": "waits",
-            "paused": "is paused",
-            "done": "is done",
-            "failed": "is given up",
-            "cancelled": "is cancelled",
-        }.get(state, state)
-        self._say(f"{what}: {why}" if why else what)
+        if state not in {"going", "waiting"}:  # `announce` says these
+            self._say_of(record, _SAYINGS[state])
+
+    def _say_of(self, record: TaskRecord, what: str) -> None:
+        why = f": {record.why}" if record.why else ""
+        self._say(f"task '{record.name}' {what}{why}")
 
     def _all_tries(self) -> Iterator[tuple[TaskRecord, Try]]:
         for record in self.records:

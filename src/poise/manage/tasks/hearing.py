@@ -1,0 +1,47 @@
+"""What components say of actions and tasks: ends, and wishes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from msgspec import Struct
+
+from poise.manage.run import Run
+from poise.manage.statuses import components_of
+from poise.wire.records.status import TaskWish
+
+
+class Heard(Struct, frozen=True):
+    """What was said at a port that ends an action: by which epoch, how often, what."""
+
+    epoch: int = 0
+    count: int = 0
+    done: bool = False
+
+
+class Hearing:
+    """Hears what the components of a run say, once."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self._wishes: dict[tuple[str, int], int] = {}
+
+    def ends(self) -> Mapping[str, Heard]:
+        """Return what was said at each port that ends an action, as component.port."""
+        run = self._run
+        known = {**run.prepared, **run.placed}
+        return {
+            f"{each.name}.{end.port}": Heard(each.epoch, end.count, end.done)
+            for each in components_of(run.current())
+            if each.name in known and known[each.name].epoch == each.epoch
+            for end in each.ends
+        }
+
+    def wishes(self) -> Iterator[tuple[str, TaskWish]]:
+        """Yield what components want done with tasks, and which component does."""
+        for component in components_of(self._run.current()):
+            key = component.name, component.epoch
+            for wish in component.wishes:
+                if wish.number > self._wishes.get(key, 0):
+                    self._wishes[key] = wish.number
+                    yield component.name, wish

@@ -1,0 +1,86 @@
+"""Which step of a choice is done, and what is learned when actions end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from poise.errors import PoiseError
+from poise.estimate.success import Ending, Situation
+from poise.estimate.success.learning import learned, note_outcome
+from poise.manage.adaptation.decision import shortages_of
+from poise.manage.adaptation.facts import Facts
+from poise.manage.journal import Journal
+from poise.model.robot import Robot
+from poise.model.tasks.steps import Action, Choice, Step, Subtask
+
+
+def choose(
+    robot: Robot,
+    choice: Choice,
+    situation: Situation,
+    note: Callable[[str], object],
+    *,
+    explore: bool = False,
+) -> int:
+    """Return which step of a choice promises most; of equals the first.
+
+    A step promises what the best architectures for its first action do: their quality
+    times their success in this situation, as learned.
+    """
+    promises = []
+    for step in choice.steps:
+        action = _first(robot, step)
+        promise = 1.0
+        known = learned(robot, [action], situation=situation, explore=explore).robot
+        for function in action.functions:
+            promise *= max(
+                (
+                    a.quality * a.success
+                    for a in known.architectures
+                    if a.function == function
+                ),
+                default=0.0,
+            )
+        promises.append((action.name, promise))
+    best = max(range(len(promises)), key=lambda index: promises[index][1])
+    said = ", ".join(f"'{name}' {promise:.0%}" for name, promise in promises)
+    note(f"choice of '{promises[best][0]}': promised are {said}")
+    return best
+
+
+def situation_of(facts: Facts) -> Situation:
+    """Return the situation of a robot, for which success is learned."""
+    return Situation(
+        lost=tuple(facts.lost),
+        cpu_is_short=any(short > 0 for short in shortages_of(facts).values()),
+    )
+
+
+def note_ending(
+    robot: Robot,
+    journal: Journal,
+    action: str,
+    architectures: Iterable[str],
+    situation: Situation,
+    *,
+    done: bool,
+) -> None:
+    """Note how an action ended, with what served it; say so when it cannot be kept."""
+    names = tuple(architectures)
+    if not robot.folder or not names:
+        return
+    ending: Ending = "done" if done else "failed"
+    try:
+        note_outcome(robot, action, ending, names, situation=situation)
+    except PoiseError as error:
+        journal.note("failed", f"the outcome of '{action}' is not learned: {error}")
+
+
+def _first(robot: Robot, step: Step) -> Action:
+    """Return the first action of a step; of steps at once, of the first of them."""
+    while not isinstance(step, Action):
+        inner = (
+            robot.task(step.task).actions if isinstance(step, Subtask) else step.steps
+        )
+        step = inner[0]
+    return step

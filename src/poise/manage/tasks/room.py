@@ -1,0 +1,143 @@
+"""Where the functions of the actions that run now go. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from poise import plan
+from poise.errors import RobotError
+from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.replan import SOLVE_FOR, with_present_demands
+from poise.manage.migration.transition import TransitionStep, plan_transition
+from poise.model.robot import Robot
+
+MOVE = 0.01
+"""What F grows by for a component that moves, and for each MB of its state."""
+
+
+class Room(Struct, frozen=True, kw_only=True):
+    """Where functions go, or why they do not fit.
+
+    Parameters
+    ----------
+    begins
+        Component -> computer, of what does not run yet.
+    moves
+        What moves before, to make room.
+    why
+        Why there is no room; empty: there is.
+    """
+
+    begins: Mapping[str, str] = {}
+    moves: tuple[TransitionStep, ...] = ()
+    why: str = ""
+
+
+def room_for(
+    facts: Facts, functions: Iterable[str], planned: Mapping[str, str]
+) -> Room:
+    """Return where functions go, beside what runs of them.
+
+    What runs stays where it is, if all fits so; else it moves where it may.
+
+    Parameters
+    ----------
+    functions
+        All that are to run, also what does.
+    planned
+        Component -> computer, as the plan over time has it; it counts where it fits.
+    """
+    here = facts.within_reach()
+    robot = _with_chosen(
+        replace(
+            with_present_demands(here.robot, here.demand_estimates),
+            computers=here.computers_left(),
+        ),
+        here.placement,
+    )
+    try:
+        problem = plan.problem_of(
+            robot, functions=functions, present=here.placement, move=MOVE
+        )
+        names = {component.name for component in problem.components}
+        present = {n: at for n, at in here.placement.items() if n in names}
+        hinted = {**planned, **present}
+        if _fits(problem, hinted):
+            return Room(begins={n: at for n, at in hinted.items() if n not in present})
+        result = plan.solve(problem, SOLVE_FOR)
+        if not result.feasible:
+            return Room(why=result.reason or "there is no room")
+        then = result.placement
+        kept = {name: then[name] for name in present if name in then}
+        moves = plan_transition(robot, present, {**present, **kept})
+    except RobotError as error:
+        return Room(why=str(error))
+    return Room(
+        begins={n: at for n, at in then.items() if n not in present}, moves=moves
+    )
+
+
+def beyond_memory(
+    robot: Robot,
+    placement: Mapping[str, str],
+    prepared: Mapping[str, str],
+    order: Iterable[str],
+) -> list[str]:
+    """Return what of the prepared components must go, so that memory is enough.
+
+    Parameters
+    ----------
+    placement
+        Component -> computer, of all that works or is to.
+    prepared
+        Component -> computer.
+    order
+        Names of prepared components, those that go first come first.
+    """
+    needs = {c.name: c.demand.get("memory", 0.0) for c in robot.components()}
+    left = {computer.name: computer.usable("memory") for computer in robot.computers}
+    for name, at in (*placement.items(), *prepared.items()):
+        if at in left:
+            left[at] -= needs.get(name, 0.0)
+    gone = []
+    for name in order:
+        at = prepared[name]
+        if left.get(at, 0.0) < 0 < needs.get(name, 0.0):
+            left[at] += needs[name]
+            gone.append(name)
+    return gone
+
+
+def _fits(problem: plan.Problem, placement: Mapping[str, str]) -> bool:
+    """Return whether a placement is one of the problem, and keeps all limits."""
+    known = {component.name for component in problem.components}
+    if not placement or not known.issuperset(placement):
+        return False
+    for function in {bundle.function for bundle in problem.architectures}:
+        if not any(
+            placement.keys() >= {*bundle.components}
+            for bundle in problem.architectures
+            if bundle.function == function
+        ):
+            return False
+    return plan.evaluate(
+        plan.keep_components(problem, placement.keys()), placement
+    ).feasible
+
+
+def _with_chosen(robot: Robot, placement: Mapping[str, str]) -> Robot:
+    """Return the robot without the alternatives of architectures that run."""
+    running = {
+        a.function: a.name
+        for a in robot.architectures
+        if any(c.name in placement for c in a.components)
+    }
+    return replace(
+        robot,
+        architectures=tuple(
+            a for a in robot.architectures if running.get(a.function, a.name) == a.name
+        ),
+    )

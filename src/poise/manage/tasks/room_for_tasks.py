@@ -1,0 +1,110 @@
+"""Room for the actions whose turn it is; who waits, or fails, when there is none."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+from collections.abc import Set as AbstractSet
+
+from msgspec.structs import replace
+
+from poise.estimate.success.learning import learned
+from poise.manage.adaptation.facts import Facts
+from poise.manage.run import Run
+from poise.manage.tasks.learned_choice import situation_of
+from poise.manage.tasks.likely import PlanOverTime
+from poise.manage.tasks.progress import Try
+from poise.manage.tasks.room import Room, room_for
+from poise.manage.tasks.serving import Serving
+from poise.manage.tasks.tasks import TaskRecord, Tasks
+
+
+class RoomForTasks:
+    """Decides where the functions of all tasks go together."""
+
+    def __init__(self, run: Run, tasks: Tasks, plans: PlanOverTime) -> None:
+        self._tasks = tasks
+        self._plans = plans
+        self._serving = Serving(run)
+
+    def look(
+        self,
+        facts: Facts,
+        new: Iterable[tuple[TaskRecord, Try]],
+        aside: AbstractSet[str],
+        *,
+        explore: bool,
+    ) -> Room:
+        """Return where all goes that should run now.
+
+        When it does not fit, tasks of low priority wait for the room of others; when
+        one does not even fit alone, its actions fail. The room then says why.
+
+        Parameters
+        ----------
+        new
+            The actions that are to begin.
+        aside
+            Functions that do not run because they were put aside.
+        """
+        new = tuple(new)
+        robot = learned(
+            facts.robot,
+            [each.action for _, each in new],
+            situation=situation_of(facts),
+            explore=explore,
+            seed=self._tasks.saved.number,
+        ).robot
+        facts = replace(facts, robot=robot)
+        left_out = aside | self._serving.broken(facts.lost)
+        planned: dict[str, str] = {}
+        for record, each in new:
+            names = tuple(t.name for t in self._tasks.tries(record))
+            planned |= self._plans.placement(record.name, names, each.action.functions)
+        going = self._tasks.going()
+        whole = self._beside(facts, going, left_out, planned)
+        if not whole.why:
+            return whole
+        for count in range(len(going) - 1, 0, -1):
+            if not self._beside(facts, going[:count], left_out, planned).why:
+                others = " and ".join(f"'{each.name}'" for each in going[:count])
+                for record in going[count:]:
+                    text = f"task {others} uses the room that it needs: {whole.why}"
+                    self._tasks.block(record.name, text)
+                return whole
+        self._end_or_block(going[0], whole.why)
+        return whole
+
+    def _end_or_block(self, record: TaskRecord, why: str) -> None:
+        """End the actions that do not fit though no other task runs."""
+        now = time.time()
+        for each in self._tasks.tries(record):
+            if each.progress.since is None:
+                self._tasks.end(each.number, now, f"it does not fit: {why}", done=False)
+                return
+        self._tasks.block(record.name, f"it does not fit any more: {why}")
+
+    def _beside(
+        self,
+        facts: Facts,
+        going: Sequence[TaskRecord],
+        left_out: AbstractSet[str],
+        planned: dict[str, str],
+    ) -> Room:
+        """Return where the functions of some tasks go, when all others rest."""
+        functions = {
+            function
+            for record in going
+            for each in self._tasks.tries(record)
+            for function in each.action.functions
+        }
+        functions = (functions | self._serving.fixed()) - left_out
+        runs = {
+            c.name
+            for a in facts.robot.architectures
+            if a.function in functions
+            for c in a.components
+        }
+        placement = {n: at for n, at in facts.placement.items() if n in runs}
+        hint = {n: at for n, at in planned.items() if n in runs}
+        return room_for(replace(facts, placement=placement), functions, hint)

@@ -1,0 +1,63 @@
+"""Which architectures of a run serve which functions now."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+
+from poise.manage.run import Run
+from poise.model.robot import Architecture
+
+
+class Serving:
+    """The architectures of a run that are at work."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+
+    def moving(self) -> list[Architecture]:
+        """Return those of the sequencing layer of which something is placed."""
+        placed = self._run.placed
+        return [
+            a
+            for a in self._run.robot.architectures
+            if a.layer == "sequencing" and any(c.name in placed for c in a.components)
+        ]
+
+    def fixed(self) -> set[str]:
+        """Return the functions of other layers that run: they never stop."""
+        return {a.function for a in self._whole() if a.layer != "sequencing"}
+
+    def functions(self) -> set[str]:
+        """Return the functions that some architecture provides wholly."""
+        return {a.function for a in self._whole()}
+
+    def broken(self, lost: Collection[str]) -> set[str]:
+        """Return the functions of which something is missing, or on a lost computer."""
+        placed = self._run.placed
+        return {
+            a.function
+            for a in self.moving()
+            for c in a.components
+            if c.name not in placed or placed[c.name].computer in lost
+        }
+
+    def architectures(self, functions: Collection[str]) -> list[str]:
+        """Return the names of the architectures that provide functions now."""
+        return [a.name for a in self._whole() if a.function in functions]
+
+    def functions_of(self, components: Iterable[str]) -> set[str]:
+        """Return the functions that components belong to."""
+        names = set(components)
+        return {
+            a.function
+            for a in self._run.robot.architectures
+            if any(c.name in names for c in a.components)
+        }
+
+    def _whole(self) -> list[Architecture]:
+        placed = self._run.placed
+        return [
+            a
+            for a in self._run.robot.architectures
+            if a.components and all(c.name in placed for c in a.components)
+        ]

@@ -1,0 +1,392 @@
+"""Carries out the tasks of a running robot: starts what actions need, and ends it.
+
+It is called by the manager's one thread. What it decides, and why, is in the journal;
+what the next manager needs to go on is with the agents.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Set as AbstractSet
+
+import msgspec
+from msgspec import Struct
+
+from poise.errors import PoiseError, RunError, UsageError
+from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.subjects import values_of
+from poise.manage.migration.transition_run import transit
+from poise.manage.run import Run
+from poise.manage.tasks.hearing import Heard, Hearing
+from poise.manage.tasks.learned_choice import choose, note_ending, situation_of
+from poise.manage.tasks.likely import Likely, PlanOverTime, likely_next
+from poise.manage.tasks.progress import Try
+from poise.manage.tasks.resting import Resting
+from poise.manage.tasks.room import Room, beyond_memory
+from poise.manage.tasks.room_for_tasks import RoomForTasks
+from poise.manage.tasks.serving import Serving
+from poise.manage.tasks.switch import switch
+from poise.manage.tasks.tasks import OVER, Saved, TaskRecord, Tasks
+from poise.model.policy.condition import parse_condition
+from poise.model.policy.values import SUBJECTS
+from poise.model.robot import Architecture
+from poise.model.tasks.steps import Action, Choice, Task, Until
+
+_ROOM_AGAIN, _ROOM_AT_MOST = 2.0, 60.0
+"""A task that waits for room is looked at again after this time [s], then after twice
+as long, up to this, until something changes."""
+_MOST_ROUNDS = 50
+"""So many times in one look something may end or begin at once."""
+_MOST_SWITCHES = 1000
+"""So many switches from action to action are remembered."""
+
+Turn = tuple[TaskRecord, Try]
+"""An action whose turn it is, and its task."""
+
+
+class Switch(Struct, frozen=True, kw_only=True):
+    """How long it took from the end of what was before until an action worked.
+
+    Parameters
+    ----------
+    is_hit
+        Whether all components that began to work were prepared.
+    seconds
+        [s].
+    at
+        When the action began [s since 1970].
+    """
+
+    task: str
+    action: str
+    is_hit: bool
+    seconds: float
+    at: float
+
+
+class TaskManager:
+    """The tasks of a running robot.
+
+    Parameters
+    ----------
+    saved
+        What was started already; it is changed.
+    facts
+        Returns what is known now.
+    explore
+        Whether alternatives are tried in proportion to what they promise.
+
+    Attributes
+    ----------
+    switches
+        The last ones, oldest first.
+    """
+
+    def __init__(
+        self,
+        run: Run,
+        saved: Saved,
+        facts: Callable[[], Facts],
+        *,
+        explore: bool = False,
+    ) -> None:
+        self._run = run
+        self._facts = facts
+        self._explore = explore or run.robot.explore
+        self.tasks = Tasks(run.robot, self._say, self._choose, saved)
+        self.switches: tuple[Switch, ...] = ()
+        self._plans = PlanOverTime(run.robot)
+        self._serving = Serving(run)
+        self._room = RoomForTasks(run, self.tasks, self._plans)
+        self._hearing = Hearing(run)
+        self._resting = Resting(run)
+        self._room_at, self._room_again = 0.0, _ROOM_AGAIN
+        self._lost: AbstractSet[str] = frozenset()
+        self._aside: AbstractSet[str] = frozenset()
+        self._since = time.time()
+
+    def now(self) -> Task:
+        """Return what runs now, as a task of one phase."""
+        going = self.tasks.going()
+        actions = [each.action for _, each in self._turns()]
+        used = {function for action in actions for function in action.functions}
+        if fixed := self._serving.fixed():
+            actions.append(Action(name="always", functions=tuple(sorted(fixed))))
+        tasks = [self._run.robot.task(record.name) for record in going]
+        needs = dict.fromkeys(n for t in tasks for n in t.needs if n in used)
+        name = "' and '".join(task.name for task in tasks) or "none"
+        return Task(name=name, actions=tuple(actions), needs=tuple(needs))
+
+    def likely_next(self) -> list[Likely]:
+        """Return what may be needed next and does not run, the most probable first."""
+        return likely_next(self.tasks, self._plans, self._run.placement())
+
+    def is_over(self) -> bool:
+        """Return whether no task runs, waits or is paused any more."""
+        return all(record.state in OVER for record in self.tasks.records)
+
+    def look(self, aside: Iterable[str] = ()) -> None:
+        """Look at the tasks once: end, begin and rest what is due.
+
+        Parameters
+        ----------
+        aside
+            Functions that are put aside: they are not started here.
+        """
+        self._aside = frozenset(aside)
+        self._hear()
+        self.tasks.look(time.time(), self._holds)
+        self._learn()
+        self._go_on()
+        self._resting.look(self._kept())
+        self._save()
+
+    def command(self, verb: str, name: str, priority: int | None = None) -> None:
+        """Start, pause, resume or cancel a task, and do what follows.
+
+        Raises
+        ------
+        UsageError
+            There is no such task, or it is not in a state for that.
+        """
+        self._since = now = time.time()
+        if verb == "start":
+            self.tasks.start(name, now, priority)
+        else:
+            getattr(self.tasks, verb)(name, now)
+        self._room_at = 0.0
+        self._go_on()
+        self._save()
+
+    def _turns(self) -> list[Turn]:
+        """Return the actions that should work now, of the first task first."""
+        return [(r, each) for r in self.tasks.going() for each in self.tasks.tries(r)]
+
+    def _go_on(self) -> None:
+        """Let what should run now run, until nothing changes by that."""
+        now = time.time()
+        if now >= self._room_at or self._lost != self._run.agents.out_of_reach().keys():
+            self._lost = set(self._run.agents.out_of_reach())
+            self._room_again = min(2 * self._room_again, _ROOM_AT_MOST)
+            if not self._room_at:
+                self._room_again = _ROOM_AGAIN
+            self._room_at = now + self._room_again
+            self.tasks.unblock()
+        for _ in range(_MOST_ROUNDS):
+            self.tasks.arbitrate(time.time())
+            if not self._reconcile():
+                break
+        self.tasks.announce()
+
+    def _reconcile(self) -> bool:
+        """Rest what no action needs, and begin what some do; whether all is anew."""
+        wanted = self.tasks.functions()
+        ends = [a for a in self._serving.moving() if a.function not in wanted]
+        new = [turn for turn in self._turns() if turn[1].progress.since is None]
+        if not ends and not new:
+            return False
+        room = Room()
+        if set(wanted) - self._serving.functions() - self._aside:
+            facts = self._facts()
+            room = self._room.look(facts, new, self._aside, explore=self._explore)
+        if room.why:
+            self._learn()
+            return True
+        return self._switch(new, ends, room)
+
+    def _switch(self, new: list[Turn], ends: list[Architecture], room: Room) -> bool:
+        """Carry a switch out; return whether an action has ended by that."""
+        run = self._run
+        again = self._to_activate_again(new)
+        stops = [
+            c.name
+            for a in (*ends, *again)
+            for c in a.components
+            if c.name in run.placed
+        ]
+        begins = dict(room.begins)
+        begins |= {
+            c.name: run.placed[c.name].computer
+            for a in again
+            for c in a.components
+            if c.name in run.placed
+        }
+        is_hit = bool(begins) and begins.keys() <= run.prepared.keys() | {*stops}
+        heard = self._hearing.ends()
+        try:
+            stops = self._make_room(room, begins, stops)
+            if stops or begins:
+                switch(run, stops, begins)
+        except RunError as error:
+            self._fail(new, begins, str(error))
+            return True
+        served = self._serving.functions() | self._aside
+        for record, each in new:
+            if served.issuperset(each.action.functions):
+                said = heard.get(str(each.action.ends), Heard())
+                each.progress.heard = said.epoch, said.count
+                self.tasks.began(each.number, time.time())
+                if begins:
+                    self._note_switch(record, each, is_hit=is_hit)
+        return False
+
+    def _make_room(
+        self, room: Room, begins: Mapping[str, str], stops: list[str]
+    ) -> list[str]:
+        """Move what is in the way, and end what may not rest; return what may.
+
+        Raises
+        ------
+        RunError
+            A move failed; all is where it was.
+        """
+        run = self._run
+        if room.moves:
+            report = transit(run, room.moves)
+            if not report.committed:
+                raise RunError(report.reason)
+        away = run.agents.out_of_reach()
+        rest = {n: e.computer for n, e in run.prepared.items() if n not in begins}
+        rest |= {n: run.placed[n].computer for n in stops if n not in begins}
+        works = {n: at for n, at in run.placement().items() if n not in rest}
+        order = self._resting.oldest_first(rest)
+        gone = beyond_memory(run.robot, {**works, **begins}, rest, order)
+        if gone:
+            names = ", ".join(gone)
+            run.journal.note("decided", f"there is no memory to let {names} rest")
+        gone += [n for n in stops if run.placed[n].computer in away]
+        for name in gone:
+            run.prepared.pop(name, None)
+            run.placed.pop(name, None)
+        if gone:
+            run.tell(run.placed.values())
+        return [name for name in stops if name not in gone]
+
+    def _fail(self, new: list[Turn], begins: Iterable[str], why: str) -> None:
+        """End the actions that cannot begin; the others stay as they are."""
+        self._run.journal.note("failed", f"an action cannot begin: {why}")
+        functions = self._serving.functions_of(begins)
+        for _, each in new:
+            if not functions or functions.intersection(each.action.functions):
+                what = f"it cannot begin: {why.splitlines()[0]}"
+                self.tasks.end(each.number, time.time(), what, done=False)
+        self._learn()
+
+    def _to_activate_again(self, new: list[Turn]) -> list[Architecture]:
+        """Return what runs already, and learns only so that its action begins."""
+        busy = {
+            function
+            for _, each in self._turns()
+            if each.progress.since is not None
+            for function in each.action.functions
+        }
+        ends = {
+            each.action.ends.component
+            for _, each in new
+            if each.action.ends is not None and not each.progress.spent
+        }
+        return [
+            a
+            for a in self._serving.moving()
+            if a.function not in busy and any(c.name in ends for c in a.components)
+        ]
+
+    def _hear(self) -> None:
+        """End the actions whose components say so, and do what components wish."""
+        now, heard = time.time(), self._hearing.ends()
+        for _, each in self._turns():
+            end = str(each.action.ends)
+            if each.progress.since is not None and end in heard:
+                said, (epoch, count) = heard[end], each.progress.heard
+                if said.count > (count if said.epoch == epoch else 0):
+                    what = f"'{end}' said so"
+                    self.tasks.end(each.number, now, what, done=said.done)
+        self._learn()
+        note = self._run.journal.note
+        for component, wish in self._hearing.wishes():
+            what = f"component '{component}' asks to {wish.verb} task '{wish.task}'"
+            note("seen", what)
+            try:
+                self.command(wish.verb, wish.task)
+            except UsageError as error:
+                note("wrong", f"{what}: {error}")
+
+    def _learn(self) -> None:
+        """Note how actions ended, with the architectures that served them."""
+        for ended in self.tasks.take_ended():
+            self._since = time.time()
+            self._room_at = 0.0
+            note_ending(
+                self._run.robot,
+                self._run.journal,
+                ended.action,
+                self._serving.architectures(ended.functions),
+                situation_of(self._facts()),
+                done=ended.done,
+            )
+
+    def _holds(self, until: Until) -> bool:
+        condition = parse_condition(until.when, SUBJECTS[until.subject])
+        return any(
+            condition(each)
+            for each in values_of(self._facts(), until.subject)
+            if not until.name or each.name == until.name
+        )
+
+    def _choose(self, choice: Choice) -> int:
+        note = self._run.journal.note
+        try:
+            return choose(
+                self._run.robot,
+                choice,
+                situation_of(self._facts()),
+                lambda text: note("decided", text),
+                explore=self._explore,
+            )
+        except PoiseError as error:
+            note("failed", f"of a choice the first is taken: {error}")
+            return 0
+
+    def _kept(self) -> set[str]:
+        """Return what rests for a task that waits or is paused: it keeps its state."""
+        functions = {
+            function
+            for record in self.tasks.records
+            if record.state in {"waiting", "paused"}
+            for each in self.tasks.tries(record)
+            for function in each.action.functions
+        }
+        return {
+            c.name
+            for a in self._run.robot.architectures
+            if a.function in functions
+            for c in a.components
+        }
+
+    def _note_switch(self, record: TaskRecord, each: Try, *, is_hit: bool) -> None:
+        now = time.time()
+        switched = Switch(
+            task=record.name,
+            action=each.name,
+            is_hit=is_hit,
+            seconds=now - self._since,
+            at=now,
+        )
+        self.switches = (*self.switches[1 - _MOST_SWITCHES :], switched)
+        how = "it was prepared" if is_hit else "it was not prepared"
+        text = f"switched to action '{each.name}' in {switched.seconds:.3f} s: {how}"
+        self._run.journal.note("done", text, switch=switched)
+
+    def _save(self) -> None:
+        """Let agents keep what the next manager needs, when that has changed."""
+        run, saved = self._run, msgspec.msgpack.encode(self.tasks.saved)
+        if saved != run.tasks:
+            run.tasks = saved
+            try:
+                run.tell(run.placed.values())
+            except RunError as error:
+                run.journal.note("failed", f"not all agents know the tasks: {error}")
+
+    def _say(self, text: str) -> None:
+        self._run.journal.note("decided", text)
