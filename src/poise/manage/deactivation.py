@@ -6,8 +6,13 @@ from collections.abc import Collection, Iterable, Iterator
 from functools import partial
 from typing import TYPE_CHECKING
 
-from poise.manage.deployment import name_of
-from poise.manage.statuses import calling_ports, components_of, connectors_of
+from poise.manage.deployment import Incarnation, name_of
+from poise.manage.statuses import (
+    Statuses,
+    calling_ports,
+    components_of,
+    connectors_of,
+)
 from poise.manage.topological_order import levels
 from poise.wire.records.status import ConnectorStatus
 
@@ -17,8 +22,9 @@ if TYPE_CHECKING:
 Leads = list[tuple[str, str]]
 """Pairs of components of which the first calls the second, or publishes to it."""
 
-REST_LIMIT = 1.0
-"""Components become inactive within this time [s], or are not waited for any longer."""
+REST_LIMIT = 2.0
+"""Components become inactive within this time [s], or are not waited for any longer.
+Containers are patient with a handler for half of it."""
 ARRIVAL_LIMIT = 2.5
 """Messages of a source that was deactivated are processed within this time [s]:
 containers report their counts once a second, agents twice."""
@@ -72,10 +78,29 @@ def _deactivate(run: Run, leads: Leads) -> Iterator[set[str]]:
 
 def _are_inactive(run: Run, names: Collection[str]) -> bool:
     run.raise_on_lost()
-    return not any(
-        component.name in names and component.state == "active"
-        for component in components_of(run.current())
-    )
+    places = [each for each in run.placed.values() if each.component in names]
+    return not maybe_active(places, run.computers(), run.current())
+
+
+def maybe_active(
+    places: Iterable[Incarnation], reached: Collection[str], current: Statuses
+) -> list[str]:
+    """Return the components that are active, or may be: nothing newer is known.
+
+    Parameters
+    ----------
+    reached
+        Computers; what is on others is not waited for.
+    current
+        The statuses that speak of what the agents were told last.
+    """
+    active = {c.name for c in components_of(current) if c.state == "active"}
+    return [
+        each.component
+        for each in places
+        if each.computer in reached
+        and (each.computer not in current or each.component in active)
+    ]
 
 
 def _is_processed(run: Run, targets: Collection[str]) -> bool:
