@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from poise.runtime.component.ports import subscribed as subscribed
     from poise.session.calibration.calibrate import Calibration as Calibration
     from poise.session.calibration.calibrate import calibrate as calibrate
+    from poise.session.diagrams.draw import Drawing as Drawing
+    from poise.session.diagrams.draw import draw as draw
     from poise.session.emulated import emulated as emulated
     from poise.session.placement import Placement as Placement
     from poise.session.placement import place as place
@@ -62,6 +64,7 @@ else:
         "CallError": "errors",
         "CalleeError": "errors",
         "Component": "runtime.component.component",
+        "Drawing": "session.diagrams.draw",
         "Entry": "manage.journal",
         "FileProblem": "errors",
         "Message": "runtime.component.ports",
@@ -90,6 +93,7 @@ else:
         "calibrate": "session.calibration.calibrate",
         "check": "session.robot_file",
         "connect": "session.running",
+        "draw": "session.diagrams.draw",
         "emulated": "session.emulated",
         "every": "runtime.component.ports",
         "load": "session.robot_file",

@@ -13,6 +13,7 @@ import typer
 COMMANDS = {
     "check": ("check:check_command", "Check a robot file and the code that it names."),
     "plan": ("plan:plan_command", "Decide where each component runs."),
+    "draw": ("draw:draw_command", "Draw components, placements or a transition."),
     "profile": ("profile:profile_command", "Measure what each component needs."),
     "profile show": ("profile:show_command", "Show the last profile."),
     "calibrate": ("calibrate:calibrate_command", "Measure computers and connectors."),

@@ -1,0 +1,1 @@
+"""UML diagrams of a robot: its software, where it runs, and how that changes."""

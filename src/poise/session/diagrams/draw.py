@@ -1,0 +1,140 @@
+"""Draws a robot: the diagram, and its files."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Literal, get_args
+
+from msgspec import Struct
+
+from poise.errors import UsageError
+from poise.manage.migration.transition import plan_transition
+from poise.model.robot import Robot
+from poise.session.diagrams.components import component_diagram
+from poise.session.diagrams.deployment import deployment_diagram
+from poise.session.diagrams.dot import dot
+from poise.session.diagrams.mermaid import mermaid
+from poise.session.diagrams.plantuml import plantuml
+from poise.session.diagrams.records import Diagram
+from poise.session.diagrams.transition import sequence_diagram
+
+What = Literal["components", "deployment", "transition"]
+WHAT: tuple[str, ...] = get_args(What)
+TEXTS: Mapping[str, Callable[[Diagram], str]] = {
+    ".mmd": mermaid,
+    ".puml": plantuml,
+    ".dot": dot,
+}
+"""Ending of a file -> what writes the diagram as such text."""
+PICTURES = (".svg", ".png", ".pdf")
+FORMATS = (*PICTURES, *TEXTS)
+
+
+class Drawing(Struct, frozen=True):
+    """A diagram, to be written to files; Jupyter shows it as a picture."""
+
+    diagram: Diagram
+
+    def save(self, path: Path | str) -> None:
+        """Write it to a file whose ending is one of `FORMATS`.
+
+        Raises
+        ------
+        UsageError
+            It ends otherwise; or it is a picture, and pygraphviz is not installed.
+        """
+        path = Path(path)
+        if path.suffix in TEXTS:
+            path.write_text(self.text(path.suffix))
+        elif path.suffix in PICTURES:
+            path.write_bytes(self._picture(path.suffix.removeprefix(".")))
+        else:
+            raise UsageError(
+                f"{path}: the name says the format, and ends in {', '.join(FORMATS)}"
+            )
+
+    def text(self, ending: str = ".mmd") -> str:
+        """Return it as Mermaid (``.mmd``), PlantUML (``.puml``) or DOT (``.dot``)."""
+        return TEXTS[ending](self.diagram)
+
+    def _repr_svg_(self) -> str:
+        """Return it as SVG, for Jupyter."""
+        return self._picture("svg").decode()
+
+    def _picture(self, format_: str) -> bytes:
+        try:
+            import pygraphviz  # noqa: PLC0415, an extra
+        except ImportError as error:
+            raise UsageError(
+                "pictures need Graphviz: pip install 'poise[draw]'; .mmd, .puml and "
+                ".dot files do not"
+            ) from error
+        with _silent_fontconfig():
+            graph = pygraphviz.AGraph(string=dot(self.diagram))
+            picture: bytes = graph.draw(format=format_, prog="dot")
+        return picture
+
+
+def draw(
+    robot: Robot,
+    what: What = "components",
+    placements: Mapping[str, Mapping[str, str]] | None = None,
+    *,
+    task: str | None = None,
+) -> Drawing:
+    """Return a UML diagram of a robot.
+
+    Parameters
+    ----------
+    what
+        ``components``: the architectures and how their components are joined;
+        ``deployment``: what runs where, several placements side by side;
+        ``transition``: what happens on the way from one placement to another.
+    placements
+        Name -> placement (component -> computer), such as `Placement.where` or that of
+        a running robot's status. A transition has two, before and after.
+    task
+        Only what it needs is among the ``components``; None: all.
+
+    Raises
+    ------
+    UsageError
+        There is no such task, or placements are missing.
+    RobotError
+        No transition leads to the second placement; the message says why.
+    """
+    named = placements or {}
+    if what == "components":
+        if task is not None and task not in {each.name for each in robot.tasks}:
+            raise UsageError(f"robot '{robot.name}' has no task '{task}'")
+        functions = None if task is None else robot.functions_of(task)
+        return Drawing(component_diagram(robot, functions))
+    if what == "deployment" and named:
+        return Drawing(deployment_diagram(robot, named))
+    if what == "transition" and len(named) == 2:  # noqa: PLR2004
+        now, then = named.values()
+        steps = plan_transition(robot, now, then)
+        return Drawing(sequence_diagram(robot, " → ".join(named), steps))
+    raise UsageError(
+        "a deployment diagram is of one placement or more, a transition of two: "
+        f"{what} was given {len(named)}"
+    )
+
+
+@contextlib.contextmanager
+def _silent_fontconfig() -> Iterator[None]:
+    """Keep fontconfig from printing that the system's files are newer than it is.
+
+    Graphviz' own errors are raised.
+    """
+    kept = os.dup(2)
+    try:
+        with open(os.devnull, "wb") as nothing:  # noqa: PTH123, has no Path
+            os.dup2(nothing.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
