@@ -34,9 +34,14 @@ class _Silence:
         self.last = float("-inf")
 
     def look(self, sign: float, now: float, counted: float) -> None:
-        """Take in when the last sign came."""
+        """Take in when the last sign came, so far as is known now.
+
+        That another agent heard is known to a few milliseconds, which differ each time:
+        a sign that came little later leaves most of the silence as it was.
+        """
         if sign > self.last:
-            self.last, self.seconds = sign, 0.0
+            self.seconds = max(0.0, self.seconds - (sign - self.last))
+            self.last = sign
         self.seconds = min(self.seconds + counted, max(0.0, now - sign))
 
 
