@@ -85,8 +85,8 @@ def test_what_was_in_vain_is_thought_about_soon_when_things_have_changed() -> No
     for now in (0.0, 2.0, 6.0, 14.0):
         limits.note_nothing(now, {"left": 1.0})
     assert limits.rests(29.0, {"left": 1.02})
-    assert limits.rests(15.0, {"left": 0.5})  # but not at once
-    assert not limits.rests(16.0, {"left": 0.5})
+    assert limits.rests(14.4, {"left": 0.5})  # but not at once
+    assert not limits.rests(14.5, {"left": 0.5})
 
 
 def test_a_cool_down_is_none_the_shorter_when_things_have_changed() -> None:

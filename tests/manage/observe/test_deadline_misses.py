@@ -52,6 +52,19 @@ def test_what_was_missed_long_ago_does_not_count() -> None:
     assert (found.released, found.missed) == (10, 0)
 
 
+def test_only_releases_of_the_last_second_count() -> None:
+    """Statuses come once a second, and at once when a deadline was missed."""
+    misses = DeadlineMisses()
+    misses.look(status(0.1, 0, 0), 0.0)
+    misses.look(status(0.1, 10, 0), 1.0)
+    misses.look(status(0.1, 18, 1), 1.8)
+    (found,) = misses.look(status(0.1, 19, 2), 1.9)
+    assert (found.released, found.missed) == (10, 2)
+    assert found.is_late
+    (found,) = misses.look(status(0.1, 19, 2), 2.7)  # no status came meanwhile
+    assert (found.released, found.missed) == (9, 2)
+
+
 def test_a_single_miss_among_others_is_no_sign() -> None:
     one = Misses(component="a", computer="left", timer="t", released=5, missed=1)
     assert not one.is_late

@@ -31,7 +31,7 @@ class Facts(Struct, frozen=True, kw_only=True):
     lost
         The computers that are out of reach.
     loads
-        Computer -> its CPU use over the last second, where it is known.
+        Computer -> its CPU use lately, where it is known.
     misses
         The timers that were due within the last seconds.
     chains

@@ -25,6 +25,8 @@ BUDGET = 60
 THINK_AGAIN = 2.0
 """When nothing can be done, it is thought about again after this time [s]; then after
 twice as long, up to `LONGEST_REST`."""
+CHANGED_AFTER = 0.5
+"""After this time already, when the situation is another one [s]: loads are means."""
 _MINUTE = 60.0
 
 
@@ -70,7 +72,7 @@ class MoveLimits:
         """
         if self._in_vain is not None and situation is not None:
             at, before = self._in_vain
-            if now >= at + THINK_AGAIN and has_changed(before, situation):
+            if now >= at + CHANGED_AFTER and has_changed(before, situation):
                 self.forget_nothing()
                 return False
         return now < self._rests_until

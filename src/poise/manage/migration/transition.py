@@ -117,15 +117,15 @@ class _Planner:
                 intermediate.add(move[0])
                 self._move(*move, why="an intermediate move: there is no room yet")
                 continue
-            smallest = pending[0]
+            name = pending[0]
             self._stop(
-                smallest, "a cold move: no computer has room for an intermediate move"
+                name, "a cold move: no computer has room for an intermediate move"
             )
-            stopped.add(smallest)
+            stopped.add(name)
         return stopped
 
     def _pending(self) -> list[str]:
-        """Return what must still move, the least state and demand first."""
+        """Return what must still move: the least state first, then what helps most."""
         return sorted(
             (n for n, h in self._now.items() if self._then.get(n, h) != h),
             key=lambda name: (*_weight(self._components[name]), name),
@@ -185,7 +185,7 @@ class _Planner:
 
 
 def _weight(component: ComponentEntry) -> tuple[float, float]:
-    return component.state, component.demand.get("cpu", 0.0)
+    return component.state, -component.demand.get("cpu", 0.0)
 
 
 def _first(names: Iterable[str], holds: Callable[[str], bool]) -> str | None:

@@ -103,10 +103,19 @@ class DeadlineMisses:
 def _count(
     totals: deque[tuple[float, int, int]], timer: TimerStatus, now: float, over: float
 ) -> tuple[int, int]:
-    """Add a timer's totals; return what was released and missed in the time [s]."""
+    """Add a timer's totals; return what was released and missed in the time [s].
+
+    A status comes as soon as a deadline was missed, but else only once a second: the
+    timer was released evenly since the one before. The time ends with the last status.
+    """
     if not totals or totals[-1][1:] != (timer.releases, timer.missed):
         totals.append((now, timer.releases, timer.missed))
     while len(totals) > 1 and now - totals[1][0] >= over:
         totals.popleft()
-    _, releases, missed = totals[0]
-    return timer.releases - releases, timer.missed - missed
+    at, releases, missed = totals[0]
+    if len(totals) > 1:
+        next_at, later, _ = totals[1]
+        past = max(0.0, totals[-1][0] - over - at) / (next_at - at)
+        releases += round(past * (later - releases))
+    released = timer.releases - releases
+    return released, min(released, timer.missed - missed)

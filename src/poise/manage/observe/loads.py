@@ -13,14 +13,14 @@ from poise.wire.records.samples import AgentSample, ContainerSample
 
 FULL = 0.95
 """A computer that uses this share of its CPU or more has none left."""
-OVER = 1.0
+OVER = 0.5
 """A load is the mean over this time [s]."""
 _NOTICEABLE = 0.02
 """Less use by other programs may be the kernel's own work [cores]."""
 
 
 class Load(Struct, frozen=True, kw_only=True):
-    """The CPU use of one computer over the last second [cores of the reference].
+    """The CPU use of one computer lately [cores of the reference].
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class Loads:
                 totals.popleft()
 
     def loads(self) -> dict[str, Load]:
-        """Return computer -> load, where a second of it was seen."""
+        """Return computer -> load, where enough of it was seen."""
         with self._lock:
             windows = {c: (t[0], t[-1]) for c, t in self._totals.items()}
         return {

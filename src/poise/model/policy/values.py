@@ -26,7 +26,7 @@ _COMPUTER = says("The computer on which it runs.")
 
 
 class ComputerValues(Struct, frozen=True, kw_only=True):
-    """A computer over the last second."""
+    """A computer over the last half second."""
 
     name: Annotated[str, _NAME]
     lost: Annotated[bool, says("Whether it is out of reach.")] = False

@@ -1,0 +1,21 @@
+"""What computers use, and other programs on them."""
+
+from __future__ import annotations
+
+import pytest
+
+from poise.manage.observe.loads import Loads
+from poise.model.robot import Robot
+from poise.wire.records.samples import AgentSample
+
+
+def test_another_program_is_known_0_6_s_after_it_began(robot: Robot) -> None:
+    """The agent uses 10 %; from 2 s on another program takes all that is left."""
+    loads = Loads(robot, emulated=True)
+    for tick in range(14):
+        at = 0.2 * tick
+        busy = 0.1 * at + 0.9 * max(0.0, at - 2.0)
+        loads.take(AgentSample("a", at, 0.1 * at, (), busy))
+    found = loads.loads()["a"]
+    assert found.used == pytest.approx(1.0)
+    assert found.background == pytest.approx(0.9)
