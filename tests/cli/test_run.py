@@ -47,6 +47,15 @@ class Murderous(Component):
         zygote = os.getppid()
         agent = int(open(f"/proc/{zygote}/stat").read().split()[3])
         os.kill(agent, signal.SIGKILL)
+
+class MurderousLater(Component):
+    has_done = False
+
+    @every(0.5)
+    def act(self):
+        if not self.has_done:
+            self.has_done = True
+            Murderous.activate(self)
 """
 
 ROBOT = """
@@ -183,6 +192,13 @@ def test_an_agent_that_is_killed_is_said_at_once(robot: Write) -> None:
     code, said = run(robot(implementation("Murderous")), "--task", "work")
     assert code == 1
     assert re.search(r"computer .\w+. is out of reach since", said)
+
+
+def test_a_run_goes_on_when_an_agent_is_killed(robot: Write) -> None:
+    file = robot(implementation("MurderousLater"))
+    code, said = run(file, "--task", "work", "--for", "6s")
+    assert code == 0 or "invalid run" in said
+    assert re.search(r"the agent of .\w+. was restarted; 1 container went on", said)
 
 
 def test_a_command_runs_as_a_component(robot: Write) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
-from msgspec import Struct
+from msgspec import Struct, structs
 from rich.console import RenderableType
 
 from poise.errors import RunError
@@ -239,7 +239,11 @@ def cpu_shares(
     shares = {}
     for computer in robot.computers:
         first, last = begin.get(computer.name), end.get(computer.name)
-        if first is None or last is None or last.uptime <= first.uptime:
+        if first is None or last is None:
+            continue
+        if first.pid != last.pid:  # its agent was started again, and counts anew
+            first = structs.replace(first, cpu=0.0, uptime=0.0)
+        if last.uptime <= first.uptime:
             continue
         cores = (last.cpu - first.cpu) / (last.uptime - first.uptime)
         has = computer.capacity["cpu"] * computer.speed * faster.get(computer.name, 1)

@@ -8,7 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from poise.manage.deactivation import drain
-from poise.manage.journal import Journal
+from poise.manage.journal import Entry, Journal
+from poise.manage.lost_computers import LostComputers
 from poise.manage.run import Run
 from poise.model.robot import Robot
 from poise.session.launch.start import Sampling, Started, started
@@ -40,7 +41,8 @@ def run(  # noqa: PLR0913 - each is a choice of the user
 
     At the end all components are deactivated from sources to targets, so that the
     report has the final counts. Ctrl-C (`KeyboardInterrupt`) ends it early, and the
-    report says so; the same while it starts is raised.
+    report says so; the same while it starts is raised. An agent that is killed and
+    started again ends nothing.
 
     Parameters
     ----------
@@ -73,23 +75,47 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     if sentence := order_unused(robot, chosen):
         say(sentence)
     with contextlib.ExitStack() as stack:
-        book = Journal(journal or ":memory:")
+        book = Journal(journal or ":memory:", _saying(say))
         stack.callback(book.close)
         book.note("decided", f"task '{chosen}', {placed.method} placement")
         note_architectures(book, robot, placed)
         for name in placed.result.aside:
             sentence = f"architecture '{name}' is put aside: {placed.why_aside}"
             book.note("wrong", sentence)
-            say(sentence)
         kept = stack.enter_context(keeping(robot, placed.where, record, say))
         sampling = Sampling(kept.samples.add) if record else None
         up = stack.enter_context(
             started(kept.robot, placed.where, book, say, sampling, check, use_kept=True)
         )
         say(f"running task '{chosen}' for up to {seconds:g} s")
-        seen = _measure(up, seconds, meanwhile)
+        seen = _measure(up, seconds, _with_agents(up.run, check, meanwhile))
         drain(up.run)
         return reported(up, placed, chosen, seen)
+
+
+def _saying(say: Say) -> Callable[[Entry], object]:
+    """Return what says the entries about what is wrong, and that it is right again."""
+    return lambda each: say(str(each)) if each.kind in {"wrong", "right"} else None
+
+
+def _with_agents(run: Run, check: Check, meanwhile: Meanwhile) -> Meanwhile:
+    """Return what also goes on with agents that were killed and are started again.
+
+    A computer that is lost ends the run.
+    """
+    lost = LostComputers(run)
+
+    def look() -> None:
+        check()
+        lost.note()
+        run.excused -= lost.computers()
+
+    def look_around(run: Run, now: float) -> None:
+        lost.bring_back()
+        meanwhile(run, now)
+
+    run.check = look
+    return look_around
 
 
 def _measure(up: Started, seconds: float, meanwhile: Meanwhile) -> MeasuredRun:

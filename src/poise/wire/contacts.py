@@ -31,6 +31,9 @@ SURELY_ENDED = 0.95
 """The lease of an agent that is silent for longer has ended, on its clock, too [s]."""
 _WINDOW = 50
 """The number of heartbeats over which loss is counted."""
+_IN_A_ROW = 2
+"""Of heartbeats in a row that did not come, so many count as lost: else one short cut
+would look like a bad link for as long as the window lasts."""
 _DELAYS = 15
 _FORGOTTEN = 3.0
 """Who is silent for longer is named no more [s]."""
@@ -53,13 +56,14 @@ class Contact:
         self.last = beat
         self.began = self.heard_at = now
         self.acked: float | None = None
-        self._numbers: deque[int] = deque(maxlen=_WINDOW)
+        self._lost: deque[int] = deque(maxlen=_WINDOW)
         self._delays: deque[float] = deque(maxlen=_DELAYS)
 
     def note(self, beat: Heartbeat, echo: Echo | None, now: float) -> None:
         """Take in a heartbeat, which says what the other has heard of this side."""
+        gap = beat.number - self.last.number - 1
+        self._lost.append(min(max(0, gap), _IN_A_ROW))
         self.last, self.heard_at = beat, now
-        self._numbers.append(beat.number)
         if echo is not None and (self.acked is None or echo.sent > self.acked):
             self.acked = echo.sent
             self._delays.append(max(0.0, now - echo.sent - echo.held) / 2)
@@ -68,12 +72,10 @@ class Contact:
         """Return how the way from and to the other is."""
         silent = now - self.heard_at
         missed = max(0, int(silent / EVERY) - 1)
-        due = missed + 1
-        if self._numbers:
-            due += self._numbers[-1] - self._numbers[0]
+        lost = min(missed, _IN_A_ROW) + sum(self._lost)
         return LinkQuality(
             delay=median(self._delays) if self._delays and silent < LEASE else None,
-            loss=max(0.0, 1 - len(self._numbers) / due) if self._numbers else 0.0,
+            loss=lost / (lost + len(self._lost)) if self._lost else 0.0,
             silent=silent,
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import pytest
@@ -30,6 +31,7 @@ class Crashing(Robbed):
         )
         super().__init__(robot, computers=names)
         self.crashing: set[str] = {"left"}
+        self.faults: dict[str, tuple[Fault, ...]] = {}
         self.now = 0.0
         self.loop = Adaptation(
             self.run, self.facts_of_crash, self.aside, clock=lambda: self.now
@@ -49,7 +51,14 @@ class Crashing(Robbed):
         status = AgentStatus(
             computer=at, generation=1, uptime=0, cpu=0, health=(health,)
         )
-        statuses = {at: status} if at in self.crashing else {}
+        statuses = {
+            name: AgentStatus(
+                computer=name, generation=1, uptime=0, cpu=0, faults=faults
+            )
+            for name, faults in self.faults.items()
+        }
+        if at in self.crashing:
+            statuses[at] = status
         return replace(self.facts(), statuses=statuses)
 
     def look(self, times: int = 1, every: float = 1.0) -> None:
@@ -69,6 +78,17 @@ def test_it_runs_on_the_other_computer() -> None:
     assert robbed.run.placement() == {"high": "left", "low": "right"}
     assert robbed.run.placed["low"].epoch == 1
     assert not robbed.aside.deviations()
+
+
+def test_a_new_manager_knows_where_it_crashed_under_the_one_before() -> None:
+    robbed = Crashing(robot_with())
+    robbed.faults["right"] = tuple(
+        Fault(container="low-task", message="", at=time.time()) for _ in range(5)
+    )
+    robbed.look()
+    assert robbed.run.placement() == HIGH
+    (deviation,) = robbed.aside.deviations()
+    assert "again and again on 'left' and 'right'" in deviation.what
 
 
 def test_what_crashes_everywhere_is_put_aside_and_stays_so() -> None:

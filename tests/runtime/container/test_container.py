@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -35,6 +36,25 @@ def test_no_status_waits_for_an_agent_that_stands_still(tmp_path: Path) -> None:
                 ours.send(bytes(1 << 16))
         ours.setblocking(True)
         container._report(container._status())  # raises Timeout if it waits
+
+
+def test_says_once_what_waits_amid_a_move_that_nobody_finishes(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    agent, ours = socket.socketpair()
+    place = Place(container="see", folder=str(tmp_path), gateway="", computer="a")
+    with agent, ours:
+        container = Container("see", ours, new_memory(), place)
+        for name, is_paused in (("eye", True), ("ear", False)):
+            runner = Mock(is_paused=is_paused)
+            runner.spec.name = name
+            container._runners[name, 0] = runner
+        for now in (10.0, 12.0, 13.5, 20.0):
+            monkeypatch.setattr(container._clock, "now", lambda now=now: now)
+            container._note_pauses()
+        container._transports.close()
+    (said,) = caplog.messages
+    assert "'eye' has been paused for 3 s amid a move that nobody finishes" in said
 
 
 RUN = """

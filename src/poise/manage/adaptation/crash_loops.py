@@ -5,6 +5,7 @@ Each computer is tried once. What is pinned stays, and its agent goes on restart
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 
 from poise.errors import RunError
@@ -19,6 +20,8 @@ from poise.manage.run import Run
 from poise.model.pinned import pinned_components
 from poise.model.robot import Robot
 
+CRASHES = 5
+"""So many faults are a crash loop, as the policy says."""
 FORGET_AFTER = 600.0
 """A container that has not crashed for so long [s] may return where it did."""
 
@@ -51,7 +54,9 @@ class CrashLoops:
                 stays = f"component '{name}' stays on '{symptom.computer}'"
                 goes_on = "its agent goes on restarting it"
                 raise RunError(f"{stays}: {pinned[name]}; {goes_on}")
-        before = self._crashed.get(container, {})
+        before = _crashed_before(container, facts, now) | self._crashed.get(
+            container, {}
+        )
         crashed = {at: when for at, when in before.items() if now - when < FORGET_AFTER}
         crashed[symptom.computer] = now
         self._crashed[container] = crashed
@@ -92,6 +97,20 @@ class CrashLoops:
             self._put_aside.put([architecture.name], f"{why}; {way_out}", now)
         else:  # the last try to start it ended so
             self._put_aside.note([architecture.name], f"{why}; {way_out}", now)
+
+
+def _crashed_before(container: str, facts: Facts, now: float) -> dict[str, float]:
+    """Return where agents saw it crash as often, under an earlier manager, and when."""
+    found = {}
+    for computer, status in facts.statuses.items():
+        ages = [
+            time.time() - fault.at
+            for fault in status.faults
+            if fault.container == container and not fault.is_over
+        ]
+        if sum(age < FORGET_AFTER for age in ages) >= CRASHES:
+            found[computer] = now - max(0.0, ages[-1])
+    return found
 
 
 def components_in(run: Run, symptom: Symptom) -> list[str]:

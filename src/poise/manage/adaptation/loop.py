@@ -22,7 +22,7 @@ from poise.manage.adaptation.failover import fail_over
 from poise.manage.adaptation.move_limits import MoveLimits
 from poise.manage.adaptation.needs import Needs, lacking
 from poise.manage.adaptation.policies import Key, Policies, Symptom
-from poise.manage.adaptation.put_aside import PutAside
+from poise.manage.adaptation.put_aside import CALM, PutAside
 from poise.manage.adaptation.replan import Proposal, propose
 from poise.manage.adaptation.subjects import values_of
 from poise.manage.migration.transition import TransitionStep
@@ -90,6 +90,8 @@ class Adaptation:
         self._reported: dict[Key, _Reported] = {}
         self._missing: set[str] = set()
         self._tries_again = float("inf")
+        self._lost: frozenset[str] = frozenset()
+        self._back: dict[str, float] = {}
         self.deviations: tuple[Deviation, ...] = ()
 
     def look(self) -> None:
@@ -100,6 +102,8 @@ class Adaptation:
             self._keep(Seen.by(read, now))
         symptoms = self._policies.look(read, now)
         missing = self._needs.look(facts, now)
+        self._back |= dict.fromkeys(self._lost - facts.lost, now)
+        self._lost = facts.lost
         self._report(symptoms)
         self._put_aside.look()
         if not self._acts:
@@ -118,6 +122,7 @@ class Adaptation:
             return
         if not bad:
             self._move_limits.forget_nothing()
+            self._use_again(facts, now)
             return
         links = (s.values.name for s in bad if s.policy.for_each == "link")
         facts = replace(facts, bad_links=frozenset(links))
@@ -200,6 +205,28 @@ class Adaptation:
             else:
                 self._failover_limits.note_nothing(now)
         return bool(found.placement or self._missing - before)
+
+    def _use_again(self, facts: Facts, now: float) -> None:
+        """Think once about each computer that is back, when nothing is wrong.
+
+        By then what components need there, and beside it, has been measured again.
+        """
+        found = [
+            name
+            for name, at in self._back.items()
+            if now - at >= CALM and name not in facts.lost
+        ]
+        if not found or self._move_limits.rests(now):
+            return
+        for name in found:
+            del self._back[name]
+        decision = decide(facts, self._move_limits.barred(now), self._downtimes)
+        is_better = decision.acts or decision.proposal is not None
+        why = decision.why if is_better else "all that runs has what it needs"
+        names = " and ".join(f"'{name}'" for name in found)
+        self._run.journal.note("seen", f"{names} may be used again: {why}")
+        if decision.acts:
+            self._carry_out(decision, (), facts, now)
 
     def _carry_out(
         self, decision: Decision, due: tuple[Symptom, ...], facts: Facts, now: float

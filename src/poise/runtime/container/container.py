@@ -58,8 +58,16 @@ _JOINING_EVERY = 0.02
 """While a connector is not joined, it is looked for this often [s]."""
 _STOP_LIMIT = 1.0
 _STEP_THREADS = 4
+_LONG_PAUSE = 3.0
+"""No move pauses a component for so long while there is a manager [s]."""
 _SWITCH_EVERY = 0.001
 """How long a thread may keep the others of its container waiting [s] (Python: 5 ms)."""
+
+
+_PAUSED = (
+    "component '%s' has been paused for %g s amid a move that nobody finishes: its "
+    "callers get Timeout until a manager (`poise up FILE`) resumes it"
+)
 
 
 class Container:
@@ -91,6 +99,7 @@ class Container:
         self._steps = MigrationExecutor(self._runners, self._wiring, self._transports)
         # steps wait for components and for other computers; the control thread must not
         self._step_threads = ThreadPoolExecutor(_STEP_THREADS, "step", go_first)
+        self._paused: dict[Runner, float] = {}
         self._stopping = False
         self._stop_limit = _STOP_LIMIT
         self._waker = Waker()
@@ -142,6 +151,7 @@ class Container:
             has_news = self._listen(max(0.0, look_at - self._clock.now()))
             has_news |= self._settle()
             self._raise_on_hang()
+            self._note_pauses()
             before = unjoined, missed
             unjoined, missed = self._wiring.unjoined(), self._missed()
             has_news |= (unjoined, missed) != before
@@ -196,6 +206,16 @@ class Container:
                         f"component '{name}' hangs: {what} for {seconds:.1f} s, over "
                         f"its limit of {limit:g} s"
                     )
+
+    def _note_pauses(self) -> None:
+        """Say which components wait amid a move that its manager has left, once."""
+        now = self._clock.now()
+        paused = [each for each in self._runners.values() if each.is_paused]
+        self._paused = {each: self._paused.get(each, now) for each in paused}
+        for runner, since in self._paused.items():
+            if now - since > _LONG_PAUSE:
+                self._paused[runner] = math.inf  # it is said once
+                log.warning(_PAUSED, runner.spec.name, _LONG_PAUSE)
 
     def _report(self, status: ContainerStatus) -> None:
         # an agent that is slow to listen gets the next status, not all of them; before

@@ -157,6 +157,11 @@ class Runner:
             return "", 0.0
         return "a timer is due and cannot run", now - due
 
+    @property
+    def is_paused(self) -> bool:
+        """Whether it is active, and its code may not run: it moves."""
+        return self.life_cycle.state == "active" and self.gate.is_paused
+
     def status(self, cpu: float | None = None) -> ComponentStatus:
         """Return what is known of it now.
 

@@ -1,0 +1,56 @@
+"""A computer that is back is used again when that is worth the moves."""
+
+from __future__ import annotations
+
+from msgspec.structs import replace
+
+from poise.manage.adaptation.loop import Adaptation
+from poise.manage.adaptation.put_aside import CALM
+from poise.model.robot import Computer
+from tests.manage.adaptation.test_put_aside import BOTH, Robbed, robot_with
+
+
+class Returning(Robbed):
+    """A robot whose computer `right` was lost, and is back."""
+
+    def __init__(self, cpu: float) -> None:
+        names, capacity = ("left", "right"), {"cpu": cpu, "memory": 1e9}
+        computers = tuple(Computer(name=n, capacity=capacity) for n in names)
+        robot = replace(robot_with(), computers=computers)
+        free = tuple(replace(a, home=None) for a in robot.architectures)
+        robot = replace(robot, architectures=free)
+        super().__init__(robot, BOTH, names)
+        self.now, self.lost = 0.0, frozenset({"right"})
+        self.loop = Adaptation(
+            self.run,
+            lambda: replace(self.facts(), lost=self.lost, loads={}),
+            self.aside,
+            clock=lambda: self.now,
+        )
+        self.look(0.0)
+        self.lost = frozenset()
+        self.look(1.0)
+
+    def look(self, now: float) -> None:
+        self.now = now
+        self.loop.look()
+
+    def said(self) -> list[str]:
+        whats = (entry.what for entry in self.journal.entries())
+        return [what for what in whats if "may be used again" in what]
+
+
+def test_what_is_short_moves_there() -> None:
+    back = Returning(cpu=0.6)
+    back.look(1.0 + CALM)
+    (said,) = back.said()
+    assert "1 step: cost 0.32 core-seconds, gain 6.00" in said
+    assert "transition of 1 step" in [entry.what for entry in back.journal.entries()]
+
+
+def test_what_runs_well_is_not_disturbed() -> None:
+    back = Returning(cpu=1.0)
+    back.look(1.0 + CALM)
+    back.look(100.0)
+    assert back.run.placement() == BOTH
+    assert back.said() == ["'right' may be used again: all that runs has what it needs"]
