@@ -54,7 +54,7 @@ def plan_command(
     ] = "auto",
     budget: Annotated[
         float | None,
-        typer.Option(help="Time to decide, in seconds: 0.1, or 0.3 for phases."),
+        typer.Option(help="Time to decide, in seconds: 0.1, or 0.26 for phases."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the search.")] = 0,
     steps: Annotated[
