@@ -15,18 +15,10 @@ from typing import TypeVar
 import msgspec
 import zenoh
 
-from poise.wire.records.migration import StepsDone, StepsFailed
-from poise.wire.records.requests import (
-    Accepted,
-    Answer,
-    Claimed,
-    ManagerId,
-    Refused,
-)
+from poise.wire.records.requests import Answer, ManagerId, Refused
 
 S = TypeVar("S")
 K = TypeVar("K")
-AgentAnswer = Accepted | Claimed | Refused | StepsDone | StepsFailed
 
 
 def manager_id() -> ManagerId:
@@ -76,12 +68,12 @@ def note(
     replies.put((key, reply))
 
 
-def answer_of(reply: zenoh.Reply | None) -> AgentAnswer | None:
+def answer_of(reply: zenoh.Reply | None) -> Answer | None:
     """Return an agent's answer: None when it gave none, `Refused` when it is none."""
     if reply is None or reply.ok is None:
         return None
     try:
-        answer: AgentAnswer = msgspec.msgpack.decode(
+        answer: Answer = msgspec.msgpack.decode(
             reply.ok.payload.to_bytes(), type=Answer
         )
     except msgspec.DecodeError as error:

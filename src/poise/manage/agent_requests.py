@@ -12,10 +12,11 @@ import zenoh
 from zenoh.handlers import Callback
 
 from poise.clock import Clock
-from poise.manage.agent_messages import AgentAnswer, answer_of, note
+from poise.manage.agent_messages import answer_of, note
 from poise.manage.agent_reports import AgentReports
 from poise.wire.records.requests import (
     Accepted,
+    Answer,
     Claimed,
     ManagerRequest,
     Refused,
@@ -69,7 +70,7 @@ class AgentRequests:
 
     def send(
         self, requests: Mapping[str, Request]
-    ) -> tuple[dict[str, AgentAnswer], dict[str, str]]:
+    ) -> tuple[dict[str, Answer], dict[str, str]]:
         """Send agents requests until they answer.
 
         An agent that is cut off for a moment gets its request again.
@@ -78,7 +79,7 @@ class AgentRequests:
         -------
         Their answers; and why others did not accept them.
         """
-        answers: dict[str, AgentAnswer] = {}
+        answers: dict[str, Answer] = {}
         refusals = {}
         pending = dict(requests)
         deadline = self._clock.now() + SEND_LIMIT
@@ -107,7 +108,7 @@ class AgentRequests:
         self,
         asked: Mapping[K, tuple[str, Request, float]],
         check: Callable[[], object] = nothing,
-    ) -> Iterator[tuple[K, AgentAnswer | None]]:
+    ) -> Iterator[tuple[K, Answer | None]]:
         """Ask agents, all at once; yield each answer as it comes.
 
         None: the agent gave none.

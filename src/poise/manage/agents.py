@@ -11,7 +11,6 @@ from poise.endpoint import Endpoint
 from poise.errors import RunError
 from poise.manage.agent_heartbeats import AgentHeartbeats
 from poise.manage.agent_messages import (
-    AgentAnswer,
     has_ended,
     manager_id,
     reading,
@@ -41,10 +40,12 @@ from poise.wire.records.migration import (
 )
 from poise.wire.records.requests import (
     Accepted,
+    Answer,
     Claim,
     Claimed,
     ManagerId,
     Refused,
+    Request,
 )
 from poise.wire.records.samples import AgentSample
 from poise.wire.records.status import AgentStatus
@@ -241,7 +242,7 @@ class Agents(AgentReports):
             self._heartbeats.start()
         return deployments
 
-    def _claim(self, computer: str, *, take_over: bool) -> AgentAnswer:
+    def _claim(self, computer: str, *, take_over: bool) -> Answer:
         """Claim an agent; one that was cut off learns late that its manager ended."""
         before = self._statuses[computer].manager
         is_late = bool(self._claimed) or (before is not None and has_ended(before))
@@ -292,6 +293,11 @@ class Agents(AgentReports):
         """
         return self._requests.send(deployments)[1]
 
+    def ask(self, computer: str, request: Request, limit: float) -> Answer | None:
+        """Return an agent's answer; None: it gave none within `limit` [s]."""
+        ((_, answer),) = self._requests.answers({computer: (computer, request, limit)})
+        return answer
+
     def keep_checkpoint(self, computer: str, copy: CheckpointCopy) -> str:
         """Let an agent keep a state for a component that is to start there.
 
@@ -300,7 +306,7 @@ class Agents(AgentReports):
         Why it did not; empty: it did.
         """
         limit = ANSWER_LIMIT + len(copy.data or b"") / _LEAST_BANDWIDTH
-        ((_, answer),) = self._requests.answers({computer: (computer, copy, limit)})
+        answer = self.ask(computer, copy, limit)
         if isinstance(answer, Accepted):
             return ""
         why = answer.reason if isinstance(answer, Refused) else str(answer)

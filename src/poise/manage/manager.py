@@ -35,6 +35,7 @@ from poise.manage.control_socket.records import (
     StatusCommand,
     StopCommand,
     StopReport,
+    TapCommand,
 )
 from poise.manage.lost_computers import LostComputers
 from poise.manage.migration.move import move, replace
@@ -46,6 +47,7 @@ from poise.manage.observe.own_troubles import OwnTroubles
 from poise.manage.observe.recording import Recording
 from poise.manage.observe.watch import Watch
 from poise.manage.run import Run
+from poise.manage.taps import read_tap
 from poise.model.policy.seen import Seen
 from poise.wire.records.samples import AgentSample
 
@@ -115,7 +117,7 @@ class Manager:
         return self._stopping.is_set()
 
     def submit(self, command: Command) -> Results:
-        """Take a command, from any thread, at once."""
+        """Take a command, from any thread, at once; a tap is read on that thread."""
         future: Results = Future()
         if isinstance(command, StatusCommand):
             future.set_result(self.status())
@@ -123,6 +125,11 @@ class Manager:
             self._stops.append(future)  # before the flag, or nobody answers it
             self._stopping.set()
             self._run.cancel()
+        elif isinstance(command, TapCommand):
+            try:
+                future.set_result(read_tap(self._run.agents, command))
+            except PoiseError as error:
+                future.set_result(Refusal.from_error(error))
         elif self.is_stopping:
             future.set_result(Refusal("the robot is being stopped", "RunError"))
         else:

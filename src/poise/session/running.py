@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import secrets
+import time
+from collections.abc import Iterator
 from typing import TypeVar
 
 from msgspec.structs import asdict
@@ -22,13 +25,17 @@ from poise.manage.control_socket.records import (
     StatusCommand,
     StopCommand,
     StopReport,
+    TapCommand,
 )
 from poise.manage.migration.move import MoveReport
 from poise.manage.migration.replacement import ReplaceReport
 from poise.session.render.moves import Outcome, outcome_sentence
 from poise.session.render.shown import Shown
 from poise.session.render.status import status_parts
+from poise.wire.records.taps import TapReading
 
+_LOOK_EVERY = 0.25
+"""What goes out over a connector is fetched after this time [s]."""
 R = TypeVar("R", bound=Result)
 M = TypeVar("M", bound=MoveReport | ReplaceReport)
 
@@ -139,6 +146,24 @@ class Running:
         if answer.report is not None and not answer.report.committed:
             raise RolledBack(f"rolled back: {answer.report.reason}", answer)
         return answer
+
+    def echo(self, connector: str, *, rate: float = 10.0) -> Iterator[TapReading]:
+        """Yield what goes out over a connector, some times a second, without end.
+
+        Nothing is slowed down for it, and nobody else gets less.
+
+        Parameters
+        ----------
+        connector
+            Its name, or ``component.port`` of one of its ends.
+        rate
+            So many messages or calls a second come with their content; of the others
+            it is told when they went out.
+        """
+        command = TapCommand(connector, secrets.token_hex(8), rate)
+        while True:
+            yield self._send(command, TapReading)
+            time.sleep(_LOOK_EVERY)
 
     def stop(self) -> None:
         """Stop the robot, and wait until it has stopped.

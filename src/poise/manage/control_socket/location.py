@@ -31,7 +31,7 @@ def find(robot: str | None) -> Path:
     UsageError
         No such robot runs, or several do and none is named.
     """
-    running = {p.stem: p for p in sorted(folder().glob("*.sock")) if is_alive(p)}
+    running = {name: path_of(name) for name in running_here()}
     if robot is None and len(running) == 1:
         return next(iter(running.values()))
     if robot in running:
@@ -44,6 +44,11 @@ def find(robot: str | None) -> Path:
         f"{which} here (running: {names}); `poise up FILE` starts one, and `poise stop "
         "--file FILE` ends what a killed manager left on real computers"
     )
+
+
+def running_here() -> list[str]:
+    """Return the names of this user's robots whose managers run here."""
+    return [p.stem for p in sorted(folder().glob("*.sock")) if is_alive(p)]
 
 
 def is_alive(path: Path) -> bool:

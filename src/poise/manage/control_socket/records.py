@@ -17,6 +17,7 @@ from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import DemandEstimate
 from poise.wire.records.requests import ManagerId
 from poise.wire.records.status import AgentStatus
+from poise.wire.records.taps import TapReading
 
 
 class StatusCommand(Struct, frozen=True, tag=True):
@@ -58,7 +59,25 @@ class RebalanceCommand(Struct, frozen=True, tag=True):
     dry: bool = False
 
 
-Command = StatusCommand | StopCommand | MoveCommand | ReplaceCommand | RebalanceCommand
+class TapCommand(Struct, frozen=True, tag=True):
+    """Tell what has gone out over a connector since `viewer` asked last.
+
+    `connector` is its name, or ``component.port`` of an end. See `Tap` for the others.
+    """
+
+    connector: str
+    viewer: str
+    rate: float = 0.0
+
+
+Command = (
+    StatusCommand
+    | StopCommand
+    | MoveCommand
+    | ReplaceCommand
+    | RebalanceCommand
+    | TapCommand
+)
 
 
 class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
@@ -119,7 +138,7 @@ class Rebalanced(Struct, frozen=True, tag=True):
     report: TransitionReport | None = None
 
 
-Result = RobotStatus | StopReport | Moved | Replaced | Rebalanced
+Result = RobotStatus | StopReport | Moved | Replaced | Rebalanced | TapReading
 
 
 class Refusal(Struct, frozen=True, tag=True):

@@ -51,8 +51,9 @@ from poise.wire.connections.socket_path import socket_path
 from poise.wire.control_session import identity_key, locator, open_session
 from poise.wire.records.checkpoints import CheckpointCopy
 from poise.wire.records.clocks import ClockStatus
+from poise.wire.records.container import Order
 from poise.wire.records.deployment import Deployment
-from poise.wire.records.migration import MigrationSteps, StepsFailed
+from poise.wire.records.migration import StepsFailed
 from poise.wire.records.requests import (
     PROTOCOL,
     Accepted,
@@ -274,7 +275,7 @@ class Agent:
                 self._heartbeats.begin(request.manager.key, request.agents)
                 self._checkpoints.resend()
             answer(query, refused or Claimed(wanted))
-        elif isinstance(request, MigrationSteps):
+        elif isinstance(request, Order):
             if refusal:
                 answer(query, StepsFailed(request.number, refusal))
             else:

@@ -21,9 +21,14 @@ from poise.wire import record_channel
 from poise.wire.codec import WireError
 from poise.wire.records.checkpoints import checkpoint_path
 from poise.wire.records.clocks import Clocks, ClockStatus
-from poise.wire.records.container import ContainerFailure, FromContainer, ToContainer
+from poise.wire.records.container import (
+    ContainerFailure,
+    FromContainer,
+    Order,
+    Outcome,
+    ToContainer,
+)
 from poise.wire.records.deployment import ContainerSpec
-from poise.wire.records.migration import MigrationSteps, StepsOutcome
 from poise.wire.records.status import ComponentStatus, ContainerStatus
 
 STOP_LIMIT = 2.0
@@ -139,8 +144,8 @@ class ContainerProcess:
             self._clocks = known
             self._send(Clocks(known))
 
-    def take_steps(self, steps: MigrationSteps) -> None:
-        """Let it take steps of a migration."""
+    def take_steps(self, steps: Order) -> None:
+        """Let it take steps of a migration, or read a tap."""
         if not self.is_deaf:
             self._send(steps)
 
@@ -166,7 +171,7 @@ class ContainerProcess:
             and silence.heartbeat == counted.heartbeat()
         )
 
-    def hear(self) -> StepsOutcome | None:
+    def hear(self) -> Outcome | None:
         """Take in what it says; return the outcome of a step, if it is one.
 
         It is no outcome while a part of it is missing. One that cannot be understood is
@@ -262,7 +267,7 @@ class ContainerProcess:
     def _components(self) -> tuple[ComponentStatus, ...]:
         return self.status.components if self.status else ()
 
-    def _send(self, what: ContainerSpec | MigrationSteps | Clocks) -> None:
+    def _send(self, what: ContainerSpec | Clocks | Order) -> None:
         try:
             record_channel.send(self.connection, ToContainer(what))
         except (Timeout, Unavailable, WireError) as error:

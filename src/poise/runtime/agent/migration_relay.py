@@ -1,4 +1,4 @@
-"""The migration steps that an agent passes to its containers, until they are answered.
+"""The requests that an agent passes to its containers, until they are answered.
 
 Each batch is answered once: with its outcome, or with why its container is silent.
 """
@@ -12,17 +12,18 @@ from msgspec import Struct
 
 from poise.runtime.agent.container_processes import ContainerProcess
 from poise.runtime.agent.inbox import answer
-from poise.wire.records.migration import MigrationSteps, StepsFailed, StepsOutcome
+from poise.wire.records.container import Order, Outcome
+from poise.wire.records.migration import StepsFailed
 
 
 class _Pending(Struct, frozen=True):
-    steps: MigrationSteps
+    steps: Order
     query: zenoh.Query
     limit: float
 
 
 class MigrationRelay:
-    """The migration steps in progress in one agent's containers.
+    """The migration steps and taps in progress in one agent's containers.
 
     Parameters
     ----------
@@ -34,8 +35,8 @@ class MigrationRelay:
         self._processes = processes
         self._pending: dict[int, _Pending] = {}
 
-    def pass_on(self, steps: MigrationSteps, query: zenoh.Query, now: float) -> None:
-        """Pass steps, which came at `now` [s], to their container."""
+    def pass_on(self, steps: Order, query: zenoh.Query, now: float) -> None:
+        """Pass steps or a tap, which came at `now` [s], to their container."""
         process = self._processes.get(steps.container)
         if process is None or process.is_deaf:
             reason = f"container '{steps.container}' does not run"
@@ -47,8 +48,8 @@ class MigrationRelay:
         process.take_steps(steps)
         self._pending[steps.number] = _Pending(steps, query, now + steps.limit)
 
-    def end(self, outcome: StepsOutcome) -> None:
-        """Answer with an outcome, unless these steps were answered before."""
+    def end(self, outcome: Outcome) -> None:
+        """Answer with an outcome, unless that was answered before."""
         pending = self._pending.pop(outcome.number, None)
         if pending is not None:
             answer(pending.query, outcome)

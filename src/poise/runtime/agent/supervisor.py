@@ -31,8 +31,8 @@ from poise.runtime.agent.watchdog import Silence
 from poise.runtime.container import zygote
 from poise.runtime.hosting.stats_page import new_memory
 from poise.runtime.hosting.wiring import Place
+from poise.wire.records.container import Outcome
 from poise.wire.records.deployment import ContainerSpec, Deployment
-from poise.wire.records.migration import StepsOutcome
 from poise.wire.records.status import ContainerHealth, ContainerStatus
 
 log = logging.getLogger(__name__)
@@ -116,7 +116,7 @@ class Supervisor:
         for process in self.processes.values():
             yield min(process.kill_at, process.rest_by, process.hung_at)
 
-    def hear(self, process: ContainerProcess) -> StepsOutcome | None:
+    def hear(self, process: ContainerProcess) -> Outcome | None:
         """Take in what a container says; return the outcome of a step, if it is one."""
         outcome = process.hear()
         if process.is_deaf and self.trouble:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -83,7 +84,9 @@ class Endpoints:
             if port.kind == "requires":
                 facade = getattr(self.component, port.name)
             exclusion = self.exclusion if self.component.reentrant else None
-            self.senders[name] = Sender(name, port, facade, limit, exclusion, chains)
+            sender = Sender(name, port, facade, limit, exclusion, chains)
+            sender.on_observed = partial(self._rewire, port)
+            self.senders[name] = sender
             self._rewire(port)
         return self.senders[name]
 

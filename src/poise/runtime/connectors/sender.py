@@ -26,6 +26,7 @@ from poise.runtime.connectors.facade import Facade, refusing
 from poise.runtime.connectors.interface import Method, methods
 from poise.runtime.connectors.reentrant import stepping_out
 from poise.runtime.connectors.route import Route
+from poise.runtime.connectors.tap import Observers, observed_call, observed_send
 from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.execution.exclusion import Exclusion
 from poise.wire.codec import WireError
@@ -85,6 +86,8 @@ class Sender:
         self._lock = threading.Lock()
         self._changed = threading.Condition(self._lock)
         self._num_waiting = 0
+        self._observers: Observers = ()
+        self.on_observed: Callable[[], None] = _nothing
         self._disconnect()
 
     def add(self, key: str, route: Route) -> None:
@@ -117,10 +120,20 @@ class Sender:
 
         They are made at once, whatever waits: so the wait counts in the data's age.
         """
-        chains, send = self.chains, self.send
-        if chains is None or not chains.carries:
-            return send
-        return lambda value, method=None: send(chains.stamped(value), method)
+        send = self.send if self.chains is None else self._stamping(self.chains)
+        return observed_send(send, self._observers) if self._observers else send
+
+    def _stamping(self, chains: SentChains) -> Callable[..., None]:
+        if not chains.carries:
+            return self.send
+        return lambda value, method=None: self.send(chains.stamped(value), method)
+
+    def observe(self, observers: Observers) -> None:
+        """Let observers note what goes out from now on, instead of those before."""
+        with self._lock:
+            self._observers = observers
+            self._use(self._current)
+        self.on_observed()
 
     def send(self, value: object, method: Method | None = None) -> None:
         """Send or buffer a message or one-way call; what cannot go out is counted.
@@ -392,11 +405,19 @@ class Sender:
         if method.oneway:
             return _oneway(self, method)
         call = route.function(method, self)
-        return call if self._exclusion is None else stepping_out(self._exclusion, call)
+        if self._exclusion is not None:
+            call = stepping_out(self._exclusion, call)
+        if self._observers:
+            call = observed_call(call, method.name, self._observers)
+        return call
 
     def _disconnect(self) -> None:
         for method in self._methods:
             setattr(self._facade, method.name, refusing(self.name))
+
+
+def _nothing() -> None:
+    pass
 
 
 def _oneway(sender: Sender, method: Method) -> Callable[..., None]:

@@ -33,20 +33,23 @@ from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.computer_clock import ComputerClock
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.stats_page import ComponentKey, StatsPage
+from poise.runtime.hosting.taps import Taps
 from poise.runtime.hosting.wiring import Place, Transports, Wiring
 from poise.runtime.migration.executor import MigrationExecutor
 from poise.runtime.waker import Waker, wait_readable
 from poise.wire.codec import WireError
 from poise.wire.records.clocks import Clocks
-from poise.wire.records.container import RESTART_LIMIT, ContainerFailure, FromContainer
-from poise.wire.records.deployment import ComponentSpec, ContainerSpec
-from poise.wire.records.migration import (
-    MigrationSteps,
-    StepsDone,
-    StepsFailed,
-    StepsOutcome,
+from poise.wire.records.container import (
+    RESTART_LIMIT,
+    ContainerFailure,
+    FromContainer,
+    Order,
+    Outcome,
 )
+from poise.wire.records.deployment import ComponentSpec, ContainerSpec
+from poise.wire.records.migration import MigrationSteps
 from poise.wire.records.status import ComponentStatus, ContainerStatus
+from poise.wire.records.taps import Tap
 
 log = logging.getLogger(__name__)
 
@@ -89,6 +92,7 @@ class Container:
         self._link = AgentLink(name, agent, stats_page, place.folder, self._clock)
         self._transports = Transports(place)
         self._wiring = Wiring(self._transports, self._clock.ahead)
+        self._taps = Taps(self._wiring)
         self._folder = Path(place.folder)
         self._wanted: ContainerSpec | None = None
         self._preparing: dict[ComponentKey, tuple[ComponentSpec, Future[Runner]]] = {}
@@ -152,6 +156,7 @@ class Container:
             has_news |= self._settle()
             self._raise_on_hang()
             self._note_pauses()
+            self._taps.end_unread()
             before = unjoined, missed
             unjoined, missed = self._wiring.unjoined(), self._missed()
             has_news |= (unjoined, missed) != before
@@ -223,9 +228,12 @@ class Container:
         if self._wanted is not None and self._link.has_room():
             self._tell(status)
 
-    def _hear(self, what: ContainerSpec | MigrationSteps | Clocks) -> None:
+    def _hear(self, what: ContainerSpec | Clocks | Order) -> None:
         if isinstance(what, Clocks):
             self._clock.others = what.known
+        elif isinstance(what, Tap):
+            reading = self._taps.read(what)
+            self._take_steps(lambda: reading)
         elif isinstance(what, MigrationSteps) and what.steps[0].name == "halt":
             # at once: all threads for steps may be waiting
             outcome = self._steps.halt(what)
@@ -238,14 +246,12 @@ class Container:
             with as_usual():
                 self._apply(what)
 
-    def _take_steps(self, take: Callable[[], StepsOutcome]) -> None:
+    def _take_steps(self, take: Callable[[], Outcome]) -> None:
         outcome = take()
         with contextlib.suppress(Timeout):  # the agent gave up on us
             self._tell(outcome)
 
-    def _tell(
-        self, what: ContainerStatus | ContainerFailure | StepsDone | StepsFailed
-    ) -> None:
+    def _tell(self, what: ContainerStatus | ContainerFailure | Outcome) -> None:
         self._link.tell(FromContainer(what))
 
     def _apply(self, spec: ContainerSpec) -> None:

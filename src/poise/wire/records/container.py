@@ -8,6 +8,7 @@ from poise.wire.records.clocks import Clocks
 from poise.wire.records.deployment import ContainerSpec
 from poise.wire.records.migration import MigrationSteps, StepsDone, StepsFailed
 from poise.wire.records.status import ContainerStatus
+from poise.wire.records.taps import Tap, TapReading
 
 RESTART_LIMIT = 10.0
 """An agent that was killed is started again within this time [s], or its computer
@@ -20,13 +21,18 @@ class ContainerFailure(Struct, frozen=True, tag=True):
     reason: str
 
 
+Order = MigrationSteps | Tap
+"""What a container answers with an outcome."""
+Outcome = StepsDone | StepsFailed | TapReading
+
+
 class ToContainer(Struct, frozen=True):
     """What an agent tells a container."""
 
-    what: ContainerSpec | MigrationSteps | Clocks
+    what: ContainerSpec | Clocks | Order
 
 
 class FromContainer(Struct, frozen=True):
     """What a container tells its agent."""
 
-    what: ContainerStatus | ContainerFailure | StepsDone | StepsFailed
+    what: ContainerStatus | ContainerFailure | Outcome

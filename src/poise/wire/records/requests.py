@@ -13,8 +13,9 @@ from msgspec import Struct
 from poise.wire.records.checkpoints import CheckpointCopy
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.migration import MigrationSteps, StepsDone, StepsFailed
+from poise.wire.records.taps import Tap, TapReading
 
-PROTOCOL = 7
+PROTOCOL = 8
 """Manager, agents and containers of different protocol versions refuse each other."""
 
 
@@ -82,9 +83,9 @@ class Refused(Struct, frozen=True, tag=True):
     reason: str
 
 
-Answer = Accepted | Claimed | Refused | StepsDone | StepsFailed
+Answer = Accepted | Claimed | Refused | StepsDone | StepsFailed | TapReading
 
-Request = Claim | Deployment | MigrationSteps | CheckpointCopy
+Request = Claim | Deployment | MigrationSteps | CheckpointCopy | Tap
 """What a manager asks of an agent."""
 
 

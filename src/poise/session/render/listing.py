@@ -1,0 +1,33 @@
+"""Which robots run here, and what they consist of, for people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from rich.console import RenderableType
+
+from poise.manage.statuses import components_of, connectors_of
+from poise.session.render.tables import NamedRows, table
+from poise.session.robots_here import Robots
+
+
+def listing(robots: Robots) -> Iterator[RenderableType]:
+    """Yield each robot with its components and connectors."""
+    if not robots:
+        yield "no robot runs here; `poise up FILE` starts one"
+    for name, status in robots.items():
+        if status is None:
+            yield f"robot '{name}' gives no status: it may be starting"
+            continue
+        yield f"robot '{name}', task '{status.task}'"
+        states = {c.name: c.state for c in components_of(status.computers)}
+        rows = table("component", "computer", "state")
+        for component, computer in sorted(status.placement.items()):
+            rows.add_row(component, computer, states.get(component, "not there"))
+        yield rows
+        kinds = {end.name: end.kind for end in connectors_of(status.computers)}
+        joined = NamedRows("connector", "kind")
+        for connector, kind in sorted(kinds.items()):
+            joined.add_row(connector, kind)
+        if kinds:
+            yield joined

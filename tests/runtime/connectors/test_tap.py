@@ -1,0 +1,199 @@
+"""What a viewer gets of a connector: bounded, short, and nothing is changed by it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from poise import Message
+from poise.errors import UsageError
+from poise.runtime.component.ports import Port
+from poise.runtime.connectors.facade import Facade
+from poise.runtime.connectors.sender import Sender
+from poise.runtime.connectors.tap import MOST_PASSED, MOST_TIMES, Observer, plain
+from poise.runtime.hosting import taps
+from poise.runtime.hosting.taps import MOST_VIEWERS, Taps
+from poise.wire.records.migration import StepsFailed
+from poise.wire.records.taps import Tap, TapReading
+from tests.runtime.connectors.test_sender import FakeRoute, Note, Sums
+
+NOTES = Port("notes", "publishes", Note)
+SUMS = Port("sums", "requires", Sums)
+
+
+def publisher() -> tuple[Sender, FakeRoute]:
+    sender, route = Sender("a-b", NOTES, None, 1.0), FakeRoute()
+    sender.add("here", route)
+    return sender, route
+
+
+def test_a_message_is_noted_and_goes_out_as_ever() -> None:
+    sender, route = publisher()
+    observer = Observer("a-b", Note, rate=1e6)
+    sender.observe((observer,))
+    note = Note(7)
+    sender.sending()(note)
+    assert route.went == [note]
+    reading = observer.take(1)
+    assert (reading.connector, reading.carries) == ("a-b", "Note")
+    assert [each.value for each in reading.passed] == [{"number": 7}]
+    assert [each.at for each in reading.passed] == list(reading.times)
+    assert observer.take(2).times == ()
+
+
+def test_without_viewers_messages_take_the_way_that_they_always_took() -> None:
+    sender, _ = publisher()
+    assert sender.sending() == sender.send
+    sender.observe((Observer("a-b", Note, 1.0),))
+    assert sender.sending() != sender.send
+    sender.observe(())
+    assert sender.sending() == sender.send
+
+
+def test_calls_are_noted_with_their_results_and_errors() -> None:
+    facade: Any = Facade("a.sums")
+    sender, route = Sender("a-b", SUMS, facade, 1.0), FakeRoute()
+    sender.add("here", route)
+    before = facade.add
+    observer = Observer("a-b", Sums, rate=1e6)
+    sender.observe((observer,))
+    assert facade.add(4) == (route, 4)
+    sender.remove("here")
+    sender.observe(())
+    assert facade.add is not before  # it refuses
+    (passed,) = observer.take(1).passed
+    assert passed.value["add"] == [4]
+    assert passed.value["seconds"] >= 0
+
+
+def test_a_call_that_raises_is_noted_and_raises() -> None:
+    facade: Any = Facade("a.sums")
+    sender = Sender("a-b", SUMS, facade, 1.0)
+
+    class Raises(FakeRoute):
+        def function(self, *_: object) -> Any:
+            def call(_: int) -> int:
+                raise ValueError("no")
+
+            return call
+
+    sender.add("here", Raises())
+    observer = Observer("a-b", Sums, rate=1e6)
+    sender.observe((observer,))
+    with pytest.raises(ValueError, match="no"):
+        facade.add(4)
+    assert observer.take(1).passed[0].value["raised"] == "ValueError('no')"
+
+
+def test_what_finds_no_room_is_counted() -> None:
+    observer = Observer("a-b", Note, rate=1e9)
+    for number in range(MOST_TIMES + 3):
+        observer.note(lambda number=number: number)  # type: ignore[misc]
+    reading = observer.take(1)
+    assert len(reading.times) == MOST_TIMES
+    assert len(reading.passed) == MOST_PASSED
+    assert reading.missing == 3
+
+
+def test_no_content_is_looked_at_more_often_than_asked() -> None:
+    def content() -> object:
+        raise AssertionError("nobody asked for it")
+
+    observer = Observer("a-b", Note, rate=0.0)
+    observer.note(content)
+    assert len(observer.take(1).times) == 1
+    slow = Observer("a-b", Note, rate=0.001)
+    slow.note(lambda: 1)
+    slow.note(content)
+    reading = slow.take(1)
+    assert (len(reading.times), len(reading.passed)) == (2, 1)
+
+
+@dataclass
+class Place:
+    x: float
+    name: str
+
+
+class Deep(Message):
+    inside: Any
+
+
+def deep(levels: int) -> object:
+    return Deep(deep(levels - 1)) if levels else 0
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        (None, None),
+        (1 << 70, str(1 << 70)),
+        (b"12345", "<5 bytes>"),
+        ("a" * 300, "a" * 200 + "..."),
+        (Place(1.5, "hall"), {"x": 1.5, "name": "hall"}),
+        ({1: Note(2)}, {"1": {"number": 2}}),
+        (list(range(18)), [*range(16), "... and 2 more"]),
+        (
+            dict.fromkeys(range(17), 0),
+            dict.fromkeys(map(str, range(16)), 0) | {"... and 1 more": ""},
+        ),
+        (np.zeros((480, 640), np.uint8), "<uint8 array of 480 x 640>"),
+        (np.array([1.0, 2.0]), [1.0, 2.0]),
+        (deep(9), {"inside": {"inside": {"inside": {"inside": {"inside": "..."}}}}}),
+    ],
+)
+def test_values_are_shown_short(value: object, shown: object) -> None:
+    assert plain(value) == shown
+
+
+class OneSender:
+    """A container in which one connector begins."""
+
+    def __init__(self) -> None:
+        self.only, _ = publisher()
+
+    def sender(self, connector: str) -> Sender:
+        if connector != "a-b":
+            raise UsageError(f"no connector '{connector}' begins in this container")
+        return self.only
+
+
+def asked(viewer: str = "me", connector: str = "a-b") -> Tap:
+    return Tap(number=5, container="c", connector=connector, viewer=viewer)
+
+
+def test_each_viewer_gets_everything_and_is_forgotten_when_it_asks_no_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    wiring: Any = OneSender()
+    watched = Taps(wiring)
+    for viewer in ("me", "you"):
+        reading = watched.read(asked(viewer))
+        assert isinstance(reading, TapReading)
+        assert reading.times == ()
+    wiring.only.sending()(Note(1))
+    for viewer in ("me", "you"):
+        reading = watched.read(asked(viewer))
+        assert isinstance(reading, TapReading)
+        assert len(reading.times) == 1
+    watched.end_unread()
+    assert wiring.only.sending() != wiring.only.send
+    monkeypatch.setattr(taps, "KEPT_FOR", -1.0)
+    watched.end_unread()
+    assert wiring.only.sending() == wiring.only.send
+
+
+def test_too_many_viewers_and_unknown_connectors_are_refused() -> None:
+    wiring: Any = OneSender()
+    watched = Taps(wiring)
+    for number in range(MOST_VIEWERS):
+        watched.read(asked(str(number)))
+    refused = watched.read(asked("one more"))
+    assert isinstance(refused, StepsFailed)
+    assert "16 viewers" in refused.reason
+    unknown = watched.read(asked(connector="x-y"))
+    assert isinstance(unknown, StepsFailed)
+    assert unknown.number == 5
