@@ -74,6 +74,22 @@ def test_measures_a_rate_also_while_the_source_moves(poise: Poise) -> None:
     assert said["count"] > 0
 
 
+def test_shows_what_components_wrote(poise: Poise) -> None:
+    lines: list[str] = []
+    for reading in api.connect(NAME).log("printer", follow=True):
+        lines += [line.text for line in reading.lines]
+        if len(lines) >= 3:
+            break
+    assert all(line.strip() for line in lines)
+    told = poise("log", "printer", "--robot", NAME, "--last", 2, "--json").stdout
+    last = [json.loads(line) for line in told.splitlines()]
+    assert [each["component"] for each in last] == ["printer"] * 2
+    assert f" printer@{last[0]['computer']}: " in poise("log", "--robot", NAME).stdout
+    done = poise("log", "nobody", "--robot", NAME)
+    assert done.returncode == 2
+    assert "(there are: counter, printer)" in done.stderr
+
+
 def test_what_is_not_there_is_refused(poise: Poise) -> None:
     done = poise("echo", "nothing", "--robot", NAME)
     assert done.returncode == 2

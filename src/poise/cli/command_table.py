@@ -39,6 +39,7 @@ COMMANDS = {
     "list": ("look:list_command", "List robots that run, and what they consist of."),
     "echo": ("look:echo_command", "Show messages as they go out over a connector."),
     "hz": ("look:hz_command", "Show how often something goes out over a connector."),
+    "log": ("look:log_command", "Show what components wrote."),
     "status": ("running_robot:status_command", "Show how a running robot is."),
     "move": ("running_robot:move_command", "Move a component of a running robot."),
     "replace": ("running_robot:replace_command", "Swap a component's implementation."),

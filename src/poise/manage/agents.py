@@ -295,8 +295,14 @@ class Agents(AgentReports):
 
     def ask(self, computer: str, request: Request, limit: float) -> Answer | None:
         """Return an agent's answer; None: it gave none within `limit` [s]."""
-        ((_, answer),) = self._requests.answers({computer: (computer, request, limit)})
-        return answer
+        return self.ask_all({computer: request}, limit)[computer]
+
+    def ask_all(
+        self, requests: Mapping[str, Request], limit: float
+    ) -> dict[str, Answer | None]:
+        """Return the answers of agents by computer; None: none within `limit` [s]."""
+        asked = {name: (name, each, limit) for name, each in requests.items()}
+        return dict(self._requests.answers(asked))
 
     def keep_checkpoint(self, computer: str, copy: CheckpointCopy) -> str:
         """Let an agent keep a state for a component that is to start there.

@@ -23,6 +23,7 @@ from poise.manage.adaptation.put_aside import PutAside
 from poise.manage.adaptation.replan import with_present_demands
 from poise.manage.control_socket.records import (
     Command,
+    LogCommand,
     MoveCommand,
     Moved,
     RebalanceCommand,
@@ -46,6 +47,7 @@ from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.own_troubles import OwnTroubles
 from poise.manage.observe.recording import Recording
 from poise.manage.observe.watch import Watch
+from poise.manage.output import read_log
 from poise.manage.run import Run
 from poise.manage.taps import read_tap
 from poise.model.policy.seen import Seen
@@ -117,7 +119,10 @@ class Manager:
         return self._stopping.is_set()
 
     def submit(self, command: Command) -> Results:
-        """Take a command, from any thread, at once; a tap is read on that thread."""
+        """Take a command, from any thread, at once.
+
+        What is read from a tap or a log is read on that thread.
+        """
         future: Results = Future()
         if isinstance(command, StatusCommand):
             future.set_result(self.status())
@@ -125,11 +130,8 @@ class Manager:
             self._stops.append(future)  # before the flag, or nobody answers it
             self._stopping.set()
             self._run.cancel()
-        elif isinstance(command, TapCommand):
-            try:
-                future.set_result(read_tap(self._run.agents, command))
-            except PoiseError as error:
-                future.set_result(Refusal.from_error(error))
+        elif isinstance(command, TapCommand | LogCommand):
+            future.set_result(self._read(command))
         elif self.is_stopping:
             future.set_result(Refusal("the robot is being stopped", "RunError"))
         else:
@@ -139,6 +141,14 @@ class Manager:
                 text = f"{MOST_COMMANDS} commands wait already: try again later"
                 future.set_result(Refusal(text, "RunError"))
         return future
+
+    def _read(self, command: TapCommand | LogCommand) -> Result | Refusal:
+        try:
+            if isinstance(command, LogCommand):
+                return read_log(self._run.agents, command)
+            return read_tap(self._run.agents, command)
+        except PoiseError as error:
+            return Refusal.from_error(error)
 
     def status(self) -> RobotStatus:
         """Return the last known state; from any thread, at once."""

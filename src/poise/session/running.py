@@ -10,10 +10,12 @@ from typing import TypeVar
 from msgspec.structs import asdict
 from rich.console import RenderableType
 
-from poise.errors import RunError
+from poise.errors import RunError, UsageError
 from poise.manage.control_socket.client import send_command
 from poise.manage.control_socket.records import (
     Command,
+    LogCommand,
+    LogReading,
     MoveCommand,
     Moved,
     RebalanceCommand,
@@ -164,6 +166,36 @@ class Running:
         while True:
             yield self._send(command, TapReading)
             time.sleep(_LOOK_EVERY)
+
+    def log(
+        self, component: str = "", *, last: int = 100, follow: bool = False
+    ) -> Iterator[LogReading]:
+        """Yield what components wrote to standard output and error, or logged.
+
+        Parameters
+        ----------
+        component
+            Only its lines; empty: all.
+        last
+            At most so many lines at first.
+        follow
+            Whether to yield what comes later, some times a second, without end.
+
+        Raises
+        ------
+        UsageError
+            There is no such component.
+        """
+        known = self.status().placement
+        if component and component not in known:
+            listed = ", ".join(sorted(known))
+            raise UsageError(f"no component '{component}' (there are: {listed})")
+        reading = self._send(LogCommand(component, most=last), LogReading)
+        yield reading
+        while follow:
+            time.sleep(_LOOK_EVERY)
+            reading = self._send(LogCommand(component, reading.after), LogReading)
+            yield reading
 
     def stop(self) -> None:
         """Stop the robot, and wait until it has stopped.

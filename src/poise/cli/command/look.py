@@ -21,6 +21,7 @@ from poise.session.render.shown import console_to
 from poise.session.robots_here import THINGS, names_of, robots_here
 from poise.session.running import Running
 from poise.units import format_bytes
+from poise.wire.records.output import OutputLine
 
 Connector = Annotated[
     str, typer.Argument(help="Its name, or component.port of one of its ends.")
@@ -100,6 +101,49 @@ def _as_text(at: float, value: Any, *, as_json: bool) -> str:  # noqa: ANN401, J
     clock = time.strftime("%H:%M:%S", time.localtime(at))
     text = yaml.safe_dump(value, sort_keys=False, allow_unicode=True)
     return f"--- {clock}.{int(at % 1 * 1000):03}\n{text.removesuffix('...' + chr(10))}"
+
+
+def log_command(
+    component: Annotated[
+        str, typer.Argument(help="Only what this component wrote.")
+    ] = "",
+    last: Annotated[int, typer.Option(min=1, help="At most the last N lines.")] = 100,
+    follow: Annotated[
+        bool, typer.Option("--follow", "-f", help="Wait for further lines.")
+    ] = False,
+    robot: Robot = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show what components wrote to standard output and error, and what they logged.
+
+    Of each container the last 256 KiB are there, and up to as much before, also after
+    it has crashed. With --json each line is an object.
+
+    Examples
+    --------
+    poise log
+
+    poise log printer --follow
+    """
+    silent: tuple[str, ...] = ()
+    for reading in Running(robot).log(component, last=last, follow=follow):
+        if reading.omitted:
+            sys.stderr.write(f"# {reading.omitted} more before\n")
+        for line in reading.lines:
+            sys.stdout.write(_log_line(line, as_json=as_json))
+        sys.stdout.flush()
+        if reading.silent != silent:
+            silent = reading.silent
+            said = f"no answer from {', '.join(silent)}" if silent else "all answer"
+            sys.stderr.write(f"# {said}\n")
+
+
+def _log_line(line: OutputLine, *, as_json: bool) -> str:
+    if as_json:
+        return msgspec.json.encode(line).decode() + "\n"
+    clock = time.strftime("%H:%M:%S", time.localtime(line.at // 10**9))
+    millis = line.at // 10**6 % 1000
+    return f"{clock}.{millis:03} {line.component}@{line.computer}: {line.text}\n"
 
 
 def hz_command(

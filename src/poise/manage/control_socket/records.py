@@ -15,6 +15,7 @@ from poise.manage.migration.transition_run import TransitionReport
 from poise.manage.observe.chains import ChainReport
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import DemandEstimate
+from poise.wire.records.output import OutputLine
 from poise.wire.records.requests import ManagerId
 from poise.wire.records.status import AgentStatus
 from poise.wire.records.taps import TapReading
@@ -70,6 +71,14 @@ class TapCommand(Struct, frozen=True, tag=True):
     rate: float = 0.0
 
 
+class LogCommand(Struct, frozen=True, tag=True):
+    """Tell what components wrote; see `ReadOutput`. `after`: computer -> moment."""
+
+    component: str = ""
+    after: Mapping[str, int] = {}
+    most: int = 1_000
+
+
 Command = (
     StatusCommand
     | StopCommand
@@ -77,6 +86,7 @@ Command = (
     | ReplaceCommand
     | RebalanceCommand
     | TapCommand
+    | LogCommand
 )
 
 
@@ -138,7 +148,28 @@ class Rebalanced(Struct, frozen=True, tag=True):
     report: TransitionReport | None = None
 
 
-Result = RobotStatus | StopReport | Moved | Replaced | Rebalanced | TapReading
+class LogReading(Struct, frozen=True, tag=True):
+    """What components wrote, oldest first.
+
+    Parameters
+    ----------
+    after
+        Computer -> the moment of its last line, for the next time.
+    omitted
+        How many lines there were before, on the computers together.
+    silent
+        The computers that gave no answer.
+    """
+
+    lines: tuple[OutputLine, ...]
+    after: Mapping[str, int]
+    omitted: int = 0
+    silent: tuple[str, ...] = ()
+
+
+Result = (
+    RobotStatus | StopReport | Moved | Replaced | Rebalanced | TapReading | LogReading
+)
 
 
 class Refusal(Struct, frozen=True, tag=True):

@@ -44,6 +44,7 @@ from poise.runtime.agent.supervisor import Supervisor
 from poise.runtime.agent.watchdog import Silence
 from poise.runtime.container import zygote
 from poise.runtime.container.descendants import kill_all
+from poise.runtime.hosting.output import forget_output, read_output
 from poise.runtime.hosting.wiring import Place
 from poise.runtime.waker import Waker, wait_readable
 from poise.wire.connections.gateway import Gateway
@@ -54,6 +55,7 @@ from poise.wire.records.clocks import ClockStatus
 from poise.wire.records.container import Order
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.migration import StepsFailed
+from poise.wire.records.output import ReadOutput
 from poise.wire.records.requests import (
     PROTOCOL,
     Accepted,
@@ -282,6 +284,8 @@ class Agent:
                 self._relay.pass_on(request, query, self._clock.now())
         elif refusal:
             answer(query, Refused(refusal))
+        elif isinstance(request, ReadOutput):
+            answer(query, read_output(Path(self._setup.folder), request))
         elif isinstance(request, CheckpointCopy):
             answer(query, self._keep_checkpoint(request))
         elif wanted and request.generation < wanted.generation:
@@ -390,6 +394,7 @@ class Agent:
             return
         self._adoption.close()
         self._folder.forget()
+        forget_output(Path(self._setup.folder))
         self._checkpoints.keep_only(Deployment(generation=0, containers=()))
         self._supervisor.end()
         self._supervisor.reconcile()

@@ -15,6 +15,7 @@ from poise.priority import give_way
 from poise.runtime.component.component import Component
 from poise.runtime.component.implementation import find
 from poise.runtime.hosting.command_line import CommandLine
+from poise.runtime.hosting.output import write_as
 from poise.runtime.hosting.runner import Runner
 from poise.wire.records.deployment import ComponentSpec
 
@@ -53,6 +54,7 @@ def prepare(
     prepared.add_done_callback(lambda _: on_change())
 
     def main() -> None:
+        write_as(spec.name)
         if gives_way:
             give_way()
         asked_at = clock.now()

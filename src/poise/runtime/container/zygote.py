@@ -20,6 +20,7 @@ import socket
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 from msgspec import Struct
 
@@ -34,6 +35,7 @@ from poise.runtime.container.descendants import (
     kill_all,
     lead_session,
 )
+from poise.runtime.hosting.output import keep_output
 from poise.runtime.hosting.wiring import Place
 from poise.runtime.waker import Waker, wait_readable
 from poise.wire import record_channel
@@ -281,6 +283,7 @@ class _Zygote:
         self._agent.close()
         self._waker.close()
         be_nice(wanted.nice)
+        keep_output(Path(wanted.place.folder), wanted.name)
         Container(wanted.name, connection, stats_page, wanted.place).run()
 
     def _outlive_agent(self) -> None:

@@ -27,6 +27,7 @@ import msgspec
 
 from poise.errors import RobotError
 from poise.runtime.component.component import Component
+from poise.runtime.hosting.output import LONGEST, write_as
 
 _STOP_LIMIT = 0.8
 """A process that was asked to end is killed after this time [s]; its container gives a
@@ -59,6 +60,8 @@ class CommandLine(Component):
                 cwd=self.folder,
                 env={**os.environ, **self.environment()},
                 stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
                 start_new_session=True,
                 # safe beside other threads: it takes no lock that one of them may hold
                 preexec_fn=_before_command,  # noqa: PLW1509
@@ -67,6 +70,7 @@ class CommandLine(Component):
             raise self._not_started(error) from None
         self._context.count_process(self._process.pid)
         self._is_stopping = False
+        threading.Thread(target=self._pass_output_on, daemon=True).start()
         self._watcher = threading.Thread(target=self._watch, daemon=True)
         self._watcher.start()
 
@@ -94,6 +98,16 @@ class CommandLine(Component):
             "POISE_PARAMETERS": msgspec.json.encode(self.parameters).decode(),
             **devices,
         }
+
+    def _pass_output_on(self) -> None:
+        """Write what the process writes, as this component."""
+        write_as(self.name)
+        output = self._process.stdout
+        assert output is not None  # noqa: S101, it was asked for
+        with output:
+            while line := output.readline(LONGEST):
+                sys.stdout.write(line.decode(errors="replace").rstrip("\n") + "\n")
+                sys.stdout.flush()
 
     def _watch(self) -> None:
         """Wait for the end of the process, and end what it started along."""

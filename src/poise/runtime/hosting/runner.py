@@ -31,6 +31,7 @@ from poise.runtime.execution.timers import Releases, Timers
 from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.execution_gate import ExecutionGate
 from poise.runtime.hosting.life_cycle import ENDED, LifeCycle
+from poise.runtime.hosting.output import write_as
 from poise.wire.codec import codec
 from poise.wire.records.deployment import Aim, ComponentSpec
 from poise.wire.records.status import ActionEnd, ComponentStatus, State, TaskWish
@@ -224,6 +225,7 @@ class Runner:
         self._on_change()
 
     def _main(self) -> None:
+        write_as(self.spec.name)
         self.counters.begin()
         try:
             while self.life_cycle.state not in ENDED:

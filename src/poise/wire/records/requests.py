@@ -13,6 +13,7 @@ from msgspec import Struct
 from poise.wire.records.checkpoints import CheckpointCopy
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.migration import MigrationSteps, StepsDone, StepsFailed
+from poise.wire.records.output import OutputLines, ReadOutput
 from poise.wire.records.taps import Tap, TapReading
 
 PROTOCOL = 8
@@ -83,9 +84,11 @@ class Refused(Struct, frozen=True, tag=True):
     reason: str
 
 
-Answer = Accepted | Claimed | Refused | StepsDone | StepsFailed | TapReading
+Answer = (
+    Accepted | Claimed | Refused | StepsDone | StepsFailed | TapReading | OutputLines
+)
 
-Request = Claim | Deployment | MigrationSteps | CheckpointCopy | Tap
+Request = Claim | Deployment | MigrationSteps | CheckpointCopy | Tap | ReadOutput
 """What a manager asks of an agent."""
 
 

@@ -1,0 +1,150 @@
+"""Keeps what the components of a container write, beside passing it on.
+
+Each container has a file in the folder of its agent, and the one before when that is
+full. So what was written last is there when a container has crashed, and its agent
+reads it without asking anybody.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from hashlib import blake2s
+from io import TextIOBase
+from pathlib import Path
+from typing import TextIO
+
+from poise.wire.records.output import OutputLine, OutputLines, ReadOutput
+
+LARGEST = 256 << 10
+"""When a file is larger, another is begun [bytes]; of a container two are kept."""
+LONGEST = 4_096
+"""A longer line is cut [characters]."""
+_BEING_WRITTEN = 50_000_000
+"""What was written less long ago is told the next time, in its order [ns]."""
+_NOW, _BEFORE = ".output", ".output-before"
+_STDERR = 2
+_here = threading.local()
+
+
+def write_as(component: str) -> None:
+    """Let what this thread writes from now on be a component's."""
+    _here.component = component
+
+
+class OutputFile:
+    """Where the lines of a container are kept. Any thread may add to it."""
+
+    def __init__(self, folder: Path, container: str) -> None:
+        name = blake2s(container.encode(), digest_size=8).hexdigest()
+        self._path = folder / f"{name}{_NOW}"
+        self._container = container
+        self._lock = threading.Lock()
+        self._at = 0
+        self._trouble = ""
+        self._open()
+
+    def add(self, text: str) -> None:
+        """Add a line; standard error is told when it cannot be."""
+        component = getattr(_here, "component", self._container)
+        with self._lock:
+            # no two lines at one moment, so that none is told twice or never
+            self._at = max(self._at + 1, time.time_ns())
+            line = f"{self._at}\t{component}\t{text[:LONGEST]}\n"
+            try:
+                self._size += os.write(self._fd, line.encode(errors="replace"))
+                if self._size > LARGEST:
+                    os.close(self._fd)
+                    self._path.rename(self._path.with_suffix(_BEFORE))
+                    self._open()
+            except OSError as error:  # the component goes on; all was passed on
+                if str(error) != self._trouble:
+                    self._trouble = str(error)
+                    said = f"output of '{self._container}' is not kept: {error}\n"
+                    os.write(_STDERR, said.encode())
+
+    def _open(self) -> None:
+        self._fd = os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
+        self._size = os.fstat(self._fd).st_size
+
+
+class KeptStream(TextIOBase):
+    """Standard output or error: passes all on, and keeps it by lines."""
+
+    def __init__(self, stream: TextIO, file: OutputFile) -> None:
+        self._stream = stream
+        self._file = file
+        self._begun = threading.local()
+
+    def write(self, text: str) -> int:
+        """Pass text on; keep each line that is complete."""
+        self._stream.write(text)
+        *lines, rest = (getattr(self._begun, "text", "") + text).split("\n")
+        for line in lines:
+            self._file.add(line)
+        self._begun.text = rest[:LONGEST]
+        return len(text)
+
+    def flush(self) -> None:
+        """Pass on what waits."""
+        self._stream.flush()
+
+    def fileno(self) -> int:
+        """Return the descriptor of the stream."""
+        return self._stream.fileno()
+
+    def isatty(self) -> bool:
+        """Return whether the stream is a terminal."""
+        return self._stream.isatty()
+
+
+def keep_output(folder: Path, container: str) -> None:
+    """Keep what this process writes from now on, also what it logs."""
+    file = OutputFile(folder, container)
+    before = sys.stderr
+    sys.stdout = KeptStream(sys.stdout, file)
+    sys.stderr = KeptStream(sys.stderr, file)
+    for handler in logging.getLogger().handlers:
+        if isinstance(handler, logging.StreamHandler) and handler.stream is before:
+            handler.setStream(sys.stderr)
+
+
+def read_output(folder: Path, asked: ReadOutput) -> OutputLines:
+    """Return what the containers of a folder have written."""
+    until = time.time_ns() - _BEING_WRITTEN
+    # a set: a file that is put aside meanwhile is read twice
+    found = {
+        line
+        for ending in (_NOW, _BEFORE)
+        for path in folder.glob(f"*{ending}")
+        for line in _lines(path, asked.after)
+        if asked.after < line.at <= until and asked.component in {"", line.component}
+    }
+    lines = sorted(found, key=lambda line: line.at)
+    told = lines[-asked.most :]
+    return OutputLines(lines=tuple(told), omitted=len(lines) - len(told))
+
+
+def forget_output(folder: Path) -> None:
+    """Remove what the containers of a folder have written."""
+    for ending in (_NOW, _BEFORE):
+        for path in folder.glob(f"*{ending}"):
+            path.unlink(missing_ok=True)
+
+
+def _lines(path: Path, after: int) -> Iterator[OutputLine]:
+    try:
+        if path.stat().st_mtime_ns + _BEING_WRITTEN < after:
+            return  # nothing new in it
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except FileNotFoundError:  # it was just put aside: the next time
+        return
+    for line in text.split("\n"):
+        at, _, rest = line.partition("\t")
+        component, _, said = rest.partition("\t")
+        if at.isdecimal():
+            yield OutputLine(at=int(at), component=component, text=said)

@@ -1,0 +1,129 @@
+"""What components write is passed on, and kept within bounds."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from io import StringIO
+from pathlib import Path
+
+import pytest
+
+from poise.runtime.hosting import output
+from poise.runtime.hosting.output import (
+    LONGEST,
+    KeptStream,
+    OutputFile,
+    forget_output,
+    read_output,
+    write_as,
+)
+from poise.wire.records.output import OutputLines, ReadOutput
+
+
+@pytest.fixture(autouse=True)
+def _no_delay(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(output, "_BEING_WRITTEN", 0)
+
+
+def read(
+    folder: Path, component: str = "", after: int = 0, most: int = 99
+) -> OutputLines:
+    return read_output(folder, ReadOutput(component=component, after=after, most=most))
+
+
+def test_all_is_passed_on_and_whole_lines_are_kept(tmp_path: Path) -> None:
+    terminal = StringIO()
+    stream = KeptStream(terminal, OutputFile(tmp_path, "hall"))
+    print("one", 2, file=stream)
+    stream.write("half")
+    assert terminal.getvalue() == "one 2\nhalf"
+    assert [(o.component, o.text) for o in read(tmp_path).lines] == [("hall", "one 2")]
+    stream.write(" and half\n\n")
+    assert [o.text for o in read(tmp_path).lines] == ["one 2", "half and half", ""]
+
+
+def test_lines_are_those_of_the_component_whose_thread_writes(tmp_path: Path) -> None:
+    stream = KeptStream(StringIO(), OutputFile(tmp_path, "hall"))
+
+    def work(name: str) -> None:
+        write_as(name)
+        stream.write(f"I am {name}")
+        stream.write("\n")
+
+    for name in ("eye", "ear"):
+        thread = threading.Thread(target=work, args=(name,))
+        thread.start()
+        thread.join()
+    assert [o.text for o in read(tmp_path, "ear").lines] == ["I am ear"]
+    assert [o.component for o in read(tmp_path).lines] == ["eye", "ear"]
+
+
+def test_who_asks_again_gets_what_is_new(tmp_path: Path) -> None:
+    file = OutputFile(tmp_path, "hall")
+    for number in range(5):
+        file.add(str(number))
+    first = read(tmp_path, most=2)
+    assert ([o.text for o in first.lines], first.omitted) == (["3", "4"], 3)
+    file.add("5")
+    again = read(tmp_path, after=first.lines[-1].at)
+    assert ([o.text for o in again.lines], again.omitted) == (["5"], 0)
+
+
+def test_what_is_being_written_is_told_the_next_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    OutputFile(tmp_path, "hall").add("now")
+    monkeypatch.setattr(output, "_BEING_WRITTEN", 10**12)
+    assert read(tmp_path).lines == ()
+
+
+def test_files_stay_small_and_long_lines_are_cut(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(output, "LARGEST", 1_000)
+    file = OutputFile(tmp_path, "hall")
+    for number in range(200):
+        file.add(f"line {number}")
+    file.add("x" * 2 * LONGEST)
+    kept = [o.text for o in read(tmp_path).lines]
+    assert kept[-2:] == ["line 199", "x" * LONGEST]
+    assert sum(p.stat().st_size for p in tmp_path.iterdir()) < 2_000 + 2 * LONGEST
+    assert len(list(tmp_path.iterdir())) == 2
+    forget_output(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_container_that_starts_again_goes_on_in_its_file(tmp_path: Path) -> None:
+    OutputFile(tmp_path, "hall").add("last words")
+    OutputFile(tmp_path, "hall").add("born again")
+    assert [o.text for o in read(tmp_path).lines] == ["last words", "born again"]
+
+
+def test_a_component_goes_on_when_the_disk_is_full(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    file = OutputFile(tmp_path, "hall")
+    os.close(file._fd)
+    file._fd = os.open("/dev/full", os.O_WRONLY)
+    terminal = StringIO()
+    stream = KeptStream(terminal, file)
+    print("still here", file=stream)
+    print("and here", file=stream)
+    assert terminal.getvalue() == "still here\nand here\n"
+    said = capfd.readouterr().err  # once
+    assert said.startswith("output of 'hall' is not kept: [Errno 28] No space left")
+    assert said.count("\n") == 1
+
+
+def test_moments_grow_even_when_the_clock_does_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(time, "time_ns", lambda: 7)
+    file = OutputFile(tmp_path, "hall")
+    file.add("a")
+    file.add("b")
+    monkeypatch.undo()
+    monkeypatch.setattr(output, "_BEING_WRITTEN", 0)
+    assert [o.at for o in read(tmp_path).lines] == [7, 8]
