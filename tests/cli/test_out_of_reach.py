@@ -219,7 +219,7 @@ def test_components_of_a_lost_computer_go_on_elsewhere(field: Field, up: Up) -> 
     lost = at(field, "source")
     there = "third" if lost == "left" else "left"
     field.set_cable(lost, "down")
-    up.wait_for(rf"restart without their state: .*'source' on '{there}'")
+    up.wait_for(rf"restart, from checkpoints or without state: .*'source' on '{there}'")
     up.wait_for("they are at work")
     assert at(field, "source") == there
     assert f"'{lost}' is out of reach since" in run_poise("status").stdout

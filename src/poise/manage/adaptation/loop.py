@@ -306,7 +306,8 @@ def _seen(symptoms: Iterable[Symptom]) -> list[dict[str, object]]:
 
 def _sentence(placement: Mapping[str, str]) -> str:
     where = ", ".join(f"'{c}' on '{at}'" for c, at in sorted(placement.items()))
-    return f"components of a lost computer restart without their state: {where}"
+    what = "components of a lost computer restart, from checkpoints or without state"
+    return f"{what}: {where}"
 
 
 class _Reported(Struct):

@@ -125,6 +125,11 @@ def _with_checkpoint(run: Run, new: Incarnation) -> Incarnation:
     name, before = new.component, run.placed.get(new.component)
     copy = run.agents.checkpoints.get(name, before.epoch) if before else None
     if copy is None:
+        if before and any(
+            c.name == name and c.checkpoint for c in run.robot.components()
+        ):
+            why = "this manager has no copy of its checkpoint"
+            run.journal.note("wrong", f"component '{name}' starts without state: {why}")
         return structs.replace(new, fresh=True)
     mine = structs.replace(copy, epoch=new.epoch)
     if refusal := run.agents.keep_checkpoint(new.computer, mine):

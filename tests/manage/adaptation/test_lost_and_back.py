@@ -1,4 +1,4 @@
-"""A computer that is back is used again when that is worth the moves."""
+"""What restarts from a lost computer, and what goes back there when it is worth it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from msgspec.structs import replace
 
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.put_aside import CALM
+from poise.manage.migration.transition_run import start_together
 from poise.model.robot import Computer
 from tests.manage.adaptation.test_put_aside import BOTH, Robbed, robot_with
 
@@ -54,3 +55,14 @@ def test_what_runs_well_is_not_disturbed() -> None:
     back.look(100.0)
     assert back.run.placement() == BOTH
     assert back.said() == ["'right' may be used again: all that runs has what it needs"]
+
+
+def test_what_restarts_without_the_state_that_was_to_be_kept_is_said() -> None:
+    robot = robot_with().with_components(
+        lambda c: replace(c, checkpoint=1.0 if c.name == "low" else 0.0)
+    )
+    robbed = Robbed(robot)
+    start_together(robbed.run, {"low": "left", "high": "left"})
+    (wrong,) = (each.what for each in robbed.journal.entries() if each.kind == "wrong")
+    why = "this manager has no copy of its checkpoint"
+    assert wrong == f"component 'low' starts without state: {why}"
