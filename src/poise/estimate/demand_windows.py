@@ -7,7 +7,8 @@ shrinks.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable
+from itertools import islice
 from typing import Literal
 
 from msgspec import Struct
@@ -101,13 +102,13 @@ class Demand(Struct, frozen=True):
 
 
 class Sums:
-    """Totals over windows."""
+    """Totals over windows; `cut` is how many are."""
 
-    __slots__ = ("asked", "cpu", "done", "seconds")
+    __slots__ = ("asked", "cpu", "cut", "done", "seconds")
 
     def __init__(self, windows: Iterable[Window] = ()) -> None:
         self.seconds = self.cpu = 0.0
-        self.asked = self.done = 0
+        self.asked = self.done = self.cut = 0
         for window in windows:
             self.add(window, 1)
 
@@ -117,6 +118,7 @@ class Sums:
         self.cpu += sign * window.cpu
         self.asked += sign * window.asked
         self.done += sign * window.done
+        self.cut += sign * window.is_cut
 
     @property
     def is_in_step(self) -> bool:
@@ -131,16 +133,23 @@ class Sums:
         return max(0.0, 1 - self.done / self.asked) if self.asked else 0.0
 
 
-def demand_in(windows: Sequence[Window]) -> Demand:
-    """Return the demand in consecutive windows; at least one."""
-    total = Sums(windows)
+def demand_in(windows: Collection[Window], total: Sums | None = None) -> Demand:
+    """Return the demand in consecutive windows; at least one.
+
+    Parameters
+    ----------
+    total
+        Over these windows, where that is known.
+    """
+    total = total or Sums(windows)
     used = total.cpu / total.seconds
     if total.is_in_step:
         return Demand(used, used * abs(total.asked - total.done) / max(total.done, 1))
     # Jobs under way at either end of the windows are left out: a starved component may
     # have more of them than ended jobs.
     ends = [at for at, window in enumerate(windows) if window.done]
-    between = windows[ends[0] + 1 : ends[-1] + 1] if ends else ()
+    first, last = (ends[0] + 1, ends[-1] + 1) if ends else (0, 0)
+    between = list(islice(windows, first, last))
     jobs = Sums(between)
     if jobs.cpu <= 0:
         return Demand(used, None)

@@ -25,6 +25,8 @@ from poise.estimate.profile.distribution import error_of_mean, quantile
 
 SPAN = 30.0
 """An estimate covers this time [s]."""
+_SPREAD_EVERY = 5
+"""How much single windows differ is looked at after as many new ones."""
 LEAST_SHARE = 0.25
 LEAST_CORES = 0.01
 """A demand that differs by less than this share, or by fewer cores, is unchanged."""
@@ -83,6 +85,8 @@ class RunningEstimate:
         self._last: Reading | None = None
         self._windows: deque[Window] = deque()
         self._sums = Sums()
+        self._spread: tuple[float, float | None] = 0.0, None
+        self._since_spread = _SPREAD_EVERY
         self._has_jobs = False
         self._drift: Drift | None = None
         self._load = _change_point.ChangePointDetector(expected)
@@ -118,21 +122,31 @@ class RunningEstimate:
         """Return the estimate; None before the second reading."""
         if not self._windows:
             return None
-        demand = demand_in(list(self._windows))
-        used = self._sums.cpu / self._sums.seconds
+        sums = self._sums
+        demand = demand_in(self._windows, sums)
+        used = sums.cpu / sums.seconds
         scale = demand.cores / used if used > 0 else 1.0
-        loads = [scale * w.cpu / w.seconds for w in self._windows]
-        error = error_of_mean(loads)
+        p95, error = self._spread_of_windows()
         if error is not None:
-            error = None if demand.error is None else error + demand.error
-        cut = sum(w.is_cut for w in self._windows) / len(self._windows)
+            error = None if demand.error is None else scale * error + demand.error
         return Estimate(
             mean=max(0.0, demand.cores),  # `Window` says why it may be below
-            p95=quantile(loads, 0.95),
+            p95=scale * p95,
             error=error,
-            starved=self._sums.undone or cut,
+            starved=sums.undone or sums.cut / len(self._windows),
             drift=self._drift,
         )
+
+    def _spread_of_windows(self) -> tuple[float, float | None]:
+        """Return what single windows used (p95), and the error of their mean [cores].
+
+        All windows are looked at for that: not each time when one is added.
+        """
+        if self._since_spread >= min(_SPREAD_EVERY, len(self._windows)):
+            loads = [window.cpu / window.seconds for window in self._windows]
+            self._spread = quantile(loads, 0.95), error_of_mean(loads)
+            self._since_spread = 0
+        return self._spread
 
     def _is_useless(self, window: Window) -> bool:
         """Whether it gives only a lower bound that is known already."""
@@ -147,6 +161,7 @@ class RunningEstimate:
         self._has_jobs = self._has_jobs or window.asked > 0 or window.done > 0
         self._windows.append(window)
         self._sums.add(window, 1)
+        self._since_spread += 1
         while self._sums.seconds - self._windows[0].seconds >= SPAN:
             self._sums.add(self._windows.popleft(), -1)
 
@@ -192,6 +207,7 @@ class RunningEstimate:
         """Forget the windows before the change."""
         kept = list(self._windows)[-since:]
         self._windows, self._sums = deque(), Sums()
+        self._since_spread = _SPREAD_EVERY
         for each in kept:
             self._keep(each)
         self._drift = drift
