@@ -126,3 +126,19 @@ def test_modules_that_share_a_broken_one_have_one_problem(tmp_path: Path) -> Non
     (finding,) = check_code_isolated(robot, LIMIT)
     assert "ZeroDivisionError" in finding.message
     assert "and for the same reason 'other'" in finding.message
+
+
+def test_other_work_goes_on_while_code_is_imported(tmp_path: Path) -> None:
+    begun = tmp_path / "begun"
+    (tmp_path / "patient.py").write_text(
+        "import pathlib, time\n"
+        f"while not pathlib.Path({str(begun)!r}).exists():\n    time.sleep(0.01)\n"
+        f"{GOOD}"
+    )
+    component = ComponentEntry(name="a", implementation="patient:Good")
+    robot = Robot(
+        name="r",
+        folder=str(tmp_path),
+        architectures=(Architecture(name="x", function="f", components=(component,)),),
+    )
+    assert check_code_isolated(robot, meanwhile=begun.touch) == []

@@ -44,7 +44,11 @@ class _Death(msgspec.Struct, frozen=True):
     how: str
 
 
-def check_code_isolated(robot: Robot, limit: float = IMPORT_LIMIT) -> list[Finding]:
+def check_code_isolated(
+    robot: Robot,
+    limit: float = IMPORT_LIMIT,
+    meanwhile: Callable[[], object] = lambda: None,
+) -> list[Finding]:
     """Return what `check_code` finds, and code that ends, crashes or hangs its process.
 
     What the code prints goes to stderr.
@@ -53,6 +57,8 @@ def check_code_isolated(robot: Robot, limit: float = IMPORT_LIMIT) -> list[Findi
     ----------
     limit
         How long the code of one component may take to be imported [s].
+    meanwhile
+        Called while the child is at work; again when another one is needed.
 
     Raises
     ------
@@ -60,7 +66,7 @@ def check_code_isolated(robot: Robot, limit: float = IMPORT_LIMIT) -> list[Findi
         The child ended for a reason of its own.
     """
     fatal: dict[str, Finding] = {}
-    while isinstance(result := _check(robot, fatal, limit), _Death):
+    while isinstance(result := _check(robot, fatal, limit, meanwhile), _Death):
         blamed = _blamed(robot, result)
         if not blamed:
             raise RunError(f"the check of the code of '{robot.name}' {result.how}")
@@ -85,7 +91,10 @@ def serve(check: Callable[..., list[Finding]]) -> None:
 
 
 def _check(
-    robot: Robot, skipped: Iterable[str], limit: float
+    robot: Robot,
+    skipped: Iterable[str],
+    limit: float,
+    meanwhile: Callable[[], object],
 ) -> list[Finding] | _Death:
     reader, writer = os.pipe()
     with (
@@ -106,6 +115,7 @@ def _check(
         )
         inherited.close()
         try:
+            meanwhile()
             return _result(child, reader, limit)
         finally:
             # The session holds what the code started, too.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from poise.model.load import Source, load_source
 from poise.model.robot import Robot
 from poise.runtime.isolated_check import check_code_isolated
 from poise.session.profiles import profiled
-from poise.session.say import Say, log
+from poise.session.say import Say, log, nothing
 
 
 def check(file: str | PathLike[str]) -> tuple[FileProblem, ...]:
@@ -32,7 +33,12 @@ def check(file: str | PathLike[str]) -> tuple[FileProblem, ...]:
     return ()
 
 
-def load(file: str | PathLike[str], *, say: Say = log.info) -> Robot:
+def load(
+    file: str | PathLike[str],
+    *,
+    say: Say = log.info,
+    meanwhile: Callable[[], object] = nothing,
+) -> Robot:
     """Return the robot in a file, with the demands that its profile gives.
 
     Parameters
@@ -42,13 +48,15 @@ def load(file: str | PathLike[str], *, say: Say = log.info) -> Robot:
     say
         Takes sentences: where demands are from, which are missing or stale, and which
         architectures of the repository do not fit.
+    meanwhile
+        Called while another process checks the code.
 
     Raises
     ------
     RobotError
         The file or its code is wrong; `problems` has all that was found.
     """
-    source = _checked(file)
+    source = _checked(file, meanwhile)
     found = profiled(source.robot)
     for sentence in (*source.repository.passed_over, *found.says):
         say(sentence)
@@ -66,9 +74,11 @@ def load_bare(file: str | PathLike[str]) -> Robot:
     return _checked(file).robot
 
 
-def _checked(file: str | PathLike[str]) -> Source:
+def _checked(
+    file: str | PathLike[str], meanwhile: Callable[[], object] = nothing
+) -> Source:
     source = load_source(Path(file))
-    if findings := check_code_isolated(source.robot):
+    if findings := check_code_isolated(source.robot, meanwhile=meanwhile):
         raise RobotError(problems=sorted(map(source.positions.problem, findings)))
     return source
 

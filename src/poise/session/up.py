@@ -18,7 +18,6 @@ from poise.manage.control_socket.server import ControlServer
 from poise.manage.journal import Journal
 from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.prometheus import MetricsServer
 from poise.manage.observe.recording import Recording, save
 from poise.manage.takeover import start_or_take_over
 from poise.model.robot import Robot
@@ -241,6 +240,8 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         )
         agents = it.run.agents
         if metrics is not None:
+            from poise.manage.observe.prometheus import MetricsServer
+
             to = MetricsServer(estimates, agents.statuses, ("127.0.0.1", metrics))
             stack.callback(to.close)
         if send is not None and otel is not None:

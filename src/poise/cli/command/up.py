@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -10,11 +11,8 @@ import typer
 
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import AnyMethod, RobotFile, RobotTask
-from poise.session.detached import up_detached
 from poise.session.launch.printer import Printer, log_printer
-from poise.session.placement import place
 from poise.session.robot_file import load, task_of
-from poise.session.up import up
 from poise.session.writable import to_write
 
 _LOOK_EVERY = 0.2
@@ -63,7 +61,11 @@ def up_command(
     """
     with Printer() as printer, log_printer():
         say = printer.print
-        robot = load(file, say=say)
+        robot = load(file, say=say, meanwhile=_import_the_rest)
+        from poise.session.detached import up_detached
+        from poise.session.placement import place
+        from poise.session.up import up
+
         if detach:
             with Interrupts() as interrupts:
                 words = [word for word in sys.argv[1:] if word != "--detach"]
@@ -96,3 +98,8 @@ def up_command(
             while not running.wait(_LOOK_EVERY):
                 interrupts.check()
             say("stopping")
+
+
+def _import_the_rest() -> None:
+    """Import the manager, so that a robot waits for it no longer than it must."""
+    importlib.import_module("poise.session.up")

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator
 
 from poise.emulate.registry import locked
 from poise.errors import PoiseError
+from poise.runtime.waker import Waker, wait_readable
 from poise.session.launch.emulated_agents import EmulatedAgents
 from poise.session.say import Say
 
 _LOOK_EVERY = 0.02
+"""While an agent has ended, it is looked whether it may start so often [s]."""
 _FIRST_DELAY = 0.1
 _MOST_DELAY = 5.0
 """An agent that keeps ending is started again after this time at most [s]."""
@@ -34,7 +37,7 @@ def keeping_agents(
     say
         Takes sentences, on a thread of its own.
     """
-    ending = threading.Event()
+    ending = Waker()
     keeper = _Keeper(agents, may_start, say)
     thread = threading.Thread(
         target=keeper.keep, args=[ending], name="keeper", daemon=True
@@ -43,8 +46,9 @@ def keeping_agents(
     try:
         yield
     finally:
-        ending.set()
+        ending.wake()
         thread.join()
+        ending.close()
 
 
 class _Keeper:
@@ -59,12 +63,24 @@ class _Keeper:
         self._delays = dict.fromkeys(agents.processes, 0.0)
         self._starts = dict.fromkeys(agents.processes, time.monotonic())
 
-    def keep(self, ending: threading.Event) -> None:
+    def keep(self, ending: Waker) -> None:
         """Look after all agents until the set ends."""
-        while not ending.wait(_LOOK_EVERY):
+        while not self._wait(ending):
             for name, process in list(self._agents.processes.items()):
                 if process.poll() is not None:
                     self._look_after(name, process.returncode)
+
+    def _wait(self, ending: Waker) -> bool:
+        """Wait until an agent has ended or may start; return whether the set ends."""
+        with contextlib.ExitStack() as stack:
+            fds = []
+            processes = list(self._agents.processes.values())
+            for process in processes:
+                if process.poll() is None:
+                    fds.append(os.pidfd_open(process.pid))
+                    stack.callback(os.close, fds[-1])
+            limit = _LOOK_EVERY if len(fds) < len(processes) else None
+            return ending.fileno() in wait_readable([ending.fileno(), *fds], limit)
 
     def _look_after(self, name: str, code: int) -> None:
         lasted = time.monotonic() - self._starts[name]
