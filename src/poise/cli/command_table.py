@@ -36,6 +36,7 @@ COMMANDS = {
     "emulate load": ("emulate:load_command", "Let a program take CPU on a computer."),
     "emulate stop": ("emulate:stop_command", "End the emulated computers of a robot."),
     "up": ("up:up_command", "Start a robot and keep it running."),
+    "top": ("top:top_command", "Watch a running robot in the terminal."),
     "list": ("look:list_command", "List robots that run, and what they consist of."),
     "echo": ("look:echo_command", "Show messages as they go out over a connector."),
     "hz": ("look:hz_command", "Show how often something goes out over a connector."),

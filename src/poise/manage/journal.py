@@ -6,6 +6,7 @@ import contextlib
 import logging
 import sqlite3
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -30,6 +31,7 @@ wrong, right
     Something is not as the robot file says any more, or is so again.
 """
 
+_MOST_RECENT = 20
 KINDS: tuple[str, ...] = get_args(Kind)
 
 _SCHEMA = """
@@ -88,6 +90,7 @@ class Journal:
         self._database: sqlite3.Connection | None = None
         self._inode = 0
         self._num_missing = 0
+        self._recent: deque[Entry] = deque(maxlen=_MOST_RECENT)
         self.trouble: str = ""
         """Why entries are not written; empty: they are."""
         try:
@@ -103,9 +106,14 @@ class Journal:
                     "folder that is there, may be written, and has room"
                 ) from error
 
+    def recent(self) -> tuple[Entry, ...]:
+        """Return the last entries without their facts; any thread may ask."""
+        return tuple(self._recent.copy())
+
     def note(self, kind: Kind, what: str, **facts: object) -> None:
         """Add an entry: `what` for people, `facts` for machines."""
         entry = Entry(time.time(), kind, what, facts)
+        self._recent.append(Entry(entry.at, kind, what, None))
         if self._show is not None:
             self._show(entry)
         try:

@@ -51,6 +51,7 @@ from poise.manage.output import read_log
 from poise.manage.run import Run
 from poise.manage.taps import read_tap
 from poise.model.policy.seen import Seen
+from poise.model.robot import Computer
 from poise.wire.records.samples import AgentSample
 
 MOST_COMMANDS = 64
@@ -170,6 +171,8 @@ class Manager:
             faults=self._watch.num_faults,
             demand_estimates=tuple(self._estimates.demand_estimates()),
             chains=chain_reports(run.robot, run.agents.statuses()),
+            capacities={c.name: _capacity(c) for c in run.robot.computers},
+            recent=run.journal.recent(),
         )
 
     def work(self, limit: float) -> None:
@@ -288,6 +291,12 @@ class Manager:
         self._troubles.look()
         self._lost.note()
         self._watch.look()
+
+
+def _capacity(computer: Computer) -> dict[str, float]:
+    """Return what a computer has; an emulated slow one has a part of a core."""
+    share = 1.0 if computer.address else computer.speed
+    return {**computer.capacity, "cpu": computer.capacity.get("cpu", 0.0) * share}
 
 
 def _answer(future: Results, result: Result | Refusal) -> None:

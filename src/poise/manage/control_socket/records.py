@@ -9,6 +9,7 @@ from msgspec import Struct
 
 from poise.errors import PoiseError, RobotError, RunError, UsageError
 from poise.manage.adaptation.replan import Proposal
+from poise.manage.journal import Entry
 from poise.manage.migration.move import MoveReport
 from poise.manage.migration.replacement import ReplaceReport
 from poise.manage.migration.transition_run import TransitionReport
@@ -109,6 +110,10 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
         What components need now, against what their profile says.
     chains
         How old the data of the robot's chains was.
+    capacities
+        Computer -> what it has: ``cpu`` [its own cores], ``memory`` [bytes], ...
+    recent
+        The last entries of the journal, without their facts.
     """
 
     robot: str
@@ -121,6 +126,8 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
     faults: int = 0
     demand_estimates: tuple[DemandEstimate, ...] = ()
     chains: tuple[ChainReport, ...] = ()
+    capacities: Mapping[str, Mapping[str, float]] = {}
+    recent: tuple[Entry, ...] = ()
 
 
 class StopReport(Struct, frozen=True, tag=True):

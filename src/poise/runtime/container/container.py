@@ -357,6 +357,7 @@ class Container:
         return ContainerStatus(
             name=self._name,
             pid=os.getpid(),
+            at=self._clock.now(),
             trouble=self._transports.server.warning.trouble(),
             cpu=time.process_time()
             + sum(r.counters.cpu() for r in self._runners.values() if r.spec.command),

@@ -225,6 +225,8 @@ class ContainerStatus(Struct, frozen=True, kw_only=True, tag=True):
 
     Parameters
     ----------
+    at
+        When this was so [s, on its computer's clock].
     cpu
         Its process's CPU time so far [s].
     trouble
@@ -233,6 +235,7 @@ class ContainerStatus(Struct, frozen=True, kw_only=True, tag=True):
 
     name: str
     pid: int
+    at: float = 0.0
     cpu: float = 0.0
     trouble: str = ""
     components: tuple[ComponentStatus, ...] = ()

@@ -1,0 +1,230 @@
+"""What there is to see of a running robot, in rows: for `top` and whatever shows more.
+
+A status has totals. Differences over the last seconds make rates of them, on the time
+of each container, so that nothing on the way distorts them.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from math import inf
+from typing import NamedTuple, Protocol
+
+from msgspec import Struct
+
+from poise.wire.records.status import (
+    AgentStatus,
+    ComponentStatus,
+    ConnectorStatus,
+    ContainerStatus,
+)
+
+SPAN = 3.0
+"""Rates are means over this time [s]."""
+
+
+class Said(Protocol):
+    """A deviation: a sentence, and since when it holds [s since 1970]."""
+
+    @property
+    def what(self) -> str: ...
+    @property
+    def since(self) -> float: ...
+
+
+class Decision(Protocol):
+    """An entry of the journal."""
+
+    @property
+    def at(self) -> float: ...
+    @property
+    def kind(self) -> str: ...
+    @property
+    def what(self) -> str: ...
+
+
+class Status(Protocol):
+    """The part of a robot's status that is shown; there is nothing to act with."""
+
+    @property
+    def robot(self) -> str: ...
+    @property
+    def task(self) -> str: ...
+    @property
+    def placement(self) -> Mapping[str, str]: ...
+    @property
+    def computers(self) -> Mapping[str, AgentStatus]: ...
+    @property
+    def capacities(self) -> Mapping[str, Mapping[str, float]]: ...
+    @property
+    def out_of_reach(self) -> Mapping[str, float]: ...
+    @property
+    def deviations(self) -> Sequence[Said]: ...
+    @property
+    def recent(self) -> Sequence[Decision]: ...
+
+
+class ComputerRow(Struct, frozen=True):
+    """A computer: `cpu` [cores] and `memory` [bytes] of their capacities."""
+
+    name: str
+    cpu: float
+    cores: float
+    memory: float
+    most_memory: float
+    components: int
+    is_reached: bool
+
+
+class ComponentRow(Struct, frozen=True):
+    """A component: `cpu` [cores], deadlines missed [1/s], and errors so far."""
+
+    name: str
+    computer: str
+    state: str
+    cpu: float
+    missed: float
+    errors: int
+
+
+class ConnectorRow(Struct, frozen=True):
+    """A connector: messages and calls [1/s], traffic [bytes/s], drops and errors."""
+
+    name: str
+    kind: str
+    rate: float
+    traffic: float
+    drops: int
+    errors: int
+
+
+class RobotView(Struct, frozen=True):
+    """A running robot at one moment."""
+
+    robot: str
+    task: str
+    computers: tuple[ComputerRow, ...]
+    components: tuple[ComponentRow, ...]
+    connectors: tuple[ConnectorRow, ...]
+    deviations: tuple[Said, ...]
+    recent: tuple[Decision, ...]
+
+
+class Reader:
+    """Turns statuses, as they come, into what is shown."""
+
+    def __init__(self) -> None:
+        self._past: deque[tuple[float, Status]] = deque()
+
+    def take(self, status: Status, now: float) -> RobotView:
+        """Return what is to be seen of a status that came at `now` [s]."""
+        self._past.append((now, status))
+        while len(self._past) > 2 and self._past[1][0] <= now - SPAN:  # noqa: PLR2004
+            self._past.popleft()
+        before = self._past[0][1]
+        return RobotView(
+            robot=status.robot,
+            task=status.task,
+            computers=tuple(_computers(status)),
+            components=tuple(_components(before, status)),
+            connectors=tuple(_connectors(before, status)),
+            deviations=tuple(status.deviations),
+            recent=tuple(status.recent),
+        )
+
+
+def _computers(status: Status) -> Iterator[ComputerRow]:
+    for name in sorted({*status.computers, *status.capacities}):
+        agent, capacity = status.computers.get(name), status.capacities.get(name, {})
+        yield ComputerRow(
+            name,
+            agent.load if agent else 0.0,
+            capacity.get("cpu", 0.0),
+            agent.memory if agent else 0,
+            capacity.get("memory", 0.0),
+            sum(there == name for there in status.placement.values()),
+            agent is not None and name not in status.out_of_reach,
+        )
+
+
+def _components(before: Status, now: Status) -> Iterator[ComponentRow]:
+    past = dict(_containers(before))
+    seen = set()
+    for key, container in _containers(now):
+        first, seconds = _since(past.get(key), container)
+        earlier = {(each.name, each.epoch): each for each in first.components}
+        for each in container.components:
+            seen.add(each.name)
+            was = earlier.get((each.name, each.epoch), each)
+            is_known = key.computer not in now.out_of_reach
+            yield ComponentRow(
+                each.name,
+                key.computer,
+                each.state if is_known else "unknown",
+                max(0.0, each.cpu - was.cpu) / seconds,
+                max(0, _missed(each) - _missed(was)) / seconds,
+                each.errors,
+            )
+    for name in sorted(now.placement.keys() - seen):
+        yield ComponentRow(name, now.placement[name], "not there", 0.0, 0.0, 0)
+
+
+def _connectors(before: Status, now: Status) -> Iterator[ConnectorRow]:
+    """Yield each connector as its source counts it, and what both ends gave up."""
+    past = dict(_containers(before))
+    ends: dict[str, list[tuple[ConnectorStatus, ConnectorStatus, float]]] = {}
+    for key, container in _containers(now):
+        first, seconds = _since(past.get(key), container)
+        earlier = {(end.name, end.end): end for end in first.connectors}
+        for end in container.connectors:
+            was = earlier.get((end.name, end.end), end)
+            ends.setdefault(end.name, []).append((end, was, seconds))
+    for name, found in sorted(ends.items()):
+        source, was, seconds = min(found, key=lambda each: each[0].end == "target")
+        yield ConnectorRow(
+            name,
+            source.kind if all(end.ready for end, _, _ in found) else "not joined",
+            max(0, _count(source) - _count(was)) / seconds,
+            max(0, _traffic(source) - _traffic(was)) / seconds,
+            sum(end.drops for end, _, _ in found),
+            sum(end.errors for end, _, _ in found),
+        )
+
+
+class _Key(NamedTuple):
+    """One start of a container."""
+
+    computer: str
+    container: str
+    pid: int
+
+
+def _containers(status: Status) -> Iterator[tuple[_Key, ContainerStatus]]:
+    for computer, agent in sorted(status.computers.items()):
+        for container in agent.containers:
+            yield _Key(computer, container.name, container.pid), container
+
+
+def _since(
+    first: ContainerStatus | None, now: ContainerStatus
+) -> tuple[ContainerStatus, float]:
+    """Return a container's earlier status, and the time since [s].
+
+    That is infinite where there is nothing to compare with.
+    """
+    if first is None or now.at <= first.at:
+        return now, inf
+    return first, now.at - first.at
+
+
+def _missed(component: ComponentStatus) -> int:
+    return sum(timer.missed for timer in component.timers)
+
+
+def _count(end: ConnectorStatus) -> int:
+    return end.calls + end.messages
+
+
+def _traffic(end: ConnectorStatus) -> int:
+    return end.bytes_in + end.bytes_out

@@ -1,0 +1,249 @@
+"""A running robot in a terminal: `poise top` (extra `top`)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
+
+from rich.text import Text
+from textual.app import App, ComposeResult
+from textual.binding import Binding
+from textual.widgets import DataTable, Footer, Static
+
+from poise.units import format_bytes
+from poise.view.robot_view import (
+    ComponentRow,
+    ComputerRow,
+    ConnectorRow,
+    Reader,
+    RobotView,
+    Status,
+)
+
+_BAR = 10
+_PATIENCE = 3.0
+"""A manager that takes longer to answer is said to be silent [s]."""
+_FULL, _HIGH = 1.0, 0.8
+_MOST_LINES = 4
+_COLUMNS = {
+    "computers": {
+        "computer": "name",
+        "CPU": "cpu",
+        "memory": "memory",
+        "components": "components",
+        "": "is_reached",
+    },
+    "components": {
+        "component": "name",
+        "computer": "computer",
+        "state": "state",
+        "CPU": "cpu",
+        "missed/s": "missed",
+        "errors": "errors",
+    },
+    "connectors": {
+        "connector": "name",
+        "kind": "kind",
+        "rate/s": "rate",
+        "traffic/s": "traffic",
+        "drops": "drops",
+        "errors": "errors",
+    },
+}
+"""Table -> its columns, and the field that each is sorted by."""
+_COLOURS = {"wrong": "red", "failed": "red", "right": "green", "decided": "bold"}
+
+
+class Top(App[None]):
+    """Shows a robot until `q`.
+
+    Parameters
+    ----------
+    read
+        Returns its status, on a thread of its own; what it raises is shown, and it is
+        asked again.
+    every
+        How often [s].
+    """
+
+    TITLE = "poise top"
+    CSS = """
+    #head { height: auto; max-height: 3; }
+    #computers { height: auto; max-height: 30%; }
+    #components { height: 1fr; }
+    #connectors { height: 1fr; }
+    #decisions { height: auto; max-height: 4; color: $text-muted; }
+    DataTable > .datatable--header { text-style: bold; }
+    DataTable:focus > .datatable--header { text-style: bold reverse; }
+    """
+    BINDINGS: ClassVar[list[Any]] = [
+        Binding("q", "quit", "quit"),
+        Binding("s", "sort", "sort by next column"),
+        Binding("r", "turn", "other way round"),
+        Binding("tab", "app.focus_next", "next table"),
+    ]
+    ENABLE_COMMAND_PALETTE = False
+
+    def __init__(self, read: Callable[[], Status], every: float = 1.0) -> None:
+        super().__init__()
+        self._read = read
+        self._every = every
+        self._reader = Reader()
+        self._view: RobotView | None = None
+        self._silent = ""
+        self._asked_at: float | None = None
+        self._sorted = dict.fromkeys(_COLUMNS, 0)
+        self._turned = dict.fromkeys(_COLUMNS, False)
+
+    def compose(self) -> ComposeResult:
+        """Yield the parts of the screen, from top to bottom."""
+        yield Static("waiting for the robot ...", id="head", markup=False)
+        for name in _COLUMNS:
+            yield DataTable(id=name, cursor_type="row")
+        yield Static(id="decisions", markup=False)
+        yield Footer()
+
+    def on_mount(self) -> None:
+        """Begin to look."""
+        self.query_one("#components").focus()
+        self._look()
+        self.set_interval(self._every, self._look)
+
+    def action_sort(self) -> None:
+        """Sort the table in focus by its next column."""
+        name = self._focused_table()
+        self._sorted[name] = (self._sorted[name] + 1) % len(_COLUMNS[name])
+        self._show()
+
+    def action_turn(self) -> None:
+        """Sort the table in focus the other way round."""
+        name = self._focused_table()
+        self._turned[name] = not self._turned[name]
+        self._show()
+
+    def _focused_table(self) -> str:
+        name = getattr(self.focused, "id", None)
+        return name if name in _COLUMNS else "components"
+
+    def _look(self) -> None:
+        """Look again, unless the last look still waits for its answer."""
+        now = time.monotonic()
+        if self._asked_at is None:
+            self._asked_at = now
+            self.run_worker(self._take, thread=True)
+        elif now - self._asked_at > _PATIENCE:
+            self._silent = f"since {now - self._asked_at:.0f} s"
+            self.query_one("#head").update(self._head())
+
+    def _take(self) -> None:
+        view, silent = None, ""
+        try:
+            view = self._reader.take(self._read(), time.monotonic())
+        except Exception as error:  # noqa: BLE001, it is shown, and the next look is soon
+            silent = str(error)
+        self.call_from_thread(self._came, view, silent)
+
+    def _came(self, view: RobotView | None, silent: str) -> None:
+        self._view, self._silent = view or self._view, silent
+        self._asked_at = None
+        self._show()
+
+    def _show(self) -> None:
+        self.query_one("#head").update(self._head())
+        view = self._view
+        if view is None:
+            return
+        self._fill("computers", view.computers, computer_cells)
+        self._fill("components", view.components, component_cells)
+        self._fill("connectors", view.connectors, connector_cells)
+        lines = Text()
+        for entry in view.recent[-_MOST_LINES:]:
+            clock = time.strftime("%H:%M:%S", time.localtime(entry.at))
+            lines.append(f"{clock} {entry.what}\n", _COLOURS.get(entry.kind, ""))
+        lines.rstrip()
+        lines.no_wrap, lines.overflow = True, "ellipsis"
+        self.query_one("#decisions").update(lines)
+
+    def _head(self) -> Text:
+        if self._silent:
+            return Text(f"no answer: {self._silent}", "red")
+        view = self._view
+        if view is None:
+            return Text("waiting for the robot ...")
+        head = Text(f"robot '{view.robot}', task '{view.task}': ")
+        if not view.deviations:
+            return head.append("as the robot file says", "green")
+        more = len(view.deviations) - 1
+        head.append(view.deviations[0].what, "red")
+        return head.append(f" and {more} more" if more else "", "red")
+
+    def _fill(
+        self, name: str, rows: Sequence[Any], cells: Callable[[Any], Sequence[Any]]
+    ) -> None:
+        """Fill a table, and leave cursor and scrolling where they are."""
+        table = self.query_one(f"#{name}")
+        place, scrolled = table.cursor_row, table.scroll_y
+        table.clear(columns=True)
+        column, is_turned = self._sorted[name], self._turned[name]
+        arrow = "▼" if is_turned else "▲"
+        for number, title in enumerate(_COLUMNS[name]):
+            table.add_column(f"{title} {arrow}" if number == column else title)
+        by = [*_COLUMNS[name].values()][column]
+        # numbers largest first, names in their order
+        for row in sorted(
+            rows, key=lambda row: _order(getattr(row, by)), reverse=is_turned
+        ):
+            table.add_row(*cells(row))
+        table.move_cursor(row=place, scroll=False)
+        table.scroll_to(y=scrolled, animate=False)
+
+
+def _order(value: object) -> Any:  # noqa: ANN401, of one type in a column
+    return -value if isinstance(value, int | float) else value
+
+
+def computer_cells(row: ComputerRow) -> tuple[Any, ...]:
+    """Return what is shown of a computer."""
+    return (
+        row.name,
+        _bar(row.cpu, row.cores, f"{row.cpu:.2f}/{row.cores:.3g}"),
+        _bar(row.memory, row.most_memory, format_bytes(row.memory)),
+        str(row.components),
+        Text("" if row.is_reached else "out of reach", "red"),
+    )
+
+
+def component_cells(row: ComponentRow) -> tuple[Any, ...]:
+    """Return what is shown of a component."""
+    is_well = row.state in {"active", "inactive"}
+    return (
+        row.name,
+        row.computer,
+        Text(row.state, "" if is_well else "red"),
+        Text(f"{row.cpu:.1%}", justify="right"),
+        Text(f"{row.missed:.1f}" if row.missed else "", "red", justify="right"),
+        Text(str(row.errors or ""), "red", justify="right"),
+    )
+
+
+def connector_cells(row: ConnectorRow) -> tuple[Any, ...]:
+    """Return what is shown of a connector."""
+    return (
+        row.name,
+        Text(row.kind, "red" if row.kind == "not joined" else ""),
+        Text(f"{row.rate:.1f}", justify="right"),
+        Text(format_bytes(row.traffic) if row.traffic else "", justify="right"),
+        Text(str(row.drops or ""), "red", justify="right"),
+        Text(str(row.errors or ""), "red", justify="right"),
+    )
+
+
+def _bar(used: float, capacity: float, text: str) -> Text:
+    """Return a bar and a text; what is too much is also said by a sign."""
+    share = used / capacity if capacity > 0 else 0.0
+    full = min(_BAR, round(share * _BAR))
+    sign = "!" if share > _FULL else " "
+    colour = "red" if share > _FULL else "yellow" if share > _HIGH else "green"
+    rest = "░" * (_BAR - full), "dim"
+    return Text.assemble(("█" * full, colour), rest, f"{sign}{text}")

@@ -1,0 +1,137 @@
+"""What is seen of a running robot: rates from two statuses, worked out by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import pytest
+from msgspec import Struct, field
+
+from poise.view.robot_view import SPAN, ComponentRow, ConnectorRow, Reader
+from poise.wire.records.status import (
+    AgentStatus,
+    ComponentStatus,
+    ConnectorStatus,
+    ContainerStatus,
+    Summary,
+    TimerStatus,
+)
+
+
+class Noticed(Struct, frozen=True):
+    what: str
+    since: float = 0.0
+
+
+class Told(Struct, frozen=True):
+    what: str
+    kind: str = "decided"
+    at: float = 0.0
+
+
+class Seen(Struct, frozen=True, kw_only=True):
+    """A status, as far as it is shown."""
+
+    robot: str = "r"
+    task: str = "work"
+    placement: Mapping[str, str] = field(
+        default_factory=lambda: {"eye": "left", "mind": "left"}
+    )
+    computers: Mapping[str, AgentStatus]
+    capacities: Mapping[str, Mapping[str, float]] = field(
+        default_factory=lambda: {
+            "left": {"cpu": 2.0, "memory": 1e9},
+            "right": {"cpu": 1.0, "memory": 1e9},
+        }
+    )
+    out_of_reach: Mapping[str, float] = {}
+    deviations: tuple[Noticed, ...] = ()
+    recent: tuple[Told, ...] = ()
+
+
+def seen(uptime: float, *, cpu: float, missed: int, sent: int, epoch: int = 0) -> Seen:
+    timer = TimerStatus(
+        name="look",
+        period=0.1,
+        deadline=0.1,
+        releases=100,
+        missed=missed,
+        lateness=Summary(),
+        duration=Summary(),
+    )
+    eye = ComponentStatus(
+        name="eye", epoch=epoch, state="active", cpu=cpu, timers=(timer,), errors=1
+    )
+    source = ConnectorStatus(
+        name="eye.x-mind.x",
+        kind="local",
+        end="source",
+        ready=True,
+        messages=sent,
+        bytes_out=sent * 100,
+        drops=2,
+    )
+    target = ConnectorStatus(
+        name="eye.x-mind.x", kind="local", end="target", ready=True, drops=3
+    )
+    container = ContainerStatus(
+        name="c", pid=1, at=uptime, components=(eye,), connectors=(target, source)
+    )
+    agent = AgentStatus(
+        computer="left",
+        generation=1,
+        uptime=uptime,
+        cpu=0.0,
+        load=0.5,
+        memory=1000,
+        containers=(container,),
+    )
+    return Seen(computers={"left": agent})
+
+
+def test_rates_are_differences_on_the_time_of_the_container() -> None:
+    reader = Reader()
+    first = reader.take(seen(10.0, cpu=1.0, missed=5, sent=100), now=0.0)
+    assert first.components[0].cpu == 0.0  # nothing to compare with yet
+    # the second came late, after 3 s, and the container says that 2 s have passed
+    view = reader.take(seen(12.0, cpu=1.5, missed=9, sent=140), now=3.0)
+    assert view.components[0] == ComponentRow("eye", "left", "active", 0.25, 2.0, 1)
+    assert view.connectors == (
+        ConnectorRow("eye.x-mind.x", "local", 20.0, 2000.0, 5, 0),
+    )
+
+
+def test_rates_are_means_of_the_last_seconds() -> None:
+    reader = Reader()
+    for second in range(10):
+        sent = 10 * second if second < 5 else 40 + 100 * (second - 4)
+        view = reader.take(
+            seen(float(second), cpu=0.0, missed=0, sent=sent), float(second)
+        )
+    assert SPAN < 4
+    assert view.connectors[0].rate == pytest.approx(100.0)
+
+
+def test_what_began_again_has_no_rate_below_nothing() -> None:
+    reader = Reader()
+    reader.take(seen(10.0, cpu=9.0, missed=9, sent=900), 0.0)
+    view = reader.take(seen(11.0, cpu=0.1, missed=0, sent=3), 1.0)
+    assert view.components[0].cpu == 0.0
+    assert view.connectors[0].rate == 0.0
+    view = reader.take(seen(12.0, cpu=0.2, missed=0, sent=3, epoch=1), 2.0)
+    assert view.components[0].cpu == 0.0
+
+
+def test_what_is_missing_is_shown_as_missing() -> None:
+    view = Reader().take(seen(1.0, cpu=0.0, missed=0, sent=0), 0.0)
+    assert view.components[1] == ComponentRow("mind", "left", "not there", 0, 0, 0)
+    left, right = view.computers
+    assert (left.name, left.cpu, left.cores, left.components) == ("left", 0.5, 2.0, 2)
+    assert left.is_reached
+    assert not right.is_reached
+
+
+def test_components_of_a_computer_out_of_reach_are_unknown() -> None:
+    status = seen(1.0, cpu=0.0, missed=0, sent=0)
+    lost = Seen(computers=status.computers, out_of_reach={"left": 1.0})
+    assert Reader().take(lost, 0.0).components[0].state == "unknown"
