@@ -8,7 +8,7 @@ from __future__ import annotations
 import random
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from statistics import median
 from typing import Literal
@@ -43,6 +43,8 @@ class Trial(Struct, frozen=True, kw_only=True):
         end of the trial when it is as long.
     moves
         Components that moved meanwhile.
+    last_move_s
+        From the start of the load until the last one did [s]; 0: none.
     """
 
     arm: Arm
@@ -51,6 +53,7 @@ class Trial(Struct, frozen=True, kw_only=True):
     missed: float
     met_again_s: float
     moves: int
+    last_move_s: float
 
 
 class Summary(Struct, frozen=True, kw_only=True):
@@ -60,18 +63,22 @@ class Summary(Struct, frozen=True, kw_only=True):
     missed: float
     met_again_s: float
     moves: float
+    last_move_s: float
 
 
-def compare(seeds: int, seconds: float, say: Callable[[str], None]) -> list[Trial]:
+def compare(
+    seeds: int, seconds: float, say: Callable[[str], None], arms: Sequence[Arm] = ARMS
+) -> list[Trial]:
     """Run every arm under the same loads, in turn."""
     found = []
     for seed in range(seeds):
-        for arm in ARMS:
+        for arm in arms:
             trial = measure(arm, seed, seconds)
             say(
                 f"seed {seed}, {trial.load:.2f} cores of load, {arm}: "
                 f"{trial.missed:.1%} missed, met again after "
-                f"{trial.met_again_s:.1f} s, {trial.moves} moves"
+                f"{trial.met_again_s:.1f} s, {trial.moves} moves, the last after "
+                f"{trial.last_move_s:.1f} s of {seconds:g} s"
             )
             found.append(trial)
     return found
@@ -85,6 +92,7 @@ def summary(trials: list[Trial]) -> dict[str, Summary]:
             missed=median(t.missed for t in own),
             met_again_s=median(t.met_again_s for t in own),
             moves=median(t.moves for t in own),
+            last_move_s=max(t.last_move_s for t in own),
         )
         for arm in ARMS
         if (own := [t for t in trials if t.arm == arm])
@@ -104,13 +112,15 @@ def measure(arm: Arm, seed: int, seconds: float) -> Trial:
         deadlines = Deadlines(running)
         program = [sys.executable, "-m", "poise.emulate.background_load", f"{load:g}"]
         hog, began = running.emulated[home].popen(program), time.monotonic()
-        met_again, moves, before = 0.0, 0, running.status().placement
+        met_again, last_move, moves = 0.0, 0.0, 0
+        before = running.status().placement
         while (now := time.monotonic() - began) < seconds:
             time.sleep(LOOK)
             if deadlines.look():
                 met_again = now
             status = running.status()
-            moves += sum(before[n] != at for n, at in status.placement.items())
+            if moved := sum(before[n] != at for n, at in status.placement.items()):
+                moves, last_move = moves + moved, now
             before = status.placement
             if movers is not None:
                 movers.look(status)
@@ -122,6 +132,7 @@ def measure(arm: Arm, seed: int, seconds: float) -> Trial:
         missed=deadlines.share(),
         met_again_s=met_again,
         moves=moves,
+        last_move_s=last_move,
     )
 
 
