@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import cast
 
 import pytest
+from msgspec.structs import replace
 
 from poise.manage.agents import Agents
 from poise.manage.control_socket.records import (
@@ -18,7 +19,8 @@ from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.recording import Recording
 from poise.manage.run import Run
-from poise.model.robot import Robot
+from poise.manage.tasks.tasks import Tasks
+from poise.model.robot import Action, Robot, Task
 from poise.wire.records.status import ComponentStatus, Fault
 from tests.manage.conftest import FakeAgents
 
@@ -30,13 +32,19 @@ class Managed:
     """A manager, its agents and its journal."""
 
     def __init__(self, robot: Robot) -> None:
+        action = Action(name="work", functions=("seeing", "thinking"))
+        robot = replace(robot, tasks=(Task(name="work", actions=(action,)),))
+        tasks = Tasks(robot)
+        tasks.start("work", 0.0)
         self.agents = FakeAgents("left", "right")
         self.journal = Journal(":memory:")
         agents = cast("Agents", self.agents)
         self.run = Run(robot, PLACEMENT, agents, self.journal, "/run")
         self.run.start()
         estimates = Estimates(robot, None, emulated=True)
-        self.manager = Manager(self.run, "work", estimates, Recording(), lambda _: None)
+        self.manager = Manager(
+            self.run, tasks.saved, estimates, Recording(), lambda _: None
+        )
 
     def sentences_of_move(self) -> list[str]:
         """Return what the journal got while a component was to move, in order."""

@@ -16,6 +16,7 @@ from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.recording import Recording
 from poise.manage.run import Run
 from poise.manage.takeover import start_or_take_over
+from poise.manage.tasks.tasks import Saved
 from poise.model.robot import Robot
 from poise.wire.records.requests import ManagerId
 
@@ -78,7 +79,7 @@ def test_a_manager_that_has_a_successor_leaves_the_robot_as_it_is(
     run, agents, journal = run_of(robot)
     run.start()
     estimates = Estimates(robot, None, emulated=True)
-    manager = Manager(run, "work", estimates, Recording(), lambda _: None)
+    manager = Manager(run, Saved(), estimates, Recording(), lambda _: None)
     agents.later = LATER
     with pytest.raises(TakenOver, match=r"user bob on desk \(process 8\) since"):
         manager.work(0.0)

@@ -4,12 +4,14 @@ import re
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 import poise
-from poise.errors import RobotError, UsageError
+from poise.errors import UsageError
 from poise.model import load
-from poise.model.robot import Robot
-from poise.session.placement import order_unused, place, runnable
+from poise.model.robot import Action, Robot, Task
+from poise.session.first_phase import first_phase
+from poise.session.placement import place
 
 DOCS = Path(__file__).parents[2] / "docs/tasks.md"
 
@@ -39,16 +41,28 @@ def test_all_at_once_they_do_not(waiter: Robot) -> None:
     assert "cpu" in placed.reason
 
 
-def test_what_runs_all_at_once_refuses_them(waiter: Robot) -> None:
-    with pytest.raises(RobotError, match="fits phase by phase, but not all at once"):
-        runnable(waiter, "serve", None)
-    by_phases = place(waiter, "serve")
-    with pytest.raises(UsageError, match=r"3 phases \(look, go, greet\)"):
-        runnable(waiter, "serve", by_phases)
+def test_only_what_the_first_action_needs_runs_first(waiter: Robot) -> None:
+    said: list[str] = []
+    first = first_phase(waiter, ["serve"], None, said.append)
+    assert dict(first.placed.where) == {"eyes": "left"}
+    assert said == ["task 'serve' starts, with priority 0"]
+    by_phases = place(waiter, "serve", method="round-robin")
+    first = first_phase(waiter, ["serve"], by_phases, said.append)
+    assert (first.placed.method, dict(first.placed.where)) == (
+        "round-robin",
+        {"eyes": "left"},
+    )
 
 
-def test_what_runs_all_at_once_says_so(waiter: Robot) -> None:
-    assert "has 3 phases, which are not run in order" in order_unused(waiter, "serve")
+def test_several_tasks_start_together(waiter: Robot) -> None:
+    task = Task(name="talk", actions=(Action(name="say", functions=("talking",)),))
+    both = replace(waiter, tasks=(*waiter.tasks, task))
+    first = first_phase(both, ["serve", "talk"], None, lambda _: None)
+    assert first.placed.where.keys() == {"eyes", "mouth"}
+    third = Task(name="go", actions=(Action(name="go", functions=("driving",)),))
+    all_ = replace(both, tasks=(*both.tasks, third))
+    first = first_phase(all_, ["serve", "talk", "go"], None, lambda _: None)
+    assert len(first.aside()) == 1
 
 
 def test_a_rule_places_each_phase_and_a_file_none(waiter: Robot) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 import poise
 from poise.model import Architecture, ComponentEntry, Computer, Robot
+from poise.model.robot import Action, Task
 from poise.session.report import ComponentReport, RunReport
 from poise.wire.records.status import Summary, TimerStatus
 from tests.waiting import LONG
@@ -104,13 +105,26 @@ def test_what_fits_nowhere_says_why_and_does_not_run() -> None:
     robot = hello()
     small = Computer(name="left", capacity={"cpu": 0.1, "memory": 1.0})
     robot = Robot(
-        name="r", computers=(small,), architectures=robot.architectures, tasks=()
+        name="r",
+        computers=(small,),
+        architectures=robot.architectures,
+        tasks=(
+            Task(
+                name="greet",
+                actions=(
+                    Action(
+                        name="greet",
+                        functions=tuple(a.function for a in robot.architectures),
+                    ),
+                ),
+            ),
+        ),
     )
     placed = poise.place(robot)
     assert not placed.feasible
     assert "cpu" in placed.reason
     with pytest.raises(poise.RobotError, match="no placement"):
-        poise.run(robot, "all", seconds=1.0, placement=placed)
+        poise.run(robot, "greet", seconds=1.0, placement=placed)
 
 
 def test_a_report_is_rows_of_plain_values() -> None:

@@ -55,3 +55,15 @@ def test_what_was_cut_off_is_active_elsewhere_and_never_twice() -> None:
     assert 0 < scene["detected_s"] <= scene["active_s"]
     assert not any(scene[name] for name in ("active_twice", "doubled", "reordered"))
     assert scene["lost"] > 0
+
+
+@pytest.mark.slow
+def test_three_tasks_share_functions_and_one_pauses_another() -> None:
+    done = run_poise("demo", "--scene", "tasks", "--json", "--examples", EXAMPLES)
+    assert done.returncode == 0, done.stderr
+    scene = json.loads(done.stdout)
+    names = {each["name"]: each["outcome"] for each in scene["tasks"]}
+    assert names == dict.fromkeys(("fetch", "watch", "wave"), "done")
+    assert scene["switch_hit_s"] > 0
+    assert scene["switch_miss_s"] > 0
+    assert "task 'fetch' waits: task 'wave' uses the device 'arm'" in done.stderr

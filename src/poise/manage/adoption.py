@@ -47,6 +47,8 @@ class Found(Struct, frozen=True, kw_only=True):
             adapt=spec.adapt,
             fresh=spec.fresh,
             gently=spec.gently,
+            turn=spec.turn,
+            action=spec.action,
         )
 
 

@@ -61,6 +61,8 @@ class Incarnation(Struct, frozen=True, kw_only=True):
         Whether it is prepared with the CPU time that others leave.
     unjoined
         Whether no connector ends at it: it waits, and others do not reach it.
+    turn, action
+        The number of the action that it is to end, which grows, and its name.
     """
 
     component: str
@@ -72,6 +74,8 @@ class Incarnation(Struct, frozen=True, kw_only=True):
     fresh: bool = False
     gently: bool = False
     unjoined: bool = False
+    turn: int = 0
+    action: str = ""
 
     def with_goal(self, goal: Goal) -> Incarnation:
         """Return the same with another goal."""
@@ -279,7 +283,7 @@ class DeploymentPlan:
             fresh=incarnation.fresh,
             parameters=component.parameters,
             devices={
-                name: str(PurePath(self._folder) / self._robot.device(name).path)
+                name: self._path(self._robot.device(name).path)
                 for name in component.devices
             },
             weigh=self._weigh,
@@ -289,7 +293,13 @@ class DeploymentPlan:
             chains=self._parts.get(component.name, ()),
             leased=component.name in self._leased,
             ends=self._ends.get(component.name, ()),
+            turn=incarnation.turn,
+            action=incarnation.action,
         )
+
+    def _path(self, device: str) -> str:
+        """Return where a device is; it has no path: empty."""
+        return str(PurePath(self._folder) / device) if device else ""
 
     def _connectors(
         self,

@@ -15,6 +15,8 @@ import traceback
 from collections.abc import Callable
 from concurrent.futures import Future
 
+from msgspec import structs
+
 from poise.errors import PoiseError, RunError, TakenOver
 from poise.manage.adaptation.admission import check_move
 from poise.manage.adaptation.facts import Facts
@@ -37,6 +39,8 @@ from poise.manage.control_socket.records import (
     StopCommand,
     StopReport,
     TapCommand,
+    TaskCommand,
+    TaskDone,
 )
 from poise.manage.lost_computers import LostComputers
 from poise.manage.migration.move import move, replace
@@ -48,8 +52,11 @@ from poise.manage.observe.own_troubles import OwnTroubles
 from poise.manage.observe.recording import Recording
 from poise.manage.observe.watch import Watch
 from poise.manage.output import read_log
+from poise.manage.prefetch.prefetch import Prefetch
 from poise.manage.run import Run
 from poise.manage.taps import read_tap
+from poise.manage.tasks.task_manager import TaskManager
+from poise.manage.tasks.tasks import Saved
 from poise.model.policy.seen import Seen
 from poise.model.robot import Computer
 from poise.wire.records.samples import AgentSample
@@ -66,6 +73,8 @@ class Manager:
     ----------
     run
         The running robot.
+    tasks
+        Its tasks that were started.
     estimates
         What its components need.
     take
@@ -83,7 +92,7 @@ class Manager:
     def __init__(  # noqa: PLR0913 - wired by hand, in one place
         self,
         run: Run,
-        task: str,
+        tasks: Saved,
         estimates: Estimates,
         samples: Recording,
         take: Callable[[AgentSample], object],
@@ -91,9 +100,9 @@ class Manager:
         adapts: bool = False,
         aside: str = "",
         keep: Callable[[Seen], object] | None = None,
+        explore: bool = False,
     ) -> None:
         self._run = run
-        self._task = task
         self._estimates = estimates
         self._samples = samples
         self._take = take
@@ -108,7 +117,11 @@ class Manager:
         self._lost = LostComputers(run)
         self._misses = DeadlineMisses()
         self._ages = ChainAges()
-        self._put_aside = PutAside(run, task, aside)
+        self.tasks = TaskManager(run, tasks, self._facts, explore=explore)
+        self._put_aside = PutAside(run, self.tasks.now, aside)
+        if aside:
+            self._put_aside.look()
+        self._prefetch = Prefetch(run)
         self._adaptation = Adaptation(
             run, self._facts, self._put_aside, acts=adapts, keep=keep
         )
@@ -138,6 +151,7 @@ class Manager:
         else:
             try:
                 self._commands.put_nowait((command, future))
+                self._run.agents.notify()
             except queue.Full:
                 text = f"{MOST_COMMANDS} commands wait already: try again later"
                 future.set_result(Refusal(text, "RunError"))
@@ -156,7 +170,7 @@ class Manager:
         run = self._run
         return RobotStatus(
             robot=run.robot.name,
-            task=self._task,
+            task=" and ".join(r.name for r in self.tasks.reports if r.state == "going"),
             manager=run.agents.manager,
             placement=run.placement(),
             computers=run.agents.statuses(),
@@ -173,6 +187,8 @@ class Manager:
             chains=chain_reports(run.robot, run.agents.statuses()),
             capacities={c.name: _capacity(c) for c in run.robot.computers},
             recent=run.journal.recent(),
+            tasks=self.tasks.reports,
+            prefetch=self._prefetch.report(),
         )
 
     def work(self, limit: float) -> None:
@@ -183,8 +199,9 @@ class Manager:
         TakenOver
             The agents obey another manager.
         """
+        self._run.agents.wait_news(self._has_news, limit)
         try:
-            command, future = self._commands.get(timeout=limit)
+            command, future = self._commands.get_nowait()
         except queue.Empty:
             pass
         else:
@@ -195,6 +212,8 @@ class Manager:
         self._look()
         self._lost.bring_back()
         if not self.is_stopping:
+            self.tasks.look(self._put_aside.functions())
+            self._prefetch.look(self.tasks.likely_next(), self._estimates.loads.loads())
             self._adaptation.look()
 
     def stop(self) -> None:
@@ -222,6 +241,10 @@ class Manager:
                 _answer(future, refusal or StopReport(remaining))
             while not self._commands.empty():
                 _answer(self._commands.get_nowait()[1], Refusal(text, "RunError"))
+
+    def _has_news(self) -> bool:
+        """Return whether something is to be done at once."""
+        return self.is_stopping or not self._commands.empty() or self.tasks.has_news()
 
     def _carry_out(self, command: Command) -> Result | Refusal:
         try:
@@ -256,15 +279,18 @@ class Manager:
                 return Moved(replace(run, component, by, adapt, fresh=fresh))
             case ReplaceCommand(what, by, adapt, fresh):
                 return Replaced(replace_architecture(run, what, by, adapt, fresh=fresh))
+            case TaskCommand(verb, task, priority):
+                self.tasks.command(verb, task, priority)
+                return TaskDone(self.tasks.report(task))
             case RebalanceCommand(cost, dry):
                 return Rebalanced(*self._adaptation.balance(cost, dry=dry))
         raise AssertionError(command)
 
     def _facts(self) -> Facts:
-        run = self._run
+        run, now = self._run, self.tasks.now()
         return Facts(
-            robot=run.robot,
-            task=self._task,
+            robot=structs.replace(run.robot, tasks=(now,)),
+            task=now.name,
             placement=run.placement(),
             lost=self._lost.computers(),
             loads=self._estimates.loads.loads(),

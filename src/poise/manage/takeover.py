@@ -64,9 +64,14 @@ def _take_over(
     is_rule: bool,
 ) -> None:
     began = time.monotonic()
+    last = max(deployments.values(), key=lambda d: d.generation, default=None)
+    run.tasks = last.tasks if last else b""
     # what comes back from now on is claimed and told then
     run.excused |= unclaimed.keys() | run.agents.out_of_reach().keys()
     planned = run.placement()
+    if run.tasks and not is_rule:
+        # the tasks go on where they are, and say themselves what they need
+        planned = _at_work(run, found)
     is_committed = is_half_done(found, run.robot) and _is_committed(run, deployments)
     adoption = adopt(
         found,
@@ -86,6 +91,16 @@ def _take_over(
     _start(run, adoption, found)
     if is_rule:
         _move(run, planned)
+
+
+def _at_work(run: Run, found: Sequence[Found]) -> dict[str, str]:
+    """Return what works of all that was found; what only rests ends."""
+    known = {component.name for component in run.robot.components()}
+    return {
+        each.name: each.computer
+        for each in found
+        if each.name in known and each.spec.goal != "inactive"
+    }
 
 
 def _is_committed(run: Run, deployments: Mapping[str, Deployment]) -> bool:

@@ -8,7 +8,7 @@ from msgspec import Struct
 from rich.console import RenderableType
 
 from poise import plan
-from poise.errors import RobotError, UsageError
+from poise.errors import UsageError
 from poise.estimate.success import Situation
 from poise.estimate.success.learning import WELL, actions_in, learned
 from poise.model.robot import Robot
@@ -158,7 +158,7 @@ def place(  # noqa: PLR0913 - each is a choice of the user
         Whether alternatives are tried in proportion to what they promise; the robot
         file's `explore` does the same.
     at_once
-        Whether all that the task needs runs the whole time, as `run` and `up` do.
+        Whether all that the task needs runs the whole time, in spite of its order.
 
     Returns
     -------
@@ -243,42 +243,3 @@ def ruled(
     if robot is None:
         raise UsageError(f"'{method}' needs a robot file: a plain problem has no homes")
     return plan.evaluate(problem, by_rule(method, robot, problem), method)
-
-
-def order_unused(robot: Robot, task: str) -> str:
-    """Return the sentence that a task does not run in its order; empty: it has none."""
-    count = len(phases_of(robot, task))
-    if count < 2:  # noqa: PLR2004
-        return ""
-    return (
-        f"task '{task}' has {count} phases, which are not run in order yet: all that "
-        "they need runs at once, the whole time"
-    )
-
-
-def runnable(robot: Robot, task: str, placement: Placement | None) -> Placement:
-    """Return the placement of all of a task at once, decided here when none is given.
-
-    Architectures of low priority are put aside when not all fits.
-
-    Raises
-    ------
-    RobotError
-        There is no placement, or there is one only if phases ran in their order; the
-        message says why.
-    UsageError
-        The one that is given has phases.
-    """
-    chosen = placement
-    if chosen is None:
-        chosen = place(robot, task, fewer=True, at_once=True)
-    is_whole = chosen.where and not chosen.result.aside
-    if not is_whole and has_order(robot, task) and place(robot, task).feasible:
-        raise RobotError(
-            f"task '{task}' fits phase by phase, but not all at once, and phases are "
-            f"not run in order yet: {chosen.reason}. Run a task for each action; "
-            f"`poise plan --task {task}` shows the phases"
-        )
-    if not chosen.where or (not chosen.feasible and chosen.method in SOLVERS):
-        raise RobotError(f"task '{task}' has no placement: {chosen.reason}")
-    return chosen

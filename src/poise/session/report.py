@@ -14,6 +14,7 @@ from poise.manage.deactivation import unprocessed
 from poise.manage.observe.chains import ChainReport, chain_reports
 from poise.manage.observe.faults import faults_after
 from poise.manage.statuses import Statuses
+from poise.manage.tasks.report import TaskReport
 from poise.model.robot import Robot
 from poise.session.launch.start import Started
 from poise.session.placement import Placement
@@ -75,6 +76,8 @@ class RunReport(Shown, Struct, frozen=True, kw_only=True):
         Computer -> CPU that its agent and containers used, as a share of what it has.
     chains
         How old the data of the robot's chains was when it was used.
+    tasks
+        How the tasks went, the first one that which was asked for.
     put_aside
         Architectures that did not run, because not all fits.
     errors
@@ -111,6 +114,7 @@ class RunReport(Shown, Struct, frozen=True, kw_only=True):
     components: tuple[ComponentReport, ...]
     connectors: tuple[ConnectorStatus, ...]
     chains: tuple[ChainReport, ...] = ()
+    tasks: tuple[TaskReport, ...] = ()
     put_aside: tuple[str, ...] = ()
     errors: tuple[ComponentError, ...] = ()
     hung: tuple[HungHandler, ...] = ()
@@ -135,7 +139,12 @@ class RunReport(Shown, Struct, frozen=True, kw_only=True):
     def failed(self) -> bool:
         """Whether code raised or hung, a message was refused, or not all ran."""
         return bool(
-            self.errors or self.hung or self.refused or self.faults or self.put_aside
+            self.errors
+            or self.hung
+            or self.refused
+            or self.faults
+            or self.put_aside
+            or any(each.state == "failed" for each in self.tasks)
         )
 
     def rows(self, of: Table = "components") -> list[dict[str, Any]]:
@@ -191,7 +200,9 @@ class MeasuredRun(Struct, frozen=True, kw_only=True):
     interrupted: bool
 
 
-def reported(up: Started, placed: Placement, task: str, seen: MeasuredRun) -> RunReport:
+def reported(
+    up: Started, placed: Placement, tasks: tuple[TaskReport, ...], seen: MeasuredRun
+) -> RunReport:
     """Return the report of a run whose components are inactive by now."""
     final = up.run.agents.statuses()
     robot = up.run.robot
@@ -202,7 +213,8 @@ def reported(up: Started, placed: Placement, task: str, seen: MeasuredRun) -> Ru
         invalid = "; ".join(filter(None, [invalid, str(error)]))
     return RunReport(
         robot=robot.name,
-        task=task,
+        task=tasks[0].name,
+        tasks=tasks,
         method=placed.method,
         placement=placed.where,
         decision_seconds=placed.result.seconds,

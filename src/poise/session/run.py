@@ -5,15 +5,19 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
+from poise.manage.adaptation.facts import Facts
 from poise.manage.deactivation import drain
 from poise.manage.journal import Entry, Journal
 from poise.manage.lost_computers import LostComputers
 from poise.manage.run import Run
+from poise.manage.tasks.task_manager import TaskManager
 from poise.model.robot import Robot
+from poise.session.first_phase import first_phase
 from poise.session.launch.start import Sampling, Started, started
-from poise.session.placement import Placement, order_unused, runnable
+from poise.session.placement import Placement
 from poise.session.recordings.record_run import keeping
 from poise.session.report import MeasuredRun, RunReport, reported
 from poise.session.repository import note_architectures
@@ -37,7 +41,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     meanwhile: Meanwhile = lambda *_: None,
     check: Check = nothing,
 ) -> RunReport:
-    """Run a task for some time, or until the simulated world ends, and report.
+    """Run a task until it is over, or some time or the simulated world is, and report.
 
     At the end all components are deactivated from sources to targets, so that the
     report has the final counts. Ctrl-C (`KeyboardInterrupt`) ends it early, and the
@@ -49,7 +53,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     task
         Its name; None: the robot's first.
     seconds
-        How long [s].
+        How long at most [s].
     placement
         What `poise.place` decided; None: it is decided here.
     journal
@@ -71,13 +75,15 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         again.
     """
     chosen = task_of(robot, task)
-    placed = runnable(robot, chosen, placement)
-    if sentence := order_unused(robot, chosen):
-        say(sentence)
+    sentences: list[str] = []
+    first = first_phase(robot, [chosen], placement, sentences.append)
+    placed = first.placed
     with contextlib.ExitStack() as stack:
         book = Journal(journal or ":memory:", _saying(say))
         stack.callback(book.close)
         book.note("decided", f"task '{chosen}', {placed.method} placement")
+        for sentence in sentences:
+            book.note("decided", sentence)
         note_architectures(book, robot, placed)
         for name in placed.result.aside:
             sentence = f"architecture '{name}' is put aside: {placed.why_aside}"
@@ -88,9 +94,11 @@ def run(  # noqa: PLR0913 - each is a choice of the user
             started(kept.robot, placed.where, book, say, sampling, check, use_kept=True)
         )
         say(f"running task '{chosen}' for up to {seconds:g} s")
-        seen = _measure(up, seconds, _with_agents(up.run, check, meanwhile))
+        tasks = TaskManager(up.run, first.tasks.saved, partial(_facts, up.run))
+        around = _with_agents(up.run, check, meanwhile)
+        seen = _measure(up, seconds, around, partial(_look, tasks, first.aside()))
         drain(up.run)
-        return reported(up, placed, chosen, seen)
+        return reported(up, placed, tasks.reports, seen)
 
 
 def _saying(say: Say) -> Callable[[Entry], object]:
@@ -118,12 +126,34 @@ def _with_agents(run: Run, check: Check, meanwhile: Meanwhile) -> Meanwhile:
     return look_around
 
 
-def _measure(up: Started, seconds: float, meanwhile: Meanwhile) -> MeasuredRun:
+def _facts(run: Run) -> Facts:
+    """Return what is known without estimates: enough for most conditions."""
+    lost = frozenset(run.agents.out_of_reach())
+    return Facts(
+        robot=run.robot,
+        task="",
+        placement=run.placement(),
+        lost=lost,
+        statuses=run.current(),
+    )
+
+
+def _look(tasks: TaskManager, aside: frozenset[str]) -> bool:
+    """Look at the tasks; return whether all are over."""
+    tasks.look(aside)
+    return tasks.is_over()
+
+
+def _measure(
+    up: Started, seconds: float, meanwhile: Meanwhile, is_over: Callable[[], bool]
+) -> MeasuredRun:
     up.computers.begin()
     begin, began = up.run.agents.statuses(), time.monotonic()
     interrupted = False
     try:
-        up.watch(seconds, lambda _: meanwhile(up.run, time.monotonic() - began))
+        up.watch(
+            seconds, lambda _: meanwhile(up.run, time.monotonic() - began), is_over
+        )
     except KeyboardInterrupt:
         interrupted = True
     return MeasuredRun(

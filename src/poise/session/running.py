@@ -34,6 +34,7 @@ from poise.manage.migration.replacement import ReplaceReport
 from poise.session.render.moves import Outcome, outcome_sentence
 from poise.session.render.shown import Shown
 from poise.session.render.status import status_parts
+from poise.session.tasks import RunningTasks
 from poise.wire.records.taps import TapReading
 
 _LOOK_EVERY = 0.25
@@ -78,6 +79,11 @@ class Running:
 
     def __init__(self, name: str | None = None) -> None:
         self.name = name
+
+    @property
+    def tasks(self) -> RunningTasks:
+        """Its tasks: ``running.tasks.start("fetch")``."""
+        return RunningTasks(lambda command: send_command(self.name, command))
 
     def status(self) -> Status:
         """Return where components run, and how they and their computers are."""

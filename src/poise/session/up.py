@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -20,9 +20,11 @@ from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.recording import Recording, save
 from poise.manage.takeover import start_or_take_over
+from poise.manage.tasks.saved import goes_on_with
 from poise.model.robot import Robot
+from poise.session.first_phase import first_phase
 from poise.session.launch.start import Sampling, Started, started
-from poise.session.placement import Placement, order_unused, runnable
+from poise.session.placement import Placement
 from poise.session.profiles import read_profile
 from poise.session.repository import note_architectures
 from poise.session.robot_file import task_of
@@ -141,7 +143,7 @@ class Up(Running):
 @contextlib.contextmanager
 def up(  # noqa: PLR0913 - each is a choice of the user
     robot: Robot,
-    task: str | None = None,
+    task: str | Sequence[str] | None = None,
     *,
     placement: Placement | None = None,
     journal: Path | None = None,
@@ -161,7 +163,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     Parameters
     ----------
     task
-        Its name; None: the robot's first.
+        Its name, or those of several; None: the robot's first.
     placement
         What `poise.place` decided; None: it is decided here, and what runs already
         stays where it is.
@@ -196,16 +198,19 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     """
     if take_over:
         _check_outlives(robot)
-    chosen = task_of(robot, task)
-    robot = learned(robot, actions_in(robot, chosen)).robot
-    placed = runnable(robot, chosen, placement)
-    if sentence := order_unused(robot, chosen):
-        say(sentence)
+    names = [task_of(robot, task)] if task is None or isinstance(task, str) else task
+    actions = [each for name in names for each in actions_in(robot, name)]
+    robot = learned(robot, actions).robot
+    sentences: list[str] = []
+    first = first_phase(robot, names, placement, sentences.append)
+    placed = first.placed
     send = _telemetry() if otel is not None else None
     with contextlib.ExitStack() as stack:
         server = stack.enter_context(ControlServer(robot.name, takes_over=take_over))
         book = Journal(journal or ":memory:", lambda entry: say(str(entry)))
         stack.callback(book.close)
+        for sentence in sentences:
+            book.note("decided", sentence)
         note_architectures(book, robot, placed)
         emulated = all(computer.address is None for computer in robot.computers)
         estimates = Estimates(robot, read_profile(robot), emulated=emulated)
@@ -252,7 +257,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         )
         manager = Manager(
             it.run,
-            chosen,
+            goes_on_with(it.run, first.tasks, book),
             estimates,
             waiting,
             samples.take,

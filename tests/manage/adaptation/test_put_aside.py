@@ -75,7 +75,7 @@ class Robbed:
         agents = cast("Agents", self.agents)
         self.run = Run(robot, placement, agents, self.journal, "/run")
         self.run.start()
-        self.aside = PutAside(self.run, "work", "not all fits")
+        self.aside = PutAside(self.run, lambda: robot.task("work"), "not all fits")
 
     def facts(self, background: float = 0.0, *late: str) -> Facts:
         """Return facts with a load of other programs, and late components."""

@@ -36,11 +36,11 @@ def test_the_components_of_the_next_action_are_likely_where_they_are_planned() -
     tasks, plans = Tasks(robot), PlanOverTime(robot)
     tasks.start("t", 0.0)
     tasks.arbitrate(0.0)
-    (found,) = likely_next(tasks, plans, {"see": "left"})
+    (found,) = likely_next(tasks, plans, {"see": "left"}, {})
     assert (found.action, found.placement, found.probability) == (
         "drive",
         {"go": "right"},
         1.0,
     )
-    assert likely_next(tasks, plans, {"see": "left", "go": "right"}) == []
+    assert likely_next(tasks, plans, {"see": "left", "go": "right"}, {}) == []
     assert plans.placement("t", ("look",), ("see",)) == {"see": "left"}

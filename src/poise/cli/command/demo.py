@@ -88,8 +88,9 @@ class DemoReport(Struct, frozen=True, kw_only=True):
 def demo_command(
     as_json: AsJson = False,
     scene: Annotated[
-        Literal["overload", "lost-computer", "cut-link", "manager-killed"] | None,
-        typer.Option(help="Show instead how a running robot adapts."),
+        Literal["overload", "lost-computer", "cut-link", "manager-killed", "tasks"]
+        | None,
+        typer.Option(help="Show instead how a running robot adapts, or runs tasks."),
     ] = None,
     examples: Annotated[
         Path, typer.Option(help="The folder with the examples trot and calls.")
@@ -101,7 +102,8 @@ def demo_command(
     the main computer, then where Poise puts them. Takes about a minute.
 
     With --scene, a small robot adapts by itself: another program overloads one of its
-    computers, a computer loses power, or the manager is killed amid a move.
+    computers, a computer loses power, or the manager is killed amid a move; or three
+    tasks share functions, and one pauses another.
 
     Examples
     --------

@@ -43,7 +43,7 @@ def plan_command(
     ] = None,
     at_once: Annotated[
         bool,
-        typer.Option("--at-once", help="All of the task at once, as run and up do."),
+        typer.Option("--at-once", help="All of the task at once."),
     ] = False,
     method: Annotated[
         str,

@@ -27,7 +27,7 @@ def run_command(
     task: RobotTask = None,
     placement: Method = "auto",
     for_: Annotated[
-        str, typer.Option("--for", help="How long, such as 20s or 2 min.")
+        str, typer.Option("--for", help="How long at most, such as 20s or 2 min.")
     ] = "20s",
     report: Annotated[
         Path | None, typer.Option(help="Folder for report.json and the journal.")
@@ -49,9 +49,11 @@ def run_command(
 ) -> None:
     """Run a task on the robot's computers; without addresses they are emulated.
 
+    Its actions run in their order. It ends when the task does, or after --for.
+
     What --record keeps can be the `workload` on which `poise profile` measures;
     `poise recording` reads it. The exit code is 1 when a component raised or hung, a
-    message was refused, a container ended, or the run is invalid.
+    message was refused, a container ended, the task failed, or the run is invalid.
 
     Example: poise run robot.yaml --task fetch --for 20s
     """
@@ -65,7 +67,7 @@ def run_command(
 
     robot = load(file, say=say)
     chosen = task_of(robot, task)
-    placed = place(robot, chosen, method=placement, fewer=True, at_once=True)
+    placed = place(robot, chosen, method=placement, fewer=True)
     if report is not None:
         _make_folder(report)
     with Interrupts() as interrupts:

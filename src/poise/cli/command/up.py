@@ -10,7 +10,8 @@ from typing import Annotated
 import typer
 
 from poise.cli.interrupts import Interrupts
-from poise.cli.options import AnyMethod, RobotFile, RobotTask
+from poise.cli.options import AnyMethod, RobotFile
+from poise.errors import UsageError
 from poise.session.launch.printer import Printer, log_printer
 from poise.session.robot_file import load, task_of
 from poise.session.writable import to_write
@@ -20,7 +21,10 @@ _LOOK_EVERY = 0.2
 
 def up_command(
     file: RobotFile,
-    task: RobotTask = None,
+    task: Annotated[
+        list[str] | None,
+        typer.Option("--task", help="A task, or several; else the file's first."),
+    ] = None,
     placement: AnyMethod = None,
     journal: Annotated[
         Path | None, typer.Option(help="File for the journal (SQLite).")
@@ -54,8 +58,9 @@ def up_command(
 
     With --detach it goes on in the background, and returns once the robot is up.
 
-    Meanwhile `poise status`, `move`, `replace` and `balance` work on it. It prints each
-    move, and everything that is not as the robot file says.
+    Meanwhile `poise status`, `task`, `move`, `replace` and `balance` work on it. It
+    prints each move, what its tasks do, and everything that is not as the robot file
+    says.
 
     Example: poise up robot.yaml --task fetch
     """
@@ -71,17 +76,17 @@ def up_command(
                 words = [word for word in sys.argv[1:] if word != "--detach"]
                 say(str(up_detached(robot, file, words, say, interrupts.check)))
             return
-        chosen = task_of(robot, task)
+        tasks = task or [task_of(robot, None)]
+        if placement and len(tasks) > 1:
+            raise UsageError("--placement places one task: start the others afterwards")
         placed = (
-            place(robot, chosen, method=placement, fewer=True, at_once=True)
-            if placement
-            else None
+            place(robot, tasks[0], method=placement, fewer=True) if placement else None
         )
         with (
             Interrupts() as interrupts,
             up(
                 robot,
-                chosen,
+                tasks,
                 placement=placed,
                 journal=journal,
                 metrics=metrics,
@@ -94,7 +99,8 @@ def up_command(
             ) as running,
         ):
             ends = "Ctrl-C" if sys.stdin.isatty() else "`poise stop`"
-            say(f"robot '{robot.name}' is up with task '{chosen}'; {ends} ends it")
+            names = "' and '".join(tasks)
+            say(f"robot '{robot.name}' is up with task '{names}'; {ends} ends it")
             while not running.wait(_LOOK_EVERY):
                 interrupts.check()
             say("stopping")

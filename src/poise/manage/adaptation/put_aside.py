@@ -7,11 +7,11 @@ it, too.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from itertools import groupby, islice, product
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from poise.errors import UsageError
 from poise.estimate.profile.code_version import version_of
@@ -21,7 +21,7 @@ from poise.manage.migration.transition import TransitionStep
 from poise.manage.migration.transition_run import start_together, transit
 from poise.manage.observe.deviations import Deviation
 from poise.manage.run import Run
-from poise.model.robot import Architecture, Robot
+from poise.model.robot import Architecture, Robot, Task
 from poise.units import quoted
 
 FIRST = 10.0
@@ -57,11 +57,13 @@ class PutAside:
 
     Parameters
     ----------
+    task
+        Returns what should run now, as a task.
     why
         Why architectures do not run from the start on.
     """
 
-    def __init__(self, run: Run, task: str, why: str = "") -> None:
+    def __init__(self, run: Run, task: Callable[[], Task], why: str = "") -> None:
         self._run = run
         self._task = task
         self._why = why
@@ -124,7 +126,7 @@ class PutAside:
         computer stay as they are. Returns whether something was stopped.
         """
         there = {n: at for n, at in facts.placement.items() if at not in facts.lost}
-        functions = facts.robot.functions_of(self._task)
+        functions = facts.robot.functions_of(facts.task)
         held = [
             a
             for a in facts.robot.architectures
@@ -175,6 +177,12 @@ class PutAside:
             if function not in known:
                 known.add(function)
                 self._add(name, self._why or "it does not run")
+
+    def functions(self) -> frozenset[str]:
+        """Return the functions of what is aside."""
+        known = self._known.keys()
+        robot = self._run.robot
+        return frozenset(a.function for a in robot.architectures if a.name in known)
 
     def deviations(self) -> tuple[Deviation, ...]:
         """Return what is aside; from any thread."""
@@ -293,7 +301,9 @@ class PutAside:
         return " ".join(version_of(c, *folders) for c in architecture.components)
 
     def _aside(self) -> list[Architecture]:
-        return not_running(self._run.robot, self._task, self._run.placed)
+        task = self._task()
+        robot = structs.replace(self._run.robot, tasks=(task,))
+        return not_running(robot, task.name, self._run.placed)
 
     def _add(self, name: str, why: str) -> None:
         before = self._known.get(name)

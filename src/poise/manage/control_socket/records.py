@@ -16,6 +16,8 @@ from poise.manage.migration.transition_run import TransitionReport
 from poise.manage.observe.chains import ChainReport
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import DemandEstimate
+from poise.manage.prefetch.report import PrefetchReport
+from poise.manage.tasks.report import TaskReport
 from poise.wire.records.output import OutputLine
 from poise.wire.records.requests import ManagerId
 from poise.wire.records.status import AgentStatus
@@ -80,6 +82,14 @@ class LogCommand(Struct, frozen=True, tag=True):
     most: int = 1_000
 
 
+class TaskCommand(Struct, frozen=True, tag=True):
+    """Start, pause, resume or cancel a task; `priority`: None is the robot file's."""
+
+    verb: Literal["start", "pause", "resume", "cancel"]
+    task: str
+    priority: int | None = None
+
+
 Command = (
     StatusCommand
     | StopCommand
@@ -88,6 +98,7 @@ Command = (
     | RebalanceCommand
     | TapCommand
     | LogCommand
+    | TaskCommand
 )
 
 
@@ -114,6 +125,12 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
         Computer -> what it has: ``cpu`` [its own cores], ``memory`` [bytes], ...
     recent
         The last entries of the journal, without their facts.
+    task
+        The names of the tasks that are at work.
+    tasks
+        All tasks that were started, the last ones that are over, too.
+    prefetch
+        What prefetch was good for.
     """
 
     robot: str
@@ -128,6 +145,8 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
     chains: tuple[ChainReport, ...] = ()
     capacities: Mapping[str, Mapping[str, float]] = {}
     recent: tuple[Entry, ...] = ()
+    tasks: tuple[TaskReport, ...] = ()
+    prefetch: PrefetchReport = PrefetchReport()
 
 
 class StopReport(Struct, frozen=True, tag=True):
@@ -174,8 +193,21 @@ class LogReading(Struct, frozen=True, tag=True):
     silent: tuple[str, ...] = ()
 
 
+class TaskDone(Struct, frozen=True, tag=True):
+    """What was asked of a task was done; how it is now."""
+
+    report: TaskReport
+
+
 Result = (
-    RobotStatus | StopReport | Moved | Replaced | Rebalanced | TapReading | LogReading
+    RobotStatus
+    | StopReport
+    | Moved
+    | Replaced
+    | Rebalanced
+    | TaskDone
+    | TapReading
+    | LogReading
 )
 
 

@@ -79,7 +79,10 @@ class PlanOverTime:
 
 
 def likely_next(
-    tasks: Tasks, plans: PlanOverTime, running: Mapping[str, str]
+    tasks: Tasks,
+    plans: PlanOverTime,
+    running: Mapping[str, str],
+    resting: Mapping[str, str],
 ) -> list[Likely]:
     """Return what may be needed next and does not run, the most probable first.
 
@@ -87,11 +90,15 @@ def likely_next(
     ----------
     running
         Component -> computer, of what is at work.
+    resting
+        The same of what is prepared: there it stays.
     """
     found = []
     for record, each, probability in tasks.next_actions():
         placement = plans.placement(record.name, (each.name,), each.action.functions)
-        missing = {n: at for n, at in placement.items() if n not in running}
+        missing = {
+            n: resting.get(n, at) for n, at in placement.items() if n not in running
+        }
         if missing:
             found.append(
                 Likely(

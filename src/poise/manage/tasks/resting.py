@@ -15,7 +15,7 @@ from poise.manage.statuses import components_of
 from poise.manage.tasks.switch import drop
 from poise.model.robot import Architecture
 
-SHORTEST, LONGEST = 1.0, 300.0
+SHORTEST, LONGEST = 10.0, 300.0
 """It rests for so long at least, and at most [s]."""
 _START = 0.3
 """A start takes so long where it was not measured [s]."""

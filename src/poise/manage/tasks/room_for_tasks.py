@@ -23,6 +23,7 @@ class RoomForTasks:
     """Decides where the functions of all tasks go together."""
 
     def __init__(self, run: Run, tasks: Tasks, plans: PlanOverTime) -> None:
+        self._run = run
         self._tasks = tasks
         self._plans = plans
         self._serving = Serving(run)
@@ -106,5 +107,10 @@ class RoomForTasks:
             for c in a.components
         }
         placement = {n: at for n, at in facts.placement.items() if n in runs}
-        hint = {n: at for n, at in planned.items() if n in runs}
+        rest = self._run.prepared
+        hint = {
+            n: rest[n].computer if n in rest else at
+            for n, at in planned.items()
+            if n in runs
+        }
         return room_for(replace(facts, placement=placement), functions, hint)

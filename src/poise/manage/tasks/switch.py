@@ -83,17 +83,17 @@ def switch(run: Run, ends: Collection[str], begins: Mapping[str, str]) -> None:
     try:
         run.tell(run.placed.values())
         _wait(run, [*resting, *new], READY_LIMIT)
-        for each in new:
+        active = [each.with_goal("active") for each in new]
+        run.tell([*run.placed.values(), *active])
+        _wait(run, active, ACTIVE_LIMIT)
+        for each in active:
             del run.prepared[each.component]
-            run.placed[each.component] = each.with_goal("active")
-        run.tell(run.placed.values())
-        _wait(run, [run.placed[each.component] for each in new], ACTIVE_LIMIT)
+            run.placed[each.component] = each
         if begins:
             run.switches.note(time.monotonic() - began, is_hit=is_hit)
     except RunError:
         for each in new:
             run.prepared.pop(each.component, None)
-            run.placed.pop(each.component, None)
         with contextlib.suppress(RunError):  # agents out of reach get it later
             run.tell(run.placed.values())
         raise

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from collections.abc import Set as AbstractSet
 
 import msgspec
-from msgspec import Struct
+from msgspec.structs import replace
 
 from poise.errors import PoiseError, RunError, UsageError
 from poise.manage.adaptation.facts import Facts
@@ -22,6 +22,7 @@ from poise.manage.tasks.hearing import Heard, Hearing
 from poise.manage.tasks.learned_choice import choose, note_ending, situation_of
 from poise.manage.tasks.likely import Likely, PlanOverTime, likely_next
 from poise.manage.tasks.progress import Try
+from poise.manage.tasks.report import TaskReport, task_reports
 from poise.manage.tasks.resting import Resting
 from poise.manage.tasks.room import Room, beyond_memory
 from poise.manage.tasks.room_for_tasks import RoomForTasks
@@ -38,31 +39,9 @@ _ROOM_AGAIN, _ROOM_AT_MOST = 2.0, 60.0
 as long, up to this, until something changes."""
 _MOST_ROUNDS = 50
 """So many times in one look something may end or begin at once."""
-_MOST_SWITCHES = 1000
-"""So many switches from action to action are remembered."""
 
 Turn = tuple[TaskRecord, Try]
 """An action whose turn it is, and its task."""
-
-
-class Switch(Struct, frozen=True, kw_only=True):
-    """How long it took from the end of what was before until an action worked.
-
-    Parameters
-    ----------
-    is_hit
-        Whether all components that began to work were prepared.
-    seconds
-        [s].
-    at
-        When the action began [s since 1970].
-    """
-
-    task: str
-    action: str
-    is_hit: bool
-    seconds: float
-    at: float
 
 
 class TaskManager:
@@ -79,8 +58,8 @@ class TaskManager:
 
     Attributes
     ----------
-    switches
-        The last ones, oldest first.
+    reports
+        How all tasks are; any thread may read it.
     """
 
     def __init__(
@@ -95,7 +74,6 @@ class TaskManager:
         self._facts = facts
         self._explore = explore or run.robot.explore
         self.tasks = Tasks(run.robot, self._say, self._choose, saved)
-        self.switches: tuple[Switch, ...] = ()
         self._plans = PlanOverTime(run.robot)
         self._serving = Serving(run)
         self._room = RoomForTasks(run, self.tasks, self._plans)
@@ -105,6 +83,7 @@ class TaskManager:
         self._lost: AbstractSet[str] = frozenset()
         self._aside: AbstractSet[str] = frozenset()
         self._since = time.time()
+        self.reports = self._reported()
 
     def now(self) -> Task:
         """Return what runs now, as a task of one phase."""
@@ -120,7 +99,9 @@ class TaskManager:
 
     def likely_next(self) -> list[Likely]:
         """Return what may be needed next and does not run, the most probable first."""
-        return likely_next(self.tasks, self._plans, self._run.placement())
+        run = self._run
+        rest = {name: each.computer for name, each in run.prepared.items()}
+        return likely_next(self.tasks, self._plans, run.placement(), rest)
 
     def is_over(self) -> bool:
         """Return whether no task runs, waits or is paused any more."""
@@ -141,6 +122,15 @@ class TaskManager:
         self._go_on()
         self._resting.look(self._kept())
         self._save()
+
+    def report(self, task: str) -> TaskReport:
+        """Return how a task is that was started; of several the last."""
+        return next(r for r in reversed(self.reports) if r.name == task)
+
+    def has_news(self) -> bool:
+        """Return whether a component says that an action has ended."""
+        heard = self._hearing.ends()
+        return any(self._said(each, heard) for _, each in self._turns())
 
     def command(self, verb: str, name: str, priority: int | None = None) -> None:
         """Start, pause, resume or cancel a task, and do what follows.
@@ -187,7 +177,8 @@ class TaskManager:
         if not ends and not new:
             return False
         room = Room()
-        if set(wanted) - self._serving.functions() - self._aside:
+        there = self._serving.functions() | self._serving.broken(self._lost)
+        if set(wanted) - there - self._aside:
             facts = self._facts()
             room = self._room.look(facts, new, self._aside, explore=self._explore)
         if room.why:
@@ -198,21 +189,9 @@ class TaskManager:
     def _switch(self, new: list[Turn], ends: list[Architecture], room: Room) -> bool:
         """Carry a switch out; return whether an action has ended by that."""
         run = self._run
-        again = self._to_activate_again(new)
-        stops = [
-            c.name
-            for a in (*ends, *again)
-            for c in a.components
-            if c.name in run.placed
-        ]
-        begins = dict(room.begins)
-        begins |= {
-            c.name: run.placed[c.name].computer
-            for a in again
-            for c in a.components
-            if c.name in run.placed
-        }
-        is_hit = bool(begins) and begins.keys() <= run.prepared.keys() | {*stops}
+        stops = [c.name for a in ends for c in a.components if c.name in run.placed]
+        begins = room.begins
+        is_hit = begins.keys() <= run.prepared.keys()
         heard = self._hearing.ends()
         try:
             stops = self._make_room(room, begins, stops)
@@ -222,14 +201,27 @@ class TaskManager:
             self._fail(new, begins, str(error))
             return True
         served = self._serving.functions() | self._aside
-        for record, each in new:
-            if served.issuperset(each.action.functions):
-                said = heard.get(str(each.action.ends), Heard())
-                each.progress.heard = said.epoch, said.count
-                self.tasks.began(each.number, time.time())
-                if begins:
-                    self._note_switch(record, each, is_hit=is_hit)
+        began = [turn for turn in new if served.issuperset(turn[1].action.functions)]
+        for record, each in began:
+            said = heard.get(str(each.action.ends), Heard())
+            each.progress.heard = said.epoch, said.count
+            self.tasks.began(each.number, time.time())
+            if begins:
+                self._note_switch(record, each, is_hit=is_hit)
         return False
+
+    def _give_turns(self) -> None:
+        """Let components know which actions begin, also those that start again."""
+        run = self._run
+        for _, each in self._turns():
+            end = each.action.ends
+            if end is None or each.progress.since is None:
+                continue
+            placed = run.placed.get(end.component)
+            if placed is not None and placed.turn < each.number:
+                run.placed[end.component] = replace(
+                    placed, turn=each.number, action=each.action.name
+                )
 
     def _make_room(
         self, room: Room, begins: Mapping[str, str], stops: list[str]
@@ -273,35 +265,13 @@ class TaskManager:
                 self.tasks.end(each.number, time.time(), what, done=False)
         self._learn()
 
-    def _to_activate_again(self, new: list[Turn]) -> list[Architecture]:
-        """Return what runs already, and learns only so that its action begins."""
-        busy = {
-            function
-            for _, each in self._turns()
-            if each.progress.since is not None
-            for function in each.action.functions
-        }
-        ends = {
-            each.action.ends.component
-            for _, each in new
-            if each.action.ends is not None and not each.progress.spent
-        }
-        return [
-            a
-            for a in self._serving.moving()
-            if a.function not in busy and any(c.name in ends for c in a.components)
-        ]
-
     def _hear(self) -> None:
         """End the actions whose components say so, and do what components wish."""
         now, heard = time.time(), self._hearing.ends()
         for _, each in self._turns():
-            end = str(each.action.ends)
-            if each.progress.since is not None and end in heard:
-                said, (epoch, count) = heard[end], each.progress.heard
-                if said.count > (count if said.epoch == epoch else 0):
-                    what = f"'{end}' said so"
-                    self.tasks.end(each.number, now, what, done=said.done)
+            if said := self._said(each, heard):
+                what = f"'{each.action.ends}' said so"
+                self.tasks.end(each.number, now, what, done=said.done)
         self._learn()
         note = self._run.journal.note
         for component, wish in self._hearing.wishes():
@@ -311,6 +281,13 @@ class TaskManager:
                 self.command(wish.verb, wish.task)
             except UsageError as error:
                 note("wrong", f"{what}: {error}")
+
+    def _said(self, each: Try, heard: Mapping[str, Heard]) -> Heard | None:
+        """Return what a component said since an action began; None: nothing."""
+        said, (epoch, count) = heard.get(str(each.action.ends)), each.progress.heard
+        if said is None or each.progress.since is None:
+            return None
+        return said if said.count > (count if said.epoch == epoch else 0) else None
 
     def _learn(self) -> None:
         """Note how actions ended, with the architectures that served them."""
@@ -365,28 +342,31 @@ class TaskManager:
         }
 
     def _note_switch(self, record: TaskRecord, each: Try, *, is_hit: bool) -> None:
-        now = time.time()
-        switched = Switch(
-            task=record.name,
-            action=each.name,
-            is_hit=is_hit,
-            seconds=now - self._since,
-            at=now,
-        )
-        self.switches = (*self.switches[1 - _MOST_SWITCHES :], switched)
+        seconds = time.time() - self._since
         how = "it was prepared" if is_hit else "it was not prepared"
-        text = f"switched to action '{each.name}' in {switched.seconds:.3f} s: {how}"
-        self._run.journal.note("done", text, switch=switched)
+        text = f"switched to action '{each.name}' in {seconds:.3f} s: {how}"
+        self._run.journal.note(
+            "done", text, task=record.name, is_hit=is_hit, seconds=seconds
+        )
 
     def _save(self) -> None:
-        """Let agents keep what the next manager needs, when that has changed."""
-        run, saved = self._run, msgspec.msgpack.encode(self.tasks.saved)
-        if saved != run.tasks:
-            run.tasks = saved
-            try:
-                run.tell(run.placed.values())
-            except RunError as error:
-                run.journal.note("failed", f"not all agents know the tasks: {error}")
+        """Let components and the next manager know what they need, if that is new."""
+        self.reports = self._reported()
+        run, before = self._run, (self._run.tasks, *self._run.placed.values())
+        run.tasks = msgspec.msgpack.encode(self.tasks.saved)
+        self._give_turns()
+        if before == (run.tasks, *run.placed.values()):
+            return
+        try:
+            run.tell(run.placed.values())
+        except RunError as error:  # an agent that is lost is told when it is back
+            run.journal.note("failed", f"not all agents know the tasks: {error}")
+
+    def _reported(self) -> tuple[TaskReport, ...]:
+        def serving(each: Try) -> tuple[str, ...]:
+            return tuple(self._serving.architectures(each.action.functions))
+
+        return task_reports(self.tasks, serving, time.time())
 
     def _say(self, text: str) -> None:
         self._run.journal.note("decided", text)

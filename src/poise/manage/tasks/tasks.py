@@ -225,7 +225,8 @@ class Tasks:
         for record, each in self._all_tries():
             if each.number == number and each.progress.since is None:
                 each.progress.since = now
-                self._say(f"action '{each.name}' of task '{record.name}' begins")
+                how = "goes on" if each.progress.spent else "begins"
+                self._say(f"action '{each.name}' of task '{record.name}' {how}")
 
     def end(self, number: int, now: float, why: str, *, done: bool) -> None:
         """Note that an action has ended, and begin what comes next."""
@@ -352,8 +353,8 @@ class Tasks:
         progress = each.progress
         progress.state = "done" if done else "ended"
         progress.why = "" if done else f"action '{each.name}' failed: {why}"
-        how = "done" if done else "failed"
-        self._say(f"action '{each.name}' of task '{record.name}' has {how}: {why}")
+        how = "is done" if done else "has failed"
+        self._say(f"action '{each.name}' of task '{record.name}' {how}: {why}")
         self._ended.append(
             Ended(
                 task=record.name,

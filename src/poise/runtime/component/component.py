@@ -150,6 +150,14 @@ class Component:
     def activate(self) -> None:
         """Begin to work: the ports are wired, timers and messages come afterwards."""
 
+    def begin(self, action: str) -> None:
+        """Begin an action whose end it says: one that a port of it `ends`.
+
+        Called on its own thread while it is active, like a timer: when the action
+        begins, not when it goes on after a pause or a move. Called again when the
+        component was restarted without its state.
+        """
+
     def deactivate(self) -> None:
         """Stop to work: no timer or message comes any more."""
 

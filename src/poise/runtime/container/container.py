@@ -271,6 +271,7 @@ class Container:
             elif (goal := wanted[key].goal) == "stay":
                 runner.gate.begin_migration()
             else:
+                runner.take_turn(wanted[key])
                 runner.aim(goal)
         for key in self._preparing.keys() - wanted:
             del self._preparing[key]

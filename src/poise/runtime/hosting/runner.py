@@ -111,6 +111,10 @@ class Runner:
         self._handler: tuple[str, float] | None = None
         self._measures: dict[str, Histogram] = {}
         self._errors = Errors(spec.name)
+        self._turn = spec
+        # one that comes to take over from another goes on with its action
+        is_new = spec.goal == "active" or spec.fresh
+        self._turn_taken = 0 if is_new else spec.turn
         self._ends: dict[str, ActionEnd] = {}
         self._wishes: deque[TaskWish] = deque(maxlen=_MOST_WISHES)
         self._num_wishes = 0
@@ -138,6 +142,10 @@ class Runner:
         if goal == "active" and self.life_cycle.state == "active":
             self.gate.resume()
         self.endpoints.mailbox.wake()
+
+    def take_turn(self, spec: ComponentSpec) -> None:
+        """Begin an action once it is active, if that is another one than before."""
+        self._turn = spec
 
     def wait_ended(self, limit: float) -> bool:
         """Wait up to `limit` [s] for its thread to end; whether it did."""
@@ -281,6 +289,7 @@ class Runner:
     def _restore(self, checkpoints: Checkpoints) -> None:
         age = checkpoints.restore(self.component)
         if age is not None:
+            self._turn_taken = self.spec.turn
             text = "component '%s' goes on from its state of %.1f s ago"
             log.warning(text, self.spec.name, age)
 
@@ -295,6 +304,10 @@ class Runner:
 
     def _work(self) -> None:
         """Run the timers that are due, then at most one message."""
+        turn = self._turn
+        if turn.turn > self._turn_taken and self._enter():
+            self._turn_taken = turn.turn
+            self._run(self.component.begin, "begin", turn.action)
         for releases in self.timers:
             if releases.due <= self.clock.now():
                 self._run_timer(releases)

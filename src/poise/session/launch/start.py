@@ -42,7 +42,10 @@ class Started(Struct, frozen=True):
     world: SimulatorProcess | None
 
     def watch(
-        self, seconds: float, meanwhile: Callable[[float], object] = lambda _: None
+        self,
+        seconds: float,
+        meanwhile: Callable[[float], object] = lambda _: None,
+        is_over: Callable[[], bool] = lambda: False,
     ) -> bool:
         """Let it run for `seconds` [s]; return whether the simulated world ended first.
 
@@ -50,6 +53,8 @@ class Started(Struct, frozen=True):
         ----------
         meanwhile
             Called several times a second with the time since the last call [s].
+        is_over
+            Called as often; whether it ends now.
 
         Raises
         ------
@@ -63,6 +68,8 @@ class Started(Struct, frozen=True):
             now = time.monotonic()
             meanwhile(now - last)
             last = now
+            if is_over():
+                return False
             if self.world is not None and self.world.has_ended():
                 return True
         return False

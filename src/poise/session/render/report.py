@@ -16,6 +16,7 @@ from poise.session.render.chains import chain_tables
 from poise.session.render.clocks import clock_table
 from poise.session.render.connectors import connector_tables
 from poise.session.render.tables import table
+from poise.session.render.tasks import task_lines
 from poise.units import counted, format_seconds
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ def report_parts(report: RunReport) -> Iterator[RenderableType]:
         f"{name} {share:.0%}" for name, share in report.cpu_share.items()
     )
     yield f"ran for {report.seconds:.1f} s; CPU used: {shares}"
+    yield from task_lines(report.tasks)
     for name in report.put_aside:
         yield f"[red]architecture '{name}' was put aside: not all fits[/]"
     yield from _failures(report)

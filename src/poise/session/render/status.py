@@ -17,13 +17,17 @@ from poise.session.render.chains import chain_tables
 from poise.session.render.clocks import clock_table
 from poise.session.render.connectors import connector_tables
 from poise.session.render.tables import table
+from poise.session.render.tasks import task_lines
 from poise.units import counted, format_bytes
 from poise.wire.records.status import ComponentStatus
 
 
 def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
     """Yield a status: deviations first."""
-    yield f"robot '{status.robot}', task '{status.task}'"
+    yield f"robot '{status.robot}'"
+    yield from task_lines(status.tasks)
+    if switches := str(status.prefetch):
+        yield f"switches from action to action: {switches}"
     yield f"managed by {status.manager}"
     for computer, report in sorted(status.computers.items()):
         if report.manager is not None and report.manager != status.manager:

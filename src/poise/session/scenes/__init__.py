@@ -10,8 +10,11 @@ from poise.session.scenes.cut_link import CutLinkScene, cut_link
 from poise.session.scenes.lost_computer import LostComputerScene, lose_computer
 from poise.session.scenes.manager_killed import ManagerKilledScene, kill_manager
 from poise.session.scenes.overload import OverloadScene, overload
+from poise.session.scenes.tasks import TasksScene, tasks
 
-Played = OverloadScene | LostComputerScene | CutLinkScene | ManagerKilledScene
+Played = (
+    OverloadScene | LostComputerScene | CutLinkScene | ManagerKilledScene | TasksScene
+)
 Play = Callable[[Robot, Say, Check], Played]
 
 SCENES: Mapping[str, tuple[str, Play]] = {
@@ -19,5 +22,6 @@ SCENES: Mapping[str, tuple[str, Play]] = {
     "lost-computer": ("adapt", lose_computer),
     "cut-link": ("counted", cut_link),
     "manager-killed": ("counted", kill_manager),
+    "tasks": ("tasks", tasks),
 }
 """By name: the example whose robot plays it, and what plays it."""

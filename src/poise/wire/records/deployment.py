@@ -73,6 +73,8 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
         Whether it is inactive while its agent is cut off: it may be active elsewhere.
     ends
         The ports with which it says that an action is done, or has failed.
+    turn, action
+        The number of the action that it is to end, which grows, and its name.
     """
 
     name: str
@@ -93,6 +95,8 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
     chains: tuple[ChainPart, ...] = ()
     leased: bool = False
     ends: tuple[str, ...] = ()
+    turn: int = 0
+    action: str = ""
 
 
 class ConnectorSpec(Struct, frozen=True, kw_only=True):
