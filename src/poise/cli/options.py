@@ -9,6 +9,7 @@ from typing import Annotated
 import msgspec
 import typer
 
+from poise.cli.completion import in_file
 from poise.errors import UsageError
 from poise.units import Dimension, parse
 
@@ -16,7 +17,12 @@ RobotFile = Annotated[
     Path, typer.Argument(help="The robot file.", envvar="POISE_ROBOT")
 ]
 RobotTask = Annotated[
-    str | None, typer.Option("--task", help="The task; else the file's first.")
+    str | None,
+    typer.Option(
+        "--task",
+        help="The task; else the file's first.",
+        autocompletion=in_file("tasks"),
+    ),
 ]
 _PLACEMENT = typer.Option(
     "--placement",

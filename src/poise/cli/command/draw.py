@@ -9,6 +9,7 @@ from typing import Annotated, cast
 
 import typer
 
+from poise.cli.completion import one_of
 from poise.cli.options import RobotFile, RobotTask
 from poise.errors import RobotError, UsageError
 from poise.model import load
@@ -27,7 +28,10 @@ def draw_command(
     file: RobotFile,
     what: Annotated[
         str | None,
-        typer.Option(help=f"{', '.join(WHAT)}; else as the placements ask for."),
+        typer.Option(
+            help=f"{', '.join(WHAT)}; else as the placements ask for.",
+            autocompletion=one_of(*WHAT),
+        ),
     ] = None,
     task: RobotTask = None,
     placement: Annotated[

@@ -12,6 +12,7 @@ import typer
 import yaml
 
 from poise.cli.command.running_robot import Robot
+from poise.cli.completion import one_of, running
 from poise.cli.options import AsJson, print_json
 from poise.errors import UsageError
 from poise.manage.statuses import connectors_of
@@ -24,14 +25,21 @@ from poise.units import format_bytes
 from poise.wire.records.output import OutputLine
 
 Connector = Annotated[
-    str, typer.Argument(help="Its name, or component.port of one of its ends.")
+    str,
+    typer.Argument(
+        help="Its name, or component.port of one of its ends.",
+        autocompletion=running("connectors"),
+    ),
 ]
 
 
 def list_command(
     what: Annotated[
         str | None,
-        typer.Argument(help=f"Only names, a line each: {', '.join(THINGS)}."),
+        typer.Argument(
+            help=f"Only names, a line each: {', '.join(THINGS)}.",
+            autocompletion=one_of(*THINGS),
+        ),
     ] = None,
     robot: Robot = None,
     as_json: AsJson = False,
@@ -105,7 +113,10 @@ def _as_text(at: float, value: Any, *, as_json: bool) -> str:  # noqa: ANN401, J
 
 def log_command(
     component: Annotated[
-        str, typer.Argument(help="Only what this component wrote.")
+        str,
+        typer.Argument(
+            help="Only what this component wrote.", autocompletion=running("components")
+        ),
     ] = "",
     last: Annotated[int, typer.Option(min=1, help="At most the last N lines.")] = 100,
     follow: Annotated[

@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from poise import plan, units
+from poise.cli.completion import in_file
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import AsJson, print_json
 from poise.cli.phases import plan_phases
@@ -39,7 +40,10 @@ def plan_command(
     ],
     task: Annotated[
         list[str] | None,
-        typer.Option(help="Task to place; else all functions. Several: --smallest."),
+        typer.Option(
+            help="Task to place; else all functions. Several: --smallest.",
+            autocompletion=in_file("tasks"),
+        ),
     ] = None,
     at_once: Annotated[
         bool,
@@ -66,7 +70,10 @@ def plan_command(
     ] = False,
     explain: Annotated[
         str | None,
-        typer.Option(help="Why is this component there, or this architecture not?"),
+        typer.Option(
+            help="Why is this component there, or this architecture not?",
+            autocompletion=in_file("components"),
+        ),
     ] = None,
     phase: Annotated[
         str | None, typer.Option(help="The phase that --explain is about.")
@@ -75,7 +82,11 @@ def plan_command(
         str | None, typer.Option(help="Methods side by side: static,greedy,search.")
     ] = None,
     without: Annotated[
-        list[str] | None, typer.Option(help="What if this computer were gone?")
+        list[str] | None,
+        typer.Option(
+            help="What if this computer were gone?",
+            autocompletion=in_file("computers"),
+        ),
     ] = None,
     add: Annotated[
         list[str] | None, typer.Option(help="What if: NAME:cpu=2,memory=4GiB")

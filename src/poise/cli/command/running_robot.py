@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from poise.cli.completion import running
 from poise.cli.options import AsJson, print_json
 from poise.errors import UsageError
 from poise.model import load
@@ -18,7 +19,11 @@ from poise.session.running import RolledBack, Running
 from poise.session.stop import stop_without_manager
 
 Robot = Annotated[
-    str | None, typer.Option(help="The robot's name, when several run here.")
+    str | None,
+    typer.Option(
+        help="The robot's name, when several run here.",
+        autocompletion=running("robots"),
+    ),
 ]
 
 
@@ -36,8 +41,14 @@ def status_command(robot: Robot = None, as_json: AsJson = False) -> None:
 
 
 def move_command(
-    component: Annotated[str, typer.Argument(help="The component.")],
-    computer: Annotated[str, typer.Argument(help="Where it is to run.")],
+    component: Annotated[
+        str,
+        typer.Argument(help="The component.", autocompletion=running("components")),
+    ],
+    computer: Annotated[
+        str,
+        typer.Argument(help="Where it is to run.", autocompletion=running("computers")),
+    ],
     force: Annotated[
         bool,
         typer.Option(
@@ -62,7 +73,13 @@ def move_command(
 
 
 def replace_command(
-    what: Annotated[str, typer.Argument(help="The component, or an architecture.")],
+    what: Annotated[
+        str,
+        typer.Argument(
+            help="The component, or an architecture.",
+            autocompletion=running("components"),
+        ),
+    ],
     by: Annotated[
         str, typer.Argument(help="package.module:Class, or another architecture.")
     ],
