@@ -56,12 +56,15 @@ class World:
         for at, to, beat in self._on_way:
             if at > self.now or to in self.stalled:
                 waiting.append((at, to, beat))
-            else:
-                self.contacts[to].note(beat, self.now + AHEAD[to])
+                continue
+            is_news = self.contacts[to].note(beat, self.now + AHEAD[to])
+            if is_news and beat.sender == MANAGER:
+                self._due[to] = self.now  # it answers
         self._on_way = waiting
         for name in AHEAD.keys() - self.stalled:
             if self.now >= self._due[name]:
-                self._due[name] = self.now + EVERY
+                pause = self.contacts[name].pause(self.now + AHEAD[name])
+                self._due[name] = self.now + pause
                 self._send(name)
 
     def _send(self, name: str) -> None:
@@ -152,6 +155,16 @@ def test_the_side_without_the_manager_stops(world: World) -> None:
     assert world.lost() == {"left", "right"}
     assert world.manager.have_leases_ended(["left", "right"])
     assert [world.is_held(name) for name in AGENTS] == [False, False, True]
+
+
+def test_an_agent_answers_the_manager_and_sends_by_itself_without_it(
+    world: World,
+) -> None:
+    contacts = world.contacts["left"]
+    assert contacts.pause(world.now + AHEAD["left"]) > EVERY
+    world.sever("left", MANAGER)
+    world.run(2 * EVERY)
+    assert contacts.pause(world.now + AHEAD["left"]) == EVERY
 
 
 def test_who_is_heard_but_hears_nobody_is_lost(world: World) -> None:

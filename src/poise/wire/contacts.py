@@ -20,6 +20,8 @@ from poise.wire.records.heartbeats import (
 
 EVERY = 0.1
 """A heartbeat goes out this often [s]."""
+_PATIENT = 0.13
+"""Who answers the manager's heartbeats sends one by itself only after this time [s]."""
 ASK_AFTER = 0.2
 """Who is silent for longer is asked for a heartbeat [s]."""
 ASK_EVERY = 0.025
@@ -146,6 +148,12 @@ class Contacts:
             asks=tuple(asks),
             revoked=revoked or {},
         )
+
+    def pause(self, now: float) -> float:
+        """Return how long to wait at most until the next heartbeat [s]."""
+        manager = self._contacts.get(MANAGER)
+        answers = manager is not None and now - manager.heard_at < EVERY
+        return _PATIENT if answers else EVERY
 
     def get(self, name: str) -> Contact | None:
         """Return what is known of another; None: it was never heard."""

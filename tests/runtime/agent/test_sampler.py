@@ -93,7 +93,7 @@ def test_reads_the_memory_of_processes() -> None:
 def test_memory_is_weighed_again_when_there_is_more_or_less_of_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """With one container it is due at each tenth sample, and each tenth time anyway."""
+    """With one container it is due at each 25th sample, and each tenth time anyway."""
     held, weighed = [1000], list[int]()
 
     def weigh(pid: int) -> int:
@@ -121,7 +121,7 @@ def test_memory_is_weighed_again_when_there_is_more_or_less_of_it(
     held[0] = 3100
     assert told() == 1500
     held[0] = 3000
-    for _ in range(110):
+    for _ in range(275):
         told()
     assert weighed == [1000, 3000, 3000]
     os.close(memory)

@@ -11,7 +11,7 @@ from poise.clock import Clock
 from poise.endpoint import Endpoint
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.lease import Lease
-from poise.wire.contacts import ASK_AFTER, ASK_EVERY, EVERY, Contacts
+from poise.wire.contacts import ASK_AFTER, ASK_EVERY, Contacts
 from poise.wire.control_session import endpoint_of
 from poise.wire.heartbeats import Address, Heartbeats
 from poise.wire.records.heartbeats import MANAGER, Heartbeat, LinkQuality
@@ -121,7 +121,10 @@ class HeartbeatExchange:
             return self._contacts.qualities(self._clock.now())
 
     def _hear(self, beat: Heartbeat, source: Address) -> bool:
-        """Take in a heartbeat; return whether it asks for one at once."""
+        """Take in a heartbeat; return whether to answer at once.
+
+        The manager is always answered: one wake-up serves for both.
+        """
         with self._lock:
             if beat.sender == MANAGER:
                 if beat.key != self._claimed_by:
@@ -130,7 +133,7 @@ class HeartbeatExchange:
             elif beat.sender not in self._targets:
                 return False
             is_news = self._contacts.note(beat, self._clock.now())
-        return is_news and self._computer in beat.asks
+        return is_news and (beat.sender == MANAGER or self._computer in beat.asks)
 
     def _next_beat(self) -> tuple[Heartbeat, float]:
         with self._lock:
@@ -152,7 +155,7 @@ class HeartbeatExchange:
             asks=(MANAGER,) if is_late else (),
             revoked=self._lease.revoked(),
         )
-        return beat, ASK_EVERY if is_late else EVERY
+        return beat, ASK_EVERY if is_late else self._contacts.pause(now)
 
     def _has_ended(self, now: float) -> bool:
         if self._lease.is_revoked(self._computer, self._fence.token):

@@ -20,8 +20,8 @@ from poise.runtime.agent.watchdog import LOOK_EVERY, Silence, Watchdog
 
 log = logging.getLogger(__name__)
 
-_SELDOM = 10
-"""Every tenth sample reads the memory of one container, which takes the kernel a
+_SELDOM = 25
+"""Every 25th sample reads the memory of one container, which takes the kernel a
 millisecond or two, more than all the rest. It is skipped while the container's resident
 memory stays the same, but not more than `_ANYWAY` times: what it shares with others may
 have changed."""
