@@ -52,8 +52,13 @@ class Resting:
                 drop(run, names)
 
     def oldest_first(self, prepared: Iterable[str]) -> list[str]:
-        """Return prepared components: those that only might be needed come first."""
-        return sorted(prepared, key=lambda name: self._since.get(name, 0.0))
+        """Return prepared components: those that only might be needed come first.
+
+        Those that are to rest from now on come last.
+        """
+        run, now = self._run, time.monotonic()
+        known = {name: self._since.get(name, 0.0) for name in run.prepared}
+        return sorted(prepared, key=lambda name: known.get(name, now))
 
     def limit(self, architecture: Architecture) -> float:
         """Return for how long an architecture rests at most [s]."""

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from poise.errors import UsageError
 from poise.manage.tasks.progress import Choose, Progress, Steps, Try
 from poise.model.robot import Robot
-from poise.model.suggest import unknown
+from poise.model.suggest import did_you_mean
 from poise.model.tasks.exclusive import clashes
 from poise.model.tasks.steps import Until
 
@@ -81,11 +81,6 @@ class Tasks:
         Decides between the steps of a choice.
     say
         Takes each change, for people.
-
-    Attributes
-    ----------
-    ended
-        The actions that have ended, which `take_ended` hands out.
     """
 
     def __init__(
@@ -127,7 +122,7 @@ class Tasks:
             There is no such task, or it runs already.
         """
         if name not in self._tasks:
-            raise UsageError(unknown("task", name, list(self._tasks)))
+            raise self._no_such(name)
         if any(r.name == name and r.state not in OVER for r in self.records):
             raise UsageError(
                 f"task '{name}' runs already; `poise task cancel {name}` ends it"
@@ -174,7 +169,7 @@ class Tasks:
             if record.name == name:
                 return record
         if name not in self._tasks:
-            raise UsageError(unknown("task", name, list(self._tasks)))
+            raise self._no_such(name)
         raise UsageError(f"task '{name}' does not run; `poise task start {name}`")
 
     def tries(self, record: TaskRecord) -> tuple[Try, ...]:
@@ -293,6 +288,13 @@ class Tasks:
         """Return the actions that have ended since the last call."""
         ended, self._ended = self._ended, []
         return ended
+
+    def _no_such(self, name: str) -> UsageError:
+        names = ", ".join(self._tasks) or "none"
+        what = f"robot '{self._robot.name}' has no task '{name}'"
+        return UsageError(
+            f"{what}{did_you_mean(name, self._tasks)}; its tasks: {names}"
+        )
 
     def _next_of(self, record: TaskRecord) -> Iterable[tuple[Try, float]]:
         if record.state != "going":  # it goes on where it was

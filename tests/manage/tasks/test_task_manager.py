@@ -1,0 +1,327 @@
+"""The task manager starts what actions need, and lets the rest rest or wait."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import cast
+
+import msgspec
+import pytest
+from msgspec.structs import replace
+
+from poise.errors import UsageError
+from poise.estimate.success.learning import beliefs_about
+from poise.manage.adaptation.facts import Facts
+from poise.manage.agents import Agents
+from poise.manage.journal import Journal
+from poise.manage.run import Run
+from poise.manage.tasks.saved import goes_on_with
+from poise.manage.tasks.task_manager import TaskManager
+from poise.manage.tasks.tasks import Saved, Tasks
+from poise.model.robot import (
+    Action,
+    Architecture,
+    ComponentEntry,
+    Computer,
+    ConnectorEnd,
+    Robot,
+    Task,
+)
+from poise.model.tasks.steps import Choice, Step
+from poise.wire.records.status import (
+    ActionEnd,
+    AgentStatus,
+    ComponentStatus,
+    TaskWish,
+)
+from tests.manage.conftest import FakeAgents
+
+FUNCTIONS = ("see", "go", "say")
+
+
+def act(name: str, *functions: str, **more: object) -> Action:
+    ends = ConnectorEnd(f"{functions[0]}er", "done")
+    return Action(name=name, functions=functions, ends=ends, **more)  # type: ignore[arg-type] # of a test
+
+
+def robot_with(
+    *tasks: Task, cpu: float = 1.0, memory: float = 1e9, linger: float | None = None
+) -> Robot:
+    """Return a computer, and functions that need 0.4 cores and 0.3 GB each."""
+    return Robot(
+        name="r",
+        computers=(
+            Computer(name="main", capacity={"cpu": cpu, "memory": memory}),
+            Computer(name="spare", capacity={"cpu": 0.1, "memory": memory}),
+        ),
+        architectures=tuple(
+            Architecture(
+                name=f"{function}-arch",
+                function=function,
+                linger=linger,
+                components=(
+                    ComponentEntry(
+                        name=f"{function}er",
+                        implementation="a:B",
+                        demand={"cpu": 0.4, "memory": 3e8},
+                        only=("main",),
+                    ),
+                ),
+            )
+            for function in FUNCTIONS
+        ),
+        tasks=tasks,
+    )
+
+
+def task(name: str, *steps: Step, priority: int = 0) -> Task:
+    return Task(name=name, actions=steps, priority=priority)
+
+
+class Speaking(FakeAgents):
+    """Agents whose components say what a test wants."""
+
+    def __init__(self, *computers: str) -> None:
+        super().__init__(*computers)
+        self.ends: dict[str, ActionEnd] = {}
+        self.wishes: dict[str, tuple[TaskWish, ...]] = {}
+
+    def say(self, component: str, *, done: bool = True) -> None:
+        before = self.ends.get(component)
+        count = before.count + 1 if before else 1
+        self.ends[component] = ActionEnd(port="done", count=count, done=done)
+
+    def statuses(self) -> dict[str, AgentStatus]:
+        return {name: self._said(each) for name, each in super().statuses().items()}
+
+    def _said(self, status: AgentStatus) -> AgentStatus:
+        containers = tuple(
+            replace(c, components=tuple(map(self._with_ends, c.components)))
+            for c in status.containers
+        )
+        return replace(status, containers=containers)
+
+    def _with_ends(self, component: ComponentStatus) -> ComponentStatus:
+        end = self.ends.get(component.name)
+        wishes = self.wishes.get(component.name, ())
+        return replace(component, ends=(end,) if end else (), wishes=wishes)
+
+
+class Rig:
+    """A run whose first tasks are started."""
+
+    def __init__(self, robot: Robot, *started: str, saved: Saved | None = None) -> None:
+        self.robot = robot
+        self.agents = Speaking("main", "spare")
+        self.journal = Journal(":memory:")
+        agents = cast("Agents", self.agents)
+        self.run = Run(robot, {}, agents, self.journal, "/run")
+        self.run.start()
+        self.manager = TaskManager(self.run, saved or Saved(), self._facts)
+        for name in started:
+            self.manager.command("start", name)
+        self.manager.look()
+
+    def _facts(self) -> Facts:
+        now = self.manager.now()
+        return Facts(
+            robot=replace(self.robot, tasks=(now,)),
+            task=now.name,
+            placement=self.run.placement(),
+            lost=frozenset(self.agents.gone),
+        )
+
+    def end(self, component: str, *, done: bool = True) -> None:
+        self.agents.say(component, done=done)
+        assert self.manager.has_news()
+        self.manager.look()
+
+    def active(self) -> set[str]:
+        return set(self.run.placed)
+
+    def resting(self) -> set[str]:
+        return set(self.run.prepared)
+
+    def states(self) -> dict[str, tuple[str, str]]:
+        return {each.name: (each.state, each.why) for each in self.manager.reports}
+
+    def said(self) -> list[str]:
+        return [each.what for each in self.journal.entries()]
+
+
+def test_an_action_ends_by_its_component_and_the_next_one_starts() -> None:
+    rig = Rig(robot_with(task("t", act("a", "see"), act("b", "go", "see"))), "t")
+    assert rig.active() == {"seeer"}
+    rig.end("seeer")
+    assert rig.active() == {"seeer", "goer"}
+    rig.end("goer")
+    assert (rig.active(), rig.resting()) == (set(), {"seeer", "goer"})
+    assert rig.states() == {"t": ("done", "")}
+
+
+def test_a_component_learns_once_that_its_action_begins() -> None:
+    rig = Rig(robot_with(task("t", act("a", "see"), act("b", "see"))), "t")
+    first = rig.run.placed["seeer"]
+    assert (first.action, first.turn > 0) == ("a", True)
+    rig.manager.look()
+    assert rig.run.placed["seeer"] == first
+    rig.end("seeer")
+    second = rig.run.placed["seeer"]
+    assert (second.action, second.epoch) == ("b", first.epoch)
+    assert second.turn > first.turn
+
+
+def test_one_that_was_restarted_by_others_learns_its_action_again() -> None:
+    rig = Rig(robot_with(task("t", act("a", "see"))), "t")
+    placed = rig.run.placed["seeer"]
+    rig.run.placed["seeer"] = replace(placed, epoch=9, turn=0, action="")
+    rig.manager.look()
+    assert rig.run.placed["seeer"].turn == placed.turn
+
+
+def test_what_no_action_needs_ends_after_its_linger() -> None:
+    robot = robot_with(task("t", act("a", "see"), act("b", "go")), linger=0.0)
+    rig = Rig(robot, "t")
+    rig.end("seeer")
+    rig.manager.look()
+    assert rig.resting() == set()
+    assert "architecture 'see-arch' ends: no action needed it for 0.0 s" in rig.said()
+
+
+def test_the_task_of_higher_priority_gets_the_room_and_the_other_goes_on_later() -> (
+    None
+):
+    low = task("low", act("a", "see", "go"))
+    rig = Rig(robot_with(low, task("high", act("b", "say"), priority=5)), "low")
+    before = rig.run.placed["goer"].epoch
+    rig.manager.command("start", "high")
+    assert rig.active() == {"sayer"}
+    assert rig.resting() == {"seeer", "goer"}
+    state, why = rig.states()["low"]
+    assert state == "waiting"
+    assert why.startswith("task 'high' uses the room that it needs: ")
+    rig.end("sayer")
+    assert rig.active() == {"seeer", "goer"}
+    assert rig.run.placed["goer"].epoch == before  # it kept its state
+    assert rig.states()["low"] == ("going", "")
+
+
+def test_a_task_that_finds_no_room_waits_for_the_one_that_is_at_work() -> None:
+    first = task("first", act("a", "see", "go"))
+    rig = Rig(robot_with(first, task("second", act("b", "say"))), "first", "second")
+    assert rig.active() == {"seeer", "goer"}
+    assert rig.states()["second"][0] == "waiting"
+    said = len(rig.said())
+    for _ in range(3):
+        rig.manager.look()
+    assert len(rig.said()) == said  # it says so once
+    rig.manager.command("cancel", "first")
+    assert rig.active() == {"sayer"}
+
+
+def test_an_action_that_does_not_fit_alone_fails_and_says_why() -> None:
+    other = act("a", "see", "go", on_failure=act("b", "say"))
+    rig = Rig(robot_with(task("t", other), cpu=0.5), "t")
+    assert rig.active() == {"sayer"}
+    assert any("has failed: it does not fit: " in each for each in rig.said())
+
+
+def test_an_action_whose_component_does_not_start_fails_and_says_why() -> None:
+    rig = Rig(robot_with(task("t", act("a", "go", on_failure=act("b", "see")))))
+    error = "Traceback\nValueError: no motor"
+    rig.agents.states["goer"] = ComponentStatus(
+        name="goer", state="failed", error=error
+    )
+    rig.manager.command("start", "t")
+    assert rig.active() == {"seeer"}
+    assert any(error in each for each in rig.said())
+    assert any("has failed: it cannot begin: component 'goer'" in e for e in rig.said())
+
+
+def test_what_rests_gives_way_when_its_memory_is_needed() -> None:
+    steps = act("a", "see"), act("b", "go"), act("c", "say")
+    rig = Rig(robot_with(task("t", *steps), memory=7e8), "t")
+    rig.end("seeer")
+    assert rig.resting() == {"seeer"}
+    rig.end("goer")
+    assert (rig.active(), rig.resting()) == ({"sayer"}, {"goer"})
+    assert "there is no memory to let seeer rest" in rig.said()
+
+
+def test_a_paused_task_rests_and_keeps_its_state() -> None:
+    rig = Rig(robot_with(task("t", act("a", "see")), linger=0.0), "t")
+    before = rig.run.placed["seeer"]
+    rig.manager.command("pause", "t")
+    rig.manager.look()
+    assert (rig.active(), rig.resting()) == (set(), {"seeer"})
+    rig.manager.command("resume", "t")
+    assert rig.run.placed["seeer"] == before
+
+
+def test_components_start_tasks_and_refusals_are_journalled() -> None:
+    rig = Rig(robot_with(task("t", act("a", "see")), task("u", act("b", "go"))), "t")
+    wishes = [("start", "u"), ("start", "nap"), ("pause", "t")]
+    rig.agents.wishes["seeer"] = tuple(
+        TaskWish(number=n, verb=verb, task=name)  # type: ignore[arg-type] # of a test
+        for n, (verb, name) in enumerate(wishes, 1)
+    )
+    for _ in range(2):
+        rig.manager.look()
+    assert rig.states() == {"t": ("paused", "it was asked"), "u": ("going", "")}
+    (refused,) = (each for each in rig.said() if "has no task 'nap'" in each)
+    assert refused.startswith("component 'seeer' asks to start task 'nap': ")
+
+
+def test_what_is_on_a_lost_computer_holds_no_switch_up() -> None:
+    rig = Rig(robot_with(task("t", act("a", "see"), act("b", "go"))), "t")
+    rig.run.placed["seeer"] = replace(rig.run.placed["seeer"], computer="spare")
+    rig.agents.gone.add("spare")
+    rig.run.excused.add("spare")
+    (each,) = rig.manager.tasks.tries(rig.manager.tasks.find("t"))
+    rig.manager.tasks.end(each.number, 0.0, "told", done=True)
+    rig.manager.look()
+    assert (rig.active(), rig.resting()) == ({"goer"}, set())
+
+
+def test_the_next_manager_goes_on_where_this_one_was() -> None:
+    robot = robot_with(
+        task("t", act("a", "see"), act("b", "go")), task("u", act("c", "say"))
+    )
+    rig = Rig(robot, "t")
+    rig.end("seeer")
+    assert {told.tasks for _, told in rig.agents.deployed[-2:]} == {rig.run.tasks}
+    asked = Tasks(robot)
+    asked.start("t", 0.0)
+    asked.start("u", 0.0)
+    saved = goes_on_with(rig.run, asked, rig.journal)
+    assert "task 't' goes on with 'b'" in rig.said()
+    states = [(each.name, each.state) for each in saved.records]
+    assert states == [("t", "going"), ("u", "going")]
+    again = Rig(robot, saved=msgspec.convert(msgspec.to_builtins(saved), Saved))
+    assert again.active() == {"goer", "sayer"}
+
+
+def test_how_actions_end_is_learned_and_decides_choices(tmp_path: Path) -> None:
+    choice = Choice(steps=(act("a", "see"), act("b", "go")))
+    robot = replace(robot_with(task("t", choice)), folder=str(tmp_path))
+    rival = replace(
+        robot.architectures[0],
+        name="other",
+        components=(replace(robot.architectures[0].components[0], name="otherer"),),
+    )
+    robot = replace(robot, architectures=(*robot.architectures, rival))
+    rig = Rig(robot, "t")
+    assert rig.active() == {"seeer"}
+    rig.end("seeer", done=False)
+    (belief,) = beliefs_about(robot, "see-arch")
+    assert (belief.action, belief.failed) == ("a", 1)
+    rig.manager.command("start", "t")
+    assert rig.active() == {"goer"}  # it promises more now
+    assert "choice of 'b': promised are 'a' 50%, 'b' 100%" in rig.said()
+
+
+@pytest.mark.parametrize("verb", ["pause", "resume", "cancel"])
+def test_a_command_to_a_task_that_does_not_run_is_refused(verb: str) -> None:
+    rig = Rig(robot_with(task("t", act("a", "see"))))
+    with pytest.raises(UsageError, match="task 't' does not run"):
+        rig.manager.command(verb, "t")
