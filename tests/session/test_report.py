@@ -6,12 +6,8 @@ import pytest
 from msgspec.structs import replace
 
 from poise.model.robot import Computer, Robot
-from poise.session.report import (
-    RunReport,
-    component_reports,
-    connector_reports,
-    cpu_shares,
-)
+from poise.session.history import cpu_shares
+from poise.session.report import RunReport, component_reports, connector_reports
 from poise.session.run_errors import ComponentError, HungHandler
 from poise.wire.records.status import (
     AgentStatus,

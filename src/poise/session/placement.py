@@ -17,6 +17,7 @@ from poise.plan.phases.solve import BUDGET as PHASES_BUDGET
 from poise.plan.planner import BUDGET
 from poise.plan.solvers.portfolio import METHODS as SOLVERS
 from poise.session.placement_rules import RULES, by_rule, is_file, is_rule
+from poise.session.render.picture import planned_picture
 from poise.session.render.plan import phases_parts, plan_parts
 from poise.session.render.shown import Shown
 
@@ -122,6 +123,14 @@ class Placement(Shown, Struct, frozen=True, kw_only=True):
         if len(self.phases) > 1:
             return phases_parts(self.phased)
         return plan_parts(self.result)
+
+    def picture(self) -> str:
+        """Return each phase's computers with their components, as HTML."""
+        several = len(self.phases) > 1
+        return "".join(
+            planned_picture(result, name if several else "")
+            for name, result in self.phases.items()
+        )
 
 
 def place(  # noqa: PLR0913 - each is a choice of the user

@@ -6,18 +6,21 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
-from msgspec import Struct, structs
+from msgspec import Struct
 from rich.console import RenderableType
 
 from poise.errors import RunError
 from poise.manage.deactivation import unprocessed
+from poise.manage.journal import Entry
 from poise.manage.observe.chains import ChainReport, chain_reports
 from poise.manage.observe.faults import faults_after
 from poise.manage.statuses import Statuses
 from poise.manage.tasks.report import TaskReport
-from poise.model.robot import Robot
+from poise.session.history import Moment, cpu_shares
 from poise.session.launch.start import Started
 from poise.session.placement import Placement
+from poise.session.render.page import page
+from poise.session.render.picture import Hosted, picture
 from poise.session.render.report import report_parts
 from poise.session.render.shown import Shown
 from poise.session.run_errors import (
@@ -74,6 +77,12 @@ class RunReport(Shown, Struct, frozen=True, kw_only=True):
         How long everything was active [s].
     cpu_share
         Computer -> CPU that its agent and containers used, as a share of what it has.
+    began
+        When everything was active [s since 1970].
+    history
+        How it was every second.
+    journal
+        What the manager saw and decided.
     chains
         How old the data of the robot's chains was when it was used.
     tasks
@@ -113,6 +122,9 @@ class RunReport(Shown, Struct, frozen=True, kw_only=True):
     cpu_share: Mapping[str, float]
     components: tuple[ComponentReport, ...]
     connectors: tuple[ConnectorStatus, ...]
+    began: float = 0.0
+    history: tuple[Moment, ...] = ()
+    journal: tuple[Entry, ...] = ()
     chains: tuple[ChainReport, ...] = ()
     tasks: tuple[TaskReport, ...] = ()
     put_aside: tuple[str, ...] = ()
@@ -174,6 +186,15 @@ class RunReport(Shown, Struct, frozen=True, kw_only=True):
         """Return what is printed."""
         return tuple(report_parts(self))
 
+    def picture(self) -> str:
+        """Return where the components ran, as HTML."""
+        hosted = [Hosted(c.name, c.computer, c.cpu) for c in self.components]
+        return picture(self.cpu_share, hosted)
+
+    def page(self) -> str:
+        """Return an HTML page that needs no other file, and no network."""
+        return page(self)
+
 
 def _flat(record: Struct, *without: str) -> dict[str, Any]:
     """Return a record's plain values, and its summaries' ones under joined names."""
@@ -190,18 +211,24 @@ def _flat(record: Struct, *without: str) -> dict[str, Any]:
 class MeasuredRun(Struct, frozen=True, kw_only=True):
     """What was seen between the moments when all had begun and when all was to end.
 
-    `seconds` is the time between [s].
+    `seconds` is the time between, and `began` the first of them [s since 1970].
     """
 
     begin: Statuses
     end: Statuses
+    began: float
     seconds: float
+    history: tuple[Moment, ...]
     invalid: str
     interrupted: bool
 
 
 def reported(
-    up: Started, placed: Placement, tasks: tuple[TaskReport, ...], seen: MeasuredRun
+    up: Started,
+    placed: Placement,
+    tasks: tuple[TaskReport, ...],
+    seen: MeasuredRun,
+    journal: tuple[Entry, ...],
 ) -> RunReport:
     """Return the report of a run whose components are inactive by now."""
     final = up.run.agents.statuses()
@@ -222,6 +249,9 @@ def reported(
         cpu_share=cpu_shares(robot, seen.begin, seen.end, up.computers.faster),
         components=component_reports(seen.begin, final),
         connectors=connector_reports(final),
+        began=seen.began,
+        history=seen.history,
+        journal=journal,
         chains=chain_reports(robot, final),
         put_aside=placed.result.aside,
         errors=component_errors(final),
@@ -236,31 +266,6 @@ def reported(
         without=up.computers.without,
         simulation=simulation,
     )
-
-
-def cpu_shares(
-    robot: Robot, begin: Statuses, end: Statuses, faster: Mapping[str, float]
-) -> dict[str, float]:
-    """Return computer -> share of its CPU used between two statuses.
-
-    Parameters
-    ----------
-    faster
-        Computer -> how many times more CPU it has than the robot file says; missing: 1.
-    """
-    shares = {}
-    for computer in robot.computers:
-        first, last = begin.get(computer.name), end.get(computer.name)
-        if first is None or last is None:
-            continue
-        if first.pid != last.pid:  # its agent was started again, and counts anew
-            first = structs.replace(first, cpu=0.0, uptime=0.0)
-        if last.uptime <= first.uptime:
-            continue
-        cores = (last.cpu - first.cpu) / (last.uptime - first.uptime)
-        has = computer.capacity["cpu"] * computer.speed * faster.get(computer.name, 1)
-        shares[computer.name] = cores / has
-    return shares
 
 
 def component_reports(begin: Statuses, end: Statuses) -> tuple[ComponentReport, ...]:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from html import escape
 from os import PathLike
 from pathlib import Path
 
-from poise.errors import FileProblem, RobotError
+from poise.errors import FileProblem, RobotError, UsageError
 from poise.model.load import Source, load_source
 from poise.model.robot import Robot
 from poise.runtime.isolated_check import check_code_isolated
@@ -99,3 +100,17 @@ def task_of(robot: Robot, task: str | None) -> str:
             "`tasks: {work: {actions: [{name: work, functions: [...]}]}}`"
         )
     return robot.tasks[0].name
+
+
+def _as_html(robot: Robot) -> str:
+    """Return a robot's components as a diagram."""
+    from poise.session.diagrams.draw import draw  # noqa: PLC0415, for notebooks only
+
+    try:
+        return draw(robot)._repr_svg_()
+    except UsageError as error:
+        return f"<p>robot <b>{escape(robot.name)}</b>: {error}</p>"
+
+
+# Jupyter asks for it; the model, which stands below, draws nothing
+Robot._repr_html_ = _as_html  # type: ignore[attr-defined]

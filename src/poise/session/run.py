@@ -16,6 +16,7 @@ from poise.manage.run import Run
 from poise.manage.tasks.task_manager import TaskManager
 from poise.model.robot import Robot
 from poise.session.first_phase import first_phase
+from poise.session.history import History
 from poise.session.launch.start import Sampling, Started, started
 from poise.session.placement import Placement
 from poise.session.recordings.record_run import keeping
@@ -79,6 +80,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     first = first_phase(robot, [chosen], placement, sentences.append)
     placed = first.placed
     with contextlib.ExitStack() as stack:
+        at = time.time()
         book = Journal(journal or ":memory:", _saying(say))
         stack.callback(book.close)
         book.note("decided", f"task '{chosen}', {placed.method} placement")
@@ -98,7 +100,8 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         around = _with_agents(up.run, check, meanwhile)
         seen = _measure(up, seconds, around, partial(_look, tasks, first.aside()))
         drain(up.run)
-        return reported(up, placed, tasks.reports, seen)
+        entries = tuple(entry for entry in book.entries() if entry.at >= at)
+        return reported(up, placed, tasks.reports, seen, entries)
 
 
 def _saying(say: Say) -> Callable[[Entry], object]:
@@ -148,17 +151,24 @@ def _measure(
     up: Started, seconds: float, meanwhile: Meanwhile, is_over: Callable[[], bool]
 ) -> MeasuredRun:
     up.computers.begin()
-    begin, began = up.run.agents.statuses(), time.monotonic()
+    begin, began, at = up.run.agents.statuses(), time.monotonic(), time.time()
+    history = History(up.run.robot, up.computers.faster)
     interrupted = False
+
+    def look(_: float) -> None:
+        now = time.monotonic()
+        history.look(up.run.agents.statuses(), time.time(), now)
+        meanwhile(up.run, now - began)
+
     try:
-        up.watch(
-            seconds, lambda _: meanwhile(up.run, time.monotonic() - began), is_over
-        )
+        up.watch(seconds, look, is_over)
     except KeyboardInterrupt:
         interrupted = True
     return MeasuredRun(
         begin=begin,
         end=up.run.agents.statuses(),
+        began=at,
+        history=tuple(history.moments),
         seconds=time.monotonic() - began,
         invalid=up.computers.end(),
         interrupted=interrupted,

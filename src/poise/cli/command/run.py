@@ -30,7 +30,8 @@ def run_command(
         str, typer.Option("--for", help="How long at most, such as 20s or 2 min.")
     ] = "20s",
     report: Annotated[
-        Path | None, typer.Option(help="Folder for report.json and the journal.")
+        Path | None,
+        typer.Option(help="Folder for report.html, report.json and the journal."),
     ] = None,
     record: Annotated[
         Path | None,
@@ -86,6 +87,8 @@ def run_command(
         text = msgspec.json.format(msgspec.json.encode(result))
         if report is not None:
             (report / "report.json").write_bytes(text + b"\n")
+            (report / "report.html").write_text(result.page(), encoding="utf-8")
+            console.print(escape(f"wrote {report / 'report.html'}"))
         if as_json:
             sys.stdout.write(text.decode() + "\n")
         else:

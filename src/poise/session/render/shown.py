@@ -1,4 +1,4 @@
-"""Records that print themselves: as tables in a terminal, as HTML in a notebook."""
+"""Records that print themselves: tables in a terminal, pictures too in a notebook."""
 
 from __future__ import annotations
 
@@ -20,6 +20,10 @@ class Shown:
         """Return what is printed, from top to bottom."""
         raise NotImplementedError
 
+    def picture(self) -> str:
+        """Return what a notebook shows above the parts, as HTML."""
+        return ""
+
     def __rich_console__(self, *_: object) -> Iterator[RenderableType]:
         """Give the parts, for rich."""
         yield from self.parts()
@@ -32,7 +36,11 @@ class Shown:
         return text.get().rstrip()
 
     def _repr_html_(self) -> str:
-        """Return the parts as HTML, for Jupyter."""
+        """Return picture and parts as HTML, for Jupyter."""
+        return self.picture() + self.html()
+
+    def html(self) -> str:
+        """Return the parts as HTML."""
         console = Console(file=StringIO(), width=_WIDTH, record=True, highlight=False)
         console.print(self)
         return console.export_html(code_format=_HTML, inline_styles=True)
