@@ -3,14 +3,14 @@ PYTHON ?= python3
 BIN := .venv/bin
 NATIVE := $(shell find src CMakeLists.txt -name '*.cpp' -o -name '*.h' -o -name CMakeLists.txt)
 
-.PHONY: setup demo quick test exhaustive soak coverage lint stubs sanitize clean
+.PHONY: setup demo quick test exhaustive soak coverage lint stubs sanitize docs clean
 setup: .venv/.ready
 
 .venv/.ready: pyproject.toml $(NATIVE)
 	@.ci/needs $(PYTHON)
 	@echo "setting up .venv (takes a minute or two; only after changes of native code)"
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,exact,trot]'
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,docs,exact,trot]'
 	@touch $@
 
 demo: setup
@@ -78,6 +78,13 @@ sanitize: setup
 	  tests/runtime/connectors tests/runtime/execution/test_histogram.py tests/runtime/hosting/test_stats_page.py \
 	  tests/runtime/component/test_deadline.py tests/runtime/test_served_call.py \
 	  tests/runtime/execution/test_exclusion.py tests/estimate/test_change_point.py
+
+# the site in build/docs; a warning is an error
+docs: setup
+	@mkdir -p build/docs-source/src/poise/estimate
+	@for part in README.md CHANGELOG.md CONTRIBUTING.md LICENSE docs examples benchmarks src/poise/estimate/native; do \
+	  ln -sfn $(CURDIR)/$$part build/docs-source/$$part; done
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --config-file docs/mkdocs.yml 2>build/docs.log || { cat build/docs.log; exit 1; }
 
 clean:
 	rm -rf .venv build .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -43,3 +43,9 @@ def test_every_document_can_be_found_from_the_map() -> None:
     pages = (ROOT / "docs").rglob("*.md")
     names = [str(page.relative_to(ROOT / "docs")) for page in pages]
     assert [n for n in names if n != "index.md" and f"({n})" not in index] == []
+
+
+def test_every_document_is_in_the_sites_navigation() -> None:
+    config = (ROOT / "docs/mkdocs.yml").read_text()
+    pages = (str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md"))
+    assert [page for page in pages if f": {page}\n" not in config] == []
