@@ -1,0 +1,223 @@
+"""What commands print with `--json`, as a JSON Schema (draft 2020-12).
+
+`python -m poise.cli.json_outputs > docs/output.schema.json` writes it.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any, TypedDict, get_type_hints
+
+import msgspec
+
+from poise import plan
+from poise.cli.command.demo import DemoReport
+from poise.cli.command.emulate import ListedSet
+from poise.errors import FileProblem
+from poise.estimate.profile import Profile
+from poise.estimate.success.learning import Belief
+from poise.manage.control_socket.records import Rebalanced, RobotStatus
+from poise.manage.journal import Entry
+from poise.manage.migration.move import MoveReport
+from poise.manage.migration.replacement import ReplaceReport
+from poise.manage.observe.estimates import DemandEstimate
+from poise.manage.tasks.report import TaskReport
+from poise.model.policy.policy import Policy
+from poise.plan.result_records import Conflict, GreedyStep, Stopped, Terms, Tightest
+from poise.session.calibration.calibrate import Calibration
+from poise.session.rates import Rate
+from poise.session.report import RunReport
+from poise.session.robots_here import Robots
+from poise.session.scenes import SCENES
+from poise.wire.records.output import OutputLine
+
+
+class Failed(TypedDict):
+    """An error, of any command."""
+
+    error: str
+    kind: str
+    problems: list[FileProblem]
+
+
+class Checked(TypedDict):
+    """What `poise check` found."""
+
+    ok: bool
+    problems: list[FileProblem]
+
+
+class Fired(TypedDict):
+    """What a policy would have done, by `poise policy test`."""
+
+    at: float
+    policy: str
+    do: str | None
+    about: str
+    computer: str
+    what: str
+    saw: dict[str, Any]
+
+
+class Journal(TypedDict):
+    """What `poise journal` shows."""
+
+    entries: list[Entry]
+
+
+class Passed(TypedDict):
+    """A line of `poise echo`: when it went out [s since 1970], and what."""
+
+    at: float
+    value: Any
+
+
+class _Planned(TypedDict):
+    placement: Mapping[str, str]
+    feasible: bool
+    reason: str
+    objective: Terms | None
+    method: str
+    proven: bool
+    bound: float | None
+    gap: float | None
+    stopped_by: Stopped
+    seconds: float
+    seed: int
+    tightest: Tightest | None
+    trace: list[GreedyStep]
+    architectures: Mapping[str, str]
+    aside: list[str]
+    unknown: list[str]
+    scale: str
+    spread: str
+    conflict: Conflict | None
+
+
+class Planned(_Planned, total=False):
+    """A placement. With --smallest its computers; with --explain why."""
+
+    computers: list[str]
+    smallest_proven: bool
+    explanation: dict[str, Any]
+
+
+class Phase(_Planned):
+    """The placement of a phase."""
+
+    name: str
+    after: list[str]
+
+
+class _PlannedPhases(TypedDict):
+    feasible: bool
+    reason: str
+    total: float | None
+    proven: bool
+    bound: float | None
+    seconds: float
+    moves: list[plan.PhaseMove]
+    phases: list[Phase]
+
+
+class PlannedPhases(_PlannedPhases, total=False):
+    """The placements of a task with phases; with --explain why."""
+
+    phase: str
+    explanation: dict[str, Any]
+
+
+class Compared(TypedDict):
+    """Placements by method, or by task, side by side."""
+
+    results: Mapping[str, Any]
+
+
+class Smallest(TypedDict):
+    """The cheapest computers for tasks with phases."""
+
+    feasible: bool
+    computers: list[str]
+    price: float
+    smallest_proven: bool
+    tasks: Mapping[str, PlannedPhases]
+
+
+Listed = TypedDict(
+    "Listed",
+    {
+        "function": str,
+        "architecture": str,
+        "from": str,
+        "package": str,
+        "layer": str,
+        "quality": float,
+        "hash": str,
+        "components": list[str],
+        "unused": str,
+    },
+)
+
+
+class Shown(Listed):
+    """An architecture of `poise repository show`."""
+
+    learned: list[Belief]
+
+
+_SCENES = [get_type_hints(play)["return"] for _, play in SCENES.values()]
+OUTPUTS: Mapping[str, Sequence[Any]] = {
+    "check": [Checked],
+    "plan": [Planned, PlannedPhases, Compared, Smallest],
+    "profile": [Profile],
+    "profile show": [Profile],
+    "calibrate": [Calibration],
+    "recording": [list[DemandEstimate]],
+    "policy": [list[Policy], list[Fired]],
+    "repository": [list[Listed]],
+    "repository list": [list[Listed]],
+    "repository show": [Shown],
+    "run": [RunReport],
+    "demo": [DemoReport, *_SCENES],
+    "emulate list": [list[ListedSet]],
+    "list": [Robots],
+    "echo": [Passed],
+    "hz": [Rate],
+    "log": [OutputLine],
+    "task": [list[TaskReport]],
+    "task list": [list[TaskReport]],
+    "task show": [TaskReport],
+    **{f"task {act}": [TaskReport] for act in ("start", "pause", "resume", "cancel")},
+    "status": [RobotStatus],
+    "move": [MoveReport],
+    "replace": [MoveReport, ReplaceReport],
+    "balance": [Rebalanced],
+    "journal": [Journal],
+}
+"""Command -> what it prints, or one of these; of `echo`, `hz` and `log` each line."""
+
+
+_REF = "#/$defs/{name}"
+
+
+def schema() -> dict[str, Any]:
+    """Return the schema; ``$defs`` has what each command prints, by its name."""
+    types = [each for several in OUTPUTS.values() for each in several]
+    found, records = msgspec.json.schema_components([*types, Failed], ref_template=_REF)
+    # what a command prints may also be an error
+    schemas = iter(found)
+    commands = {
+        name: {"anyOf": [*(next(schemas) for _ in several), found[-1]]}
+        for name, several in OUTPUTS.items()
+    }
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "What Poise's commands print with --json",
+        "$defs": {**commands, **records},
+    }
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(schema(), indent=1) + "\n")
