@@ -31,8 +31,14 @@ from poise.plan.phases.merged import Unit, merged
 from poise.plan.problem.arrays import Arrays, Placed, arrays_of
 from poise.plan.problem.problem import Problem
 
-SIZES = ((3, 12, 2, 0.5), (5, 24, 3, 0.5), (10, 60, 4, 0.2), (10, 60, 4, 0.5))
-"""Phases, components, computers, and which part of the components an action needs."""
+SIZES = (
+    (3, 12, 2, 0.5, 1.0),
+    (5, 24, 3, 0.5, 1.0),
+    (10, 60, 4, 0.2, 2.0),
+    (10, 60, 4, 0.5, 1.0),
+)
+"""Phases, components, computers, which part of the components an action needs, and what
+all of them need together of the robot's capacity."""
 MOST = 0.8
 """No phase needs more of all computers together."""
 Move = tuple[tuple[Unit, Unit], float]
@@ -50,9 +56,9 @@ def run(*, quick: bool) -> dict[str, Any]:
         return {"phases": "CP-SAT is not installed"}
     count, limit = (1, 5.0) if quick else (3, 30.0)
     rows, found = [], []
-    for p, n, m, share in SIZES:
+    for p, n, m, share, load in SIZES:
         for seed in range(count):
-            robot = random_phases(seed, p, n, m, share)
+            robot = random_phases(seed, p, n, m, share, load)
             began = perf_counter()
             ours = poise.place(robot, "all").phased
             spent = perf_counter() - began
@@ -68,6 +74,7 @@ def run(*, quick: bool) -> dict[str, Any]:
                     "components": n,
                     "computers": m,
                     "share": share,
+                    "load": load,
                     "seed": seed,
                     "seconds": spent,
                     "total": ours.total,
@@ -82,7 +89,7 @@ def run(*, quick: bool) -> dict[str, Any]:
             )
             rows.append(
                 [
-                    f"{p} x {n} x {m}, {share:.0%}",
+                    f"{p} x {n} x {m}, {share:.0%} of {load:.0%}",
                     seed,
                     seconds(spent),
                     f"{ours.total:.5f}",
@@ -94,8 +101,8 @@ def run(*, quick: bool) -> dict[str, Any]:
                 ]
             )
     show(
-        "Placement of all phases of a task (phases x components x computers, and the "
-        "part of the components that an action needs)",
+        "Placement of all phases of a task (phases x components x computers; which "
+        "part of the components an action needs; what all need of the capacity)",
         ["size", "seed", "time", "F", "moves", "CP-SAT's", "above", "bound", "above"],
         rows,
     )
@@ -103,14 +110,14 @@ def run(*, quick: bool) -> dict[str, Any]:
 
 
 def random_phases(
-    seed: int, phases: int, components: int, computers: int, share: float
+    seed: int, phases: int, components: int, computers: int, share: float, load: float
 ) -> Robot:
     """Return a random robot whose task `all` has actions one after the other.
 
     Each needs about `share` of the functions, at most 80 % of the capacity.
     """
     random = Random(seed)
-    problem = random_robot(seed, components, computers, load=1.0)
+    problem = random_robot(seed, components, computers, load=load)
     items = list(problem.components)
     architectures: list[Architecture] = []
     while items:

@@ -207,6 +207,8 @@ class Manager:
         else:
             if not self.is_stopping and future.set_running_or_notify_cancel():
                 future.set_result(self._carry_out(command))
+        prepared = self._run.prepared.items()
+        self._estimates.resting = {(name, each.epoch) for name, each in prepared}
         for sample in self._samples.take():
             self._take(sample)
         self._look()

@@ -17,7 +17,7 @@ from poise.manage.tasks.likely import Likely
 from poise.manage.tasks.switch import switch
 from poise.model.robot import Robot
 from poise.model.tasks.prefetch import Prefetch as Bounds
-from poise.wire.records.status import ComponentStatus, ContainerHealth
+from poise.wire.records.status import ComponentStatus, ContainerHealth, Fault
 from tests.manage.conftest import FakeAgents
 
 NEXT = Likely(
@@ -69,12 +69,22 @@ def test_the_next_action_is_prepared_in_half_of_the_cpu_that_is_left(rig: Rig) -
 
 def test_what_is_prepared_begins_as_a_hit_and_gets_its_cpu(rig: Rig) -> None:
     rig.look(NEXT)
-    switch(rig.run, ["grabber"], {"thinker": "right"})
+    assert switch(rig.run, ["grabber"], {"thinker": "right"})
     assert rig.told("right") == [("mind", 0.0)]
     assert rig.run.placed["thinker"].epoch == 0
-    switch(rig.run, ["thinker"], {"filter": "left"})
+    assert not switch(rig.run, ["thinker"], {"filter": "left"})
+
+
+def test_switches_are_reported_with_and_without(rig: Rig) -> None:
+    for milliseconds in range(1, 101):
+        rig.run.switches.note(milliseconds * 1e-3, is_hit=True)
+    rig.run.switches.note(1.0, is_hit=False)
     report = rig.prefetch.report()
-    assert (report.hit.count, report.miss.count, report.hit_rate) == (1, 1, 0.5)
+    assert (report.hit.median, report.hit.p99) == (0.0505, 0.1)
+    assert report.hit_rate == 100 / 101
+    assert str(report) == (
+        "100 prepared (50 ms, p99 100 ms), 1 not prepared (1000 ms, p99 1000 ms)"
+    )
 
 
 def test_nothing_is_prepared_when_that_is_off(robot: Robot) -> None:
@@ -118,6 +128,24 @@ def test_a_preparation_that_fails_is_said_and_dropped(rig: Rig) -> None:
     assert rig.run.prepared
 
 
+def test_a_container_that_crashes_as_it_is_prepared_is_not_tried_on(rig: Rig) -> None:
+    rig.look(NEXT)
+    crashed = Fault(container="mind", message="was killed by SIGSEGV", number=1)
+    status = rig.agents.statuses()["right"]
+    health = ContainerHealth(
+        name="mind", state="running", since=0.0, restarts=1, last_fault=crashed
+    )
+    rig.agents._statuses["right"] = replace(status, health=(health,))
+    rig.look(NEXT)
+    assert not rig.run.prepared
+    assert rig.said("failed") == [
+        (
+            "component 'thinker' cannot be prepared on 'right', and starts only with "
+            "its action: was killed by SIGSEGV"
+        )
+    ]
+
+
 def test_an_action_begins_anew_what_failed_when_it_was_prepared(rig: Rig) -> None:
     rig.agents.states["thinker"] = ComponentStatus(name="thinker", state="failed")
     rig.look(NEXT)
@@ -126,10 +154,19 @@ def test_an_action_begins_anew_what_failed_when_it_was_prepared(rig: Rig) -> Non
     assert rig.run.placed["thinker"].epoch == 1
 
 
-def test_what_is_not_likely_any_more_stays_while_there_is_room(rig: Rig) -> None:
+def test_what_is_not_likely_any_more_rests_once_it_is_ready(rig: Rig) -> None:
+    rig.look(NEXT)
+    rig.look(NEXT)
+    assert rig.run.prepared["thinker"].gently
+    rig.look()
+    assert not rig.run.prepared["thinker"].gently
+
+
+def test_what_is_not_likely_any_more_and_not_ready_is_dropped(rig: Rig) -> None:
+    rig.agents.states["thinker"] = ComponentStatus(name="thinker", state="unconfigured")
     rig.look(NEXT)
     rig.look()
-    assert rig.run.prepared
+    assert not rig.run.prepared
 
 
 def test_what_is_dropped_unused_counts_as_wasted(rig: Rig, robot: Robot) -> None:
@@ -146,7 +183,7 @@ def test_what_is_dropped_unused_counts_as_wasted(rig: Rig, robot: Robot) -> None
     rig.look(NEXT)
     rig.look(NEXT)
     assert not rig.run.prepared
-    assert rig.said("decided")[-1] == "'thinker' prepared no more: room is needed"
+    assert rig.said("decided")[-1] == "'thinker' not prepared any more"
     assert rig.prefetch.report().wasted == 7_000_000
 
 

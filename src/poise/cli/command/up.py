@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from msgspec.structs import replace
 
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import AnyMethod, RobotFile
 from poise.errors import UsageError
+from poise.model.tasks.prefetch import Prefetch
 from poise.session.launch.printer import Printer, log_printer
 from poise.session.robot_file import load, task_of
 from poise.session.writable import to_write
@@ -40,6 +42,9 @@ def up_command(
     ] = None,
     adapt: Annotated[
         bool, typer.Option(help="Change the placement when deadlines are missed.")
+    ] = True,
+    prefetch: Annotated[
+        bool, typer.Option(help="Prepare what the next actions need.")
     ] = True,
     take_over: Annotated[
         bool, typer.Option("--take-over", help="Replace the manager that it has.")
@@ -76,6 +81,8 @@ def up_command(
                 words = [word for word in sys.argv[1:] if word != "--detach"]
                 say(str(up_detached(robot, file, words, say, interrupts.check)))
             return
+        if not prefetch:
+            robot = replace(robot, prefetch=Prefetch(off=True))
         tasks = task or [task_of(robot, None)]
         if placement and len(tasks) > 1:
             raise UsageError("--placement places one task: start the others afterwards")

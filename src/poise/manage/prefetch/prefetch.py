@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping
 
+from msgspec.structs import replace
+
 from poise.errors import RunError
 from poise.manage.deployment import Incarnation
 from poise.manage.observe.loads import Load
@@ -42,6 +44,7 @@ class Prefetch:
         self._barred: dict[str, float] = {}
         self._why_not: Mapping[tuple[str, str], str] = {}
         self._begun: dict[_Key, Incarnation] = {}
+        self._restarts: dict[_Key, int] = {}
         self._ready: set[_Key] = set()
         self._memory: dict[tuple[str, str], int] = {}
         self._wasted = 0
@@ -92,13 +95,14 @@ class Prefetch:
         wanted = choice.placement
         held = {name: each.computer for name, each in run.prepared.items()}
         drops = [name for name in held if wanted.get(name) != held[name]]
+        drops += self._let_rest(likely, drops)
         begins = {n: at for n, at in wanted.items() if held.get(n) != at}
         if not drops and not begins:
             return
         for name in drops:
             del run.prepared[name]
         if drops:
-            note("decided", f"{_list(drops)} prepared no more: room is needed")
+            note("decided", f"{_list(drops)} not prepared any more")
         for computer in begins.values():
             run.spare[computer] = cpu[computer]
         for each in likely:
@@ -116,10 +120,30 @@ class Prefetch:
         except RunError as error:
             note("failed", f"{_list(begins)} not prepared: {error}")
             self._bar(begins)
-        self._begun |= {
-            (name, run.prepared[name].epoch): run.prepared[name]
-            for name in begins.keys() & run.prepared.keys()
+        new = [run.prepared[name] for name in begins.keys() & run.prepared.keys()]
+        self._begun |= {(each.component, each.epoch): each for each in new}
+        restarts = {
+            (computer, health.name): health.restarts
+            for computer, status in run.agents.statuses().items()
+            for health in status.health
         }
+        self._restarts = {
+            key: self._restarts.get(key, restarts.get(self._container(each), 0))
+            for key, each in self._begun.items()
+        }
+
+    def _let_rest(self, likely: Iterable[Likely], drops: Collection[str]) -> list[str]:
+        """Let what no action is likely to need rest; return what is not ready yet."""
+        run, unready = self._run, []
+        needed = {name for each in likely for name in each.placement}
+        for name, each in run.prepared.items():
+            if not each.gently or name in needed or name in drops:
+                continue
+            if (name, each.epoch) in self._ready:
+                run.prepared[name] = replace(each, gently=False)
+            else:
+                unready.append(name)
+        return unready
 
     def _cpu_left(self, computer: str, loads: Mapping[str, Load]) -> float:
         """Return the CPU of a computer that may be used to prepare [cores]."""
@@ -143,7 +167,10 @@ class Prefetch:
         statuses = run.current()
         for name, each in run.prepared.items():
             status = statuses.get(each.computer)
-            why = status and _failure(status, each, run.layout.container_of(name))
+            if status is None or (name, each.epoch) not in self._begun:
+                continue
+            before = self._restarts.get((name, each.epoch), 0)
+            why = _failure(status, each, run.layout.container_of(name), before)
             if why:
                 failed[name] = why
         for name, why in failed.items():
@@ -207,17 +234,26 @@ class Prefetch:
         return any(now < self._barred.get(name, now) for name in each.placement)
 
 
-def _failure(status: AgentStatus, each: Incarnation, container: str) -> str:
-    """Return why something that is prepared fails; empty: it does not."""
-    for component in components_of({status.computer: status}):
-        if (component.name, component.epoch) == (each.component, each.epoch):
-            if component.state == "failed":
-                return component.error.rstrip().rpartition("\n")[2] or "it failed"
-            return ""
-    for health in status.health:
-        if health.name == container and health.state == "restarting":
-            return health.last_fault.message if health.last_fault else "it ended"
-    return ""
+def _failure(
+    status: AgentStatus, each: Incarnation, container: str, restarts: int
+) -> str:
+    """Return why something that is prepared fails; empty: it does not.
+
+    Parameters
+    ----------
+    restarts
+        How often its container had been restarted before.
+    """
+    health = next((h for h in status.health if h.name == container), None)
+    if health is not None and (
+        health.state == "restarting" or health.restarts > restarts
+    ):
+        return health.last_fault.message if health.last_fault else "it ended"
+    states = {(c.name, c.epoch): c for c in components_of({status.computer: status})}
+    component = states.get((each.component, each.epoch))
+    if component is None or component.state != "failed":
+        return ""
+    return component.error.rstrip().rpartition("\n")[2] or "it failed"
 
 
 def _named(action: str, task: str) -> str:

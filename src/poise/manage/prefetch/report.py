@@ -8,6 +8,7 @@ from statistics import median
 
 from msgspec import Struct
 
+from poise.units import format_bytes
 from poise.wire.records.status import Summary
 
 _MOST = 1000
@@ -49,6 +50,8 @@ class PrefetchReport(Struct, frozen=True, kw_only=True):
             said.append(f"{self.hit.count} prepared ({_times(self.hit)})")
         if self.miss.count:
             said.append(f"{self.miss.count} not prepared ({_times(self.miss)})")
+        if self.wasted:
+            said.append(f"{format_bytes(self.wasted)} prepared for nothing")
         return ", ".join(said)
 
 

@@ -7,7 +7,6 @@ and uses memory, but no CPU; it becomes active within moments.
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Collection, Iterable, Mapping
 
 from msgspec.structs import replace
@@ -54,8 +53,10 @@ def drop(run: Run, components: Iterable[str]) -> None:
         run.tell(run.placed.values())
 
 
-def switch(run: Run, ends: Collection[str], begins: Mapping[str, str]) -> None:
+def switch(run: Run, ends: Collection[str], begins: Mapping[str, str]) -> bool:
     """Let components rest, prepared, and others begin to work.
+
+    Returns whether all of these were prepared.
 
     Parameters
     ----------
@@ -70,7 +71,7 @@ def switch(run: Run, ends: Collection[str], begins: Mapping[str, str]) -> None:
         Something did not begin within the limits: then nothing of `begins` works, and
         all of `ends` rests.
     """
-    began, is_hit = time.monotonic(), _are_ready(run, begins)
+    are_ready = _are_ready(run, begins)
     for name in ends:
         old = run.placed.pop(name)
         run.prepared[name] = replace(old, goal="inactive", unjoined=True, gently=False)
@@ -89,14 +90,13 @@ def switch(run: Run, ends: Collection[str], begins: Mapping[str, str]) -> None:
         for each in active:
             del run.prepared[each.component]
             run.placed[each.component] = each
-        if begins:
-            run.switches.note(time.monotonic() - began, is_hit=is_hit)
     except RunError:
         for each in new:
             run.prepared.pop(each.component, None)
         with contextlib.suppress(RunError):  # agents out of reach get it later
             run.tell(run.placed.values())
         raise
+    return are_ready
 
 
 def _are_ready(run: Run, components: Mapping[str, str]) -> bool:

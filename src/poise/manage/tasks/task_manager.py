@@ -28,7 +28,7 @@ from poise.manage.tasks.room import Room, beyond_memory
 from poise.manage.tasks.room_for_tasks import RoomForTasks
 from poise.manage.tasks.serving import Serving
 from poise.manage.tasks.switch import switch
-from poise.manage.tasks.tasks import OVER, Saved, TaskRecord, Tasks
+from poise.manage.tasks.tasks import OVER, Ended, Saved, TaskRecord, Tasks
 from poise.model.policy.condition import parse_condition
 from poise.model.policy.values import SUBJECTS
 from poise.model.robot import Architecture
@@ -82,6 +82,7 @@ class TaskManager:
         self._room_at, self._room_again = 0.0, _ROOM_AGAIN
         self._lost: AbstractSet[str] = frozenset()
         self._aside: AbstractSet[str] = frozenset()
+        self._unlearned: list[tuple[Ended, list[str]]] = []
         self._since = time.time()
         self.reports = self._reported()
 
@@ -118,7 +119,7 @@ class TaskManager:
         self._aside = frozenset(aside)
         self._hear()
         self.tasks.look(time.time(), self._holds)
-        self._learn()
+        self._note_ended()
         self._go_on()
         self._resting.look(self._kept())
         self._save()
@@ -168,6 +169,7 @@ class TaskManager:
             if not self._reconcile():
                 break
         self.tasks.announce()
+        self._learn()
 
     def _reconcile(self) -> bool:
         """Rest what no action needs, and begin what some do; whether all is anew."""
@@ -182,7 +184,7 @@ class TaskManager:
             facts = self._facts()
             room = self._room.look(facts, new, self._aside, explore=self._explore)
         if room.why:
-            self._learn()
+            self._note_ended()
             return True
         return self._switch(new, ends, room)
 
@@ -191,12 +193,12 @@ class TaskManager:
         run = self._run
         stops = [c.name for a in ends for c in a.components if c.name in run.placed]
         begins = room.begins
-        is_hit = begins.keys() <= run.prepared.keys()
+        is_hit = False
         heard = self._hearing.ends()
         try:
             stops = self._make_room(room, begins, stops)
             if stops or begins:
-                switch(run, stops, begins)
+                is_hit = switch(run, stops, begins)
         except RunError as error:
             self._fail(new, begins, str(error))
             return True
@@ -259,11 +261,13 @@ class TaskManager:
         """End the actions that cannot begin; the others stay as they are."""
         self._run.journal.note("failed", f"an action cannot begin: {why}")
         functions = self._serving.functions_of(begins)
+        # of a traceback the last line says most
+        short = " ".join(dict.fromkeys([why.splitlines()[0], why.splitlines()[-1]]))
         for _, each in new:
             if not functions or functions.intersection(each.action.functions):
-                what = f"it cannot begin: {why.splitlines()[0]}"
+                what = f"it cannot begin: {short}"
                 self.tasks.end(each.number, time.time(), what, done=False)
-        self._learn()
+        self._note_ended()
 
     def _hear(self) -> None:
         """End the actions whose components say so, and do what components wish."""
@@ -272,7 +276,7 @@ class TaskManager:
             if said := self._said(each, heard):
                 what = f"'{each.action.ends}' said so"
                 self.tasks.end(each.number, now, what, done=said.done)
-        self._learn()
+        self._note_ended()
         note = self._run.journal.note
         for component, wish in self._hearing.wishes():
             what = f"component '{component}' asks to {wish.verb} task '{wish.task}'"
@@ -289,19 +293,26 @@ class TaskManager:
             return None
         return said if said.count > (count if said.epoch == epoch else 0) else None
 
-    def _learn(self) -> None:
-        """Note how actions ended, with the architectures that served them."""
+    def _note_ended(self) -> None:
+        """Remember what has ended, with the architectures that served it."""
         for ended in self.tasks.take_ended():
             self._since = time.time()
             self._room_at = 0.0
+            serving = self._serving.architectures(ended.functions)
+            self._unlearned.append((ended, serving))
+
+    def _learn(self) -> None:
+        """Learn from what has ended: that takes longer than a switch."""
+        for ended, serving in self._unlearned:
             note_ending(
                 self._run.robot,
                 self._run.journal,
                 ended.action,
-                self._serving.architectures(ended.functions),
+                serving,
                 situation_of(self._facts()),
                 done=ended.done,
             )
+        self._unlearned.clear()
 
     def _holds(self, until: Until) -> bool:
         condition = parse_condition(until.when, SUBJECTS[until.subject])
@@ -343,6 +354,7 @@ class TaskManager:
 
     def _note_switch(self, record: TaskRecord, each: Try, *, is_hit: bool) -> None:
         seconds = time.time() - self._since
+        self._run.switches.note(seconds, is_hit=is_hit)
         how = "it was prepared" if is_hit else "it was not prepared"
         text = f"switched to action '{each.name}' in {seconds:.3f} s: {how}"
         self._run.journal.note(

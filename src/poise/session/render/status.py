@@ -41,6 +41,7 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
     yield component_table(status)
     for remark in remarks(status):
         yield f"[yellow]{remark}[/]"
+    yield from _switch_lines(status)
     yield from chain_tables(status.chains)
     yield from connector_tables(connectors_of(status.computers))
     known = {name: each.clocks for name, each in sorted(status.computers.items())}
@@ -62,7 +63,10 @@ def component_table(answer: RobotStatus) -> Table:
     rows = table("component", "computer", "state", "CPU", "profile", folds=1)
     for computer, component, standing in _each(answer):
         is_known = computer not in answer.out_of_reach
-        state = component.state if is_known else "unknown"
+        state: str = component.state if is_known else "unknown"
+        is_prepared = answer.prefetch.prepared.get(component.name) == computer
+        if state == "inactive" and is_prepared:
+            state = "prepared"
         rows.add_row(component.name, computer, state, *_needs(standing))
     return rows
 
@@ -95,6 +99,12 @@ def container_lines(answer: RobotStatus) -> Iterator[str]:
                 f"{_clock(health.since)}, {restarts}; last fault at "
                 f"{_clock(fault.at)}: {fault.message}"
             )
+
+
+def _switch_lines(answer: RobotStatus) -> Iterator[str]:
+    """Give how long switches to actions took."""
+    if switches := str(answer.prefetch):
+        yield f"switches to actions: {switches}"
 
 
 def _clock(moment: float) -> str:
