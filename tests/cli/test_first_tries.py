@@ -47,14 +47,29 @@ def test_h_is_help(poise: Poise, words: tuple[str, ...]) -> None:
     assert "Usage: poise" in done.stdout
 
 
-def test_options_of_a_command_are_completed() -> None:
-    done = with_environment(
-        _TYPER_COMPLETE_ARGS="poise run --plac",
-        _POISE_COMPLETE="complete_bash",
-        COMP_WORDS="poise run --plac",
-        COMP_CWORD="2",
-    )
-    assert "--placement" in done.stdout
+@pytest.mark.parametrize(
+    "environment",
+    [  # as what `poise --install-completion` writes does
+        {
+            "_POISE_COMPLETE": "complete_bash",
+            "COMP_WORDS": "poise\nrun\n--plac",
+            "COMP_CWORD": "2",
+        },
+        {
+            "_POISE_COMPLETE": "complete_zsh",
+            "_TYPER_COMPLETE_ARGS": "poise run --plac",
+        },
+        {
+            "_POISE_COMPLETE": "complete_fish",
+            "_TYPER_COMPLETE_ARGS": "poise run --plac",
+            "_TYPER_COMPLETE_FISH_ACTION": "get-args",
+        },
+    ],
+)
+def test_every_shell_completes_the_options_of_a_command(
+    environment: dict[str, str],
+) -> None:
+    assert "--placement" in with_environment(**environment).stdout
 
 
 def test_the_robot_file_may_stand_in_the_environment() -> None:

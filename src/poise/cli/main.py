@@ -22,7 +22,7 @@ def main() -> None:
     from poise.errors import PoiseError, RunError, UsageError
 
     words = sys.argv[1:]
-    completed = os.environ.get("_TYPER_COMPLETE_ARGS", "").split()[1:]
+    completed = _completed()
     # all that typer raises for arguments that it refuses has this base
     misuse = cast(tuple[type[typer.BadParameter], ...], typer.BadParameter.__bases__)
     try:
@@ -41,6 +41,14 @@ def main() -> None:
         if error.filename is None and not is_disk_full:
             raise
         _fail(RunError(f"{error.filename or 'a result'}: {error.strerror}"), 1)
+
+
+def _completed() -> list[str]:
+    """Return the words after `poise` that a shell asks to complete, if one does."""
+    if "_POISE_COMPLETE" not in os.environ:
+        return []
+    by_bash = os.environ.get("COMP_WORDS", "")
+    return os.environ.get("_TYPER_COMPLETE_ARGS", by_bash).split()[1:]
 
 
 def _fail(error: PoiseError, code: int) -> NoReturn:
