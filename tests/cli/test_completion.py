@@ -13,6 +13,7 @@ from poise.cli.command_table import build
 from poise.cli.completion import in_file, one_of, running
 from poise.errors import RunError
 from poise.manage.control_socket.records import RobotStatus
+from poise.manage.tasks.report import TaskReport
 from poise.session import robots_here
 from poise.wire.records.requests import ManagerId
 
@@ -27,6 +28,11 @@ def status(robot: str, *components: str) -> RobotStatus:
         manager=MANAGER,
         placement=dict.fromkeys(components, "main"),
         computers={},
+        tasks=(
+            TaskReport(
+                name="work", state="going", priority=0, why="", began=0.0, since=0.0
+            ),
+        ),
     )
 
 

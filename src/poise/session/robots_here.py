@@ -47,7 +47,7 @@ def names_of(robots: Robots, what: str) -> Iterator[str]:
 
 def _names(status: RobotStatus, what: str) -> Iterable[str]:
     if what == "tasks":
-        return [status.task]
+        return [each.name for each in status.tasks]
     if what == "connectors":
         return [end.name for end in connectors_of(status.computers)]
     return status.computers if what == "computers" else status.placement

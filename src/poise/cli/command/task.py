@@ -6,15 +6,19 @@ from typing import Annotated
 
 import typer
 
+from poise.cli.command.running_robot import Robot
+from poise.cli.completion import running
 from poise.cli.options import AsJson, print_json
 from poise.manage.tasks.report import TaskReport
 from poise.session.render.shown import console_to
 from poise.session.render.tasks import action_lines, task_lines, task_table
 from poise.session.running import Running
 
-Name = Annotated[str, typer.Argument(help="The task, as in the robot file.")]
-Robot = Annotated[
-    str | None, typer.Option(help="The robot's name, when several run here.")
+Name = Annotated[
+    str,
+    typer.Argument(
+        help="The task, as in the robot file.", autocompletion=running("tasks")
+    ),
 ]
 
 
