@@ -11,6 +11,7 @@ from poise import testing
 from poise.clock import ComponentClock
 from poise.runtime.component.component import Component, Context, create
 from poise.runtime.component.ports import Published, ports_of
+from trot.packets import DEVICES
 
 C = TypeVar("C", bound=Component)
 
@@ -46,11 +47,11 @@ def alone(
     """Return a configured component; devices that are not given are away."""
     published: dict[str, list[Any]] = defaultdict(list)
     measured: dict[str, list[float]] = defaultdict(list)
-    names = ("laser", "wheels", "microphones", "speakers")
+    away = {name: f"/nowhere/{name}.sock" for name in DEVICES}
     context = Context(
         name=implementation.__name__,
         parameters=parameters or {},
-        devices={name: f"/nowhere/{name}.sock" for name in names} | dict(devices or {}),
+        devices=away | dict(devices or {}),
         clock=clock or VirtualClock(),
         measure=lambda name, value: measured[name].append(value),
     )

@@ -5,6 +5,6 @@ from __future__ import annotations
 import os
 from importlib.util import find_spec
 
-_NEEDED = ("mujoco",)
+_NEEDED = ("cv2", "espeakng_loader", "implicit", "mujoco", "pocketsphinx", "scipy")
 if "CI" not in os.environ and any(find_spec(name) is None for name in _NEEDED):
     collect_ignore_glob = ["test_*.py"]

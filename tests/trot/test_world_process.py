@@ -96,15 +96,10 @@ def test_a_component_may_come_back(world: Process, tmp_path: Path) -> None:
 
 
 def test_ends_with_its_standard_input(world: Process, tmp_path: Path) -> None:
-    assert set(result(world)) == {
-        "goal_reached",
-        "seconds",
-        "distance_to_goal",
-        "collisions",
-        "path",
-        "path_error",
-        "path_error_most",
-        "path_length",
+    assert result(world).keys() >= {
+        *("goal_reached", "seconds", "path", "path_error", "collisions"),
+        *("cups_placed", "cups_dropped", "word_error_rate", "answer_seconds"),
+        *("head_error_degrees", "good_recommendations", "recommendation_seconds"),
     }
     assert list(tmp_path.iterdir()) == []
 

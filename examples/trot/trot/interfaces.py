@@ -26,37 +26,27 @@ class Maps(Protocol):
         ...
 
 
-class Kinematics(Protocol):
-    """Knows how the arm bends."""
+class Knowledge(Protocol):
+    """Knows the household."""
 
-    def solve(
-        self, target: NDArray[np.float32], start: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
-        """Return joint angles [rad] that bring the hand to `target` x, y, z [m]."""
-        ...
-
-
-class Collisions(Protocol):
-    """Knows what the arm must not touch."""
-
-    def clearance(self, postures: NDArray[np.float32]) -> float:
-        """Return how near [m] the arm comes to anything in `postures` ``(n, 6)``."""
+    def ask(self, subject: str, verb: str) -> str:
+        """Return what a subject has, does or is; empty when nobody knows."""
         ...
 
 
 class Guide(Protocol):
     """Knows what is on television."""
 
-    def search(self, genre: int) -> list[Programme]:
-        """Return the programmes of a genre that begin next."""
+    def on_air(self) -> list[Programme]:
+        """Return the programmes that are on the air now."""
         ...
 
 
 class Tastes(Protocol):
     """Knows what the viewer likes."""
 
-    def weights(self) -> NDArray[np.float32]:
-        """Return how much the viewer likes each genre, ``(GENRES,)``."""
+    def weights(self) -> NDArray[np.float64]:
+        """Return the share of each genre in what was watched, ``(GENRES,)``."""
         ...
 
 
@@ -64,5 +54,5 @@ class Ratings(Protocol):
     """Predicts what the viewer would think of a programme."""
 
     def predict(self, numbers: list[int]) -> list[float]:
-        """Return the predicted rating of each programme, about 0 to 1."""
+        """Return how much the viewer likes each programme; higher is better."""
         ...

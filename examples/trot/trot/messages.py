@@ -57,65 +57,70 @@ class AudioBlock(Message, frozen=True):
 
 
 class Bearing(Message, frozen=True):
-    """A sound came from `angle` [rad]; `strength` in [0, 1]."""
+    """A sound came from `angle` [rad], counter-clockwise from ahead."""
 
     stamp: float
     angle: float
-    strength: float
 
 
-class Activity(Message, frozen=True):
-    """How probably somebody spoke, in [0, 1]."""
-
-    stamp: float
-    probability: float
-
-
-class Speech(Message, frozen=True):
-    """Log energies of speech by time and band, ``(frames, bands)``."""
+class Source(Message, frozen=True):
+    """Somebody speaks at x, y [m] of the flat, known to about `spread` [m]."""
 
     stamp: float
-    features: NDArray[np.float32]
+    x: float
+    y: float
+    spread: float
 
 
 class Attention(Message, frozen=True):
-    """Where to look [rad], and how much that matters, in [0, 1]."""
+    """Where the robot looks [rad], counter-clockwise from ahead."""
 
     stamp: float
     bearing: float
-    urgency: float
 
 
-class Utterance(Message, frozen=True):
-    """What somebody said, as an intent and how sure that is, in [0, 1]."""
+class Speech(Message, frozen=True):
+    """Samples of somebody who speaks, ``(n,)``, and whether the sentence ends."""
 
     stamp: float
-    intent: str
-    confidence: float
+    samples: NDArray[np.int16]
+    ends: bool
 
 
-class Sentence(Message, frozen=True):
-    """What the robot is to say."""
+class Caption(Message, frozen=True):
+    """What somebody has said so far, as it sounds."""
 
     stamp: float
     text: str
 
 
-class Emotion(Message, frozen=True):
-    """The robot's mood: pleasant or not, and lively or not, each in [-1, 1]."""
+class Utterance(Message, frozen=True):
+    """A command that somebody gave."""
 
     stamp: float
-    valence: float
-    arousal: float
+    text: str
 
 
-class Gesture(Message, frozen=True):
-    """A point [m] that the hand is to reach, in the frame of the shoulder."""
+class Sentence(Message, frozen=True):
+    """What the robot is to say, and to which words."""
 
     stamp: float
-    x: float
-    y: float
-    z: float
+    text: str
+    heard: str
+
+
+class Order(Message, frozen=True):
+    """The cup is to be put on this side of the tray: ``left`` or ``right``."""
+
+    stamp: float
+    side: str
+
+
+class Mouth(Message, frozen=True):
+    """How loud the robot speaks, in [0, 1]."""
+
+    stamp: float
+    loudness: float
 
 
 class Image(Message, frozen=True):
@@ -125,31 +130,61 @@ class Image(Message, frozen=True):
     pixels: NDArray[np.uint8]
 
 
-class Joints(Message, frozen=True):
-    """Angles of the arm's joints [rad], ``(6,)``."""
+class Cup(Message, frozen=True):
+    """Where the cup is seen: x, y [m] in the robot's frame."""
 
     stamp: float
+    x: float
+    y: float
+
+
+class Reach(Message, frozen=True):
+    """Angles of the joints [rad] to go to, ``(6,)``, and what the hand does there.
+
+    The arm `carries` the cup on the way, and the hand `closes` or opens at the end.
+    """
+
+    stamp: float
+    number: int
     angles: NDArray[np.float32]
+    carries: bool
+    closes: bool
 
 
 class Trajectory(Message, frozen=True):
-    """Angles of the joints [rad] at equal steps of 20 ms, ``(steps, 6)``."""
+    """Angles of the joints [rad] every 20 ms, ``(steps, 6)``, for a reach."""
+
+    stamp: float
+    number: int
+    angles: NDArray[np.float32]
+    closes: bool
+
+
+class Joints(Message, frozen=True):
+    """Angles of the arm's joints [rad], ``(6,)``, and which reach is done."""
 
     stamp: float
     angles: NDArray[np.float32]
+    done: int
 
 
 class Programme(Message, frozen=True):
-    """A programme in the television guide; `number` names it."""
+    """A programme on the air in a slot; `genres` are eight shares (float64)."""
 
     number: int
     title: str
-    genre: int
-    start: float
+    genres: bytes
+    slot: int
+
+
+class Watched(Message, frozen=True):
+    """Who watched what: viewer and programme, ``(n, 2)``."""
+
+    stamp: float
+    pairs: NDArray[np.int32]
 
 
 class Wish(Message, frozen=True):
-    """The viewer would like to see something of this genre."""
+    """Somebody would like to know what is on television."""
 
     stamp: float
-    genre: int

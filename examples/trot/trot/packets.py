@@ -7,6 +7,13 @@
 ``laser.sock``        10 times a second: time, then one range [m] for each beam
 ``microphones.sock``  20 times a second: time, then one row of samples a microphone
 ``speakers.sock``     from the robot: samples
+``screen.sock``       from the robot: what is on the screen
+``arm.sock``          to the robot 50 times a second: angles [rad] of six joints, and
+                      whether the hand is closed; from the robot: the same, wanted
+``cameras.sock``      to the robot 20 times a second: time, then a JPEG picture
+``pan_tilt.sock``     from the robot: where the head is to look [rad]
+``television.sock``   to the robot 10 times a second: viewers and what they watch
+``remote_control.sock``  from the robot: what it recommends
 ====================  =============================================================
 
 Times are CLOCK_MONOTONIC [s], which all emulated computers share.
@@ -15,9 +22,16 @@ Times are CLOCK_MONOTONIC [s], which all emulated computers share.
 from __future__ import annotations
 
 import struct
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+DEVICES = (
+    *("wheels", "laser", "arm", "cameras", "pan_tilt"),
+    *("microphones", "speakers", "screen", "television", "remote_control"),
+)
+"""Their names in the robot file, and of their sockets."""
 
 MICROPHONES = 4
 SAMPLE_RATE = 16_000
@@ -75,3 +89,81 @@ def unpack_sound(packet: bytes) -> tuple[float, NDArray[np.int16]]:
     (stamp,) = _STAMP.unpack_from(packet)
     samples = np.frombuffer(packet, "<i2", offset=_STAMP.size)
     return stamp, samples.reshape(MICROPHONES, -1)
+
+
+_ARM = struct.Struct("<6d?")
+_ANGLE = struct.Struct("<d")
+_SCREEN = struct.Struct("<dHH")
+_SLOT = struct.Struct("<dq")
+
+
+class Screen(NamedTuple):
+    """When the robot said something [s], to what words, what, and a JPEG picture."""
+
+    stamp: float
+    heard: str
+    said: str
+    picture: bytes
+
+
+def pack_arm(angles: NDArray[np.floating], *, closed: bool) -> bytes:
+    return _ARM.pack(*map(float, angles), closed)
+
+
+def unpack_arm(packet: bytes) -> tuple[NDArray[np.float64], bool]:
+    *angles, closed = _ARM.unpack(packet)
+    return np.array(angles), closed
+
+
+def pack_angle(angle: float) -> bytes:
+    return _ANGLE.pack(angle)
+
+
+def unpack_angle(packet: bytes) -> float:
+    (angle,) = _ANGLE.unpack(packet)
+    return float(angle)
+
+
+def pack_picture(stamp: float, picture: bytes) -> bytes:
+    return _STAMP.pack(stamp) + picture
+
+
+def unpack_picture(packet: bytes) -> tuple[float, bytes]:
+    (stamp,) = _STAMP.unpack_from(packet)
+    return stamp, packet[_STAMP.size :]
+
+
+def pack_screen(screen: Screen) -> bytes:
+    heard, said = screen.heard.encode(), screen.said.encode()
+    head = _SCREEN.pack(screen.stamp, len(heard), len(said))
+    return head + heard + said + screen.picture
+
+
+def unpack_screen(packet: bytes) -> Screen:
+    stamp, heard, said = _SCREEN.unpack_from(packet)
+    middle, end = _SCREEN.size + heard, _SCREEN.size + heard + said
+    return Screen(
+        stamp,
+        packet[_SCREEN.size : middle].decode(),
+        packet[middle:end].decode(),
+        packet[end:],
+    )
+
+
+def pack_watched(pairs: NDArray[np.int32]) -> bytes:
+    return pairs.astype("<i4").tobytes()
+
+
+def unpack_watched(packet: bytes) -> NDArray[np.int32]:
+    """Return viewer and programme, ``(n, 2)``."""
+    return np.frombuffer(packet, "<i4").reshape(-1, 2)
+
+
+def pack_recommended(wished: float, slot: int, numbers: list[int]) -> bytes:
+    """Return a packet: when the viewer asked for it [s] or 0, slot, and programmes."""
+    return _SLOT.pack(wished, slot) + np.array(numbers, "<i4").tobytes()
+
+
+def unpack_recommended(packet: bytes) -> tuple[float, int, list[int]]:
+    wished, slot = _SLOT.unpack_from(packet)
+    return wished, slot, np.frombuffer(packet, "<i4", offset=_SLOT.size).tolist()

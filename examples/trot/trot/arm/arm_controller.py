@@ -1,50 +1,52 @@
-"""Follows a trajectory, joint by joint."""
+"""Moves the arm along a trajectory, and closes or opens the hand at its end."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from poise import Component, Published, every, subscribed
-from trot.arm import geometry
-from trot.effort import Block, Effort
+from trot.arm import arm_model
+from trot.device import Device
 from trot.messages import Joints, Trajectory
+from trot.packets import pack_arm, unpack_arm
 
-STRIDE = 2.5
-"""Points of the trajectory (20 ms) in a cycle of 50 ms."""
-
-STIFFNESS = 0.6
-"""The share of the way to the wanted angle that a joint goes in a cycle."""
+SETTLED = 0.03
+"""[rad] A joint this near its end has arrived."""
 
 
 class ArmController(Component):
-    """Moves simulated joints along the newest trajectory, 20 times a second."""
+    """Commands the next posture 50 times a second, and publishes the last one read."""
 
     joints: Published[Joints]
 
     def configure(self) -> None:
-        self._effort = Effort.declared(self.parameters)
-        self._angles = np.zeros(geometry.JOINTS, np.float32)
-        self._wanted = np.zeros((1, geometry.JOINTS), np.float32)
-        self._at = 0.0
+        self._motors = Device(self.device("arm"))
+        self._way = np.array([arm_model.REST], np.float32)
+        self._at, self._number, self._done = 0, 0, 0
+        self._closes = self._closed = False
+        self._angles = self._way[0]
+        self._ticks = 0
 
     @subscribed(keep=1)
     def trajectory(self, message: Trajectory) -> None:
-        self._wanted = message.angles
-        self._at = 0.0
+        self._way, self._at = message.angles, 0
+        self._number, self._closes = message.number, message.closes
 
-    @every(0.05)
+    @every(0.02, deadline=0.02)
     def control(self) -> None:
-        since = self._effort.start()
-        self._at = min(self._at + STRIDE, len(self._wanted) - 1)
-        self._angles = self._angles + STIFFNESS * (
-            self._wanted[int(self._at)] - self._angles
-        )
-        self._effort.spend(_torques, since)
-        self.joints.publish(Joints(self.clock.now(), self._angles))
+        for packet in self._motors.receive()[-1:]:
+            self._angles = unpack_arm(packet)[0].astype(np.float32)
+        self._at = min(self._at + 1, len(self._way) - 1)
+        if self._at == len(self._way) - 1 and self._is_settled():
+            self._closed, self._done = self._closes, self._number
+        self._motors.send(pack_arm(self._way[self._at], closed=self._closed))
+        self._ticks += 1
+        if self._ticks % 3 == 0:
+            stamp = self.clock.now()
+            self.joints.publish(Joints(stamp, self._angles, self._done))
 
+    def cleanup(self) -> None:
+        self._motors.close()
 
-def _torques(block: Block) -> float:
-    """Return the largest of many torques that a motion would take."""
-    angles = block[:6000].reshape(-1, geometry.JOINTS)
-    lever = np.abs(geometry.points(angles)[..., 0])
-    return float(lever.sum(axis=-1).max())
+    def _is_settled(self) -> bool:
+        return float(np.abs(self._angles - self._way[-1]).max()) < SETTLED

@@ -31,22 +31,22 @@ PLACES = {"left": (0.09, 0.12), "right": (0.09, -0.12)}
 """Where a cup may stand: x and y of the middle of its coaster."""
 
 _ARM = """
-<body name="turn" pos="-0.15 0 0.62">
+<body name="turn" gravcomp="1" pos="-0.15 0 0.62">
  <joint name="turn" axis="0 0 1" range="-2.6 2.6"/>
  <geom class="arm" type="cylinder" size="0.035 0.03" pos="0 0 -0.03"/>
- <body name="upper">
+ <body name="upper" gravcomp="1">
   <joint name="shoulder" axis="0 1 0" range="-2.2 1.6"/>
   <geom class="arm" fromto="0.03 0 0 0.21 0 0"/>
-  <body name="fore" pos="0.24 0 0">
+  <body name="fore" gravcomp="1" pos="0.24 0 0">
    <joint name="elbow" axis="0 1 0" range="0 2.7"/>
    <geom class="arm" fromto="0 0 0 0.09 0 0"/>
-   <body name="roll" pos="0.1 0 0">
+   <body name="roll" gravcomp="1" pos="0.1 0 0">
     <joint name="roll" axis="1 0 0" range="-1.6 1.6"/>
     <geom class="arm" fromto="0 0 0 0.09 0 0"/>
-    <body name="wrist" pos="0.1 0 0">
+    <body name="wrist" gravcomp="1" pos="0.1 0 0">
      <joint name="wrist" axis="0 1 0" range="-1.9 1.9"/>
      <geom class="arm" size="0.018" fromto="0 0 0 0.03 0 0"/>
-     <body name="hand" pos="0.04 0 0">
+     <body name="hand" gravcomp="1" pos="0.04 0 0">
       <joint name="hand" axis="1 0 0" range="-3 3"/>
       <geom class="arm" type="box" size="0.01 0.012 0.03" pos="0.01 0 0"/>
       {held}

@@ -1,20 +1,13 @@
-"""Decides what to say, and what else an utterance asks for."""
+"""Decides what to say and to do when somebody said something."""
 
 from __future__ import annotations
 
-from poise import Component, Message, Published, every, subscribed
-from trot.effort import Block, Effort
-from trot.messages import Sentence, Utterance, Wish
+import re
+from collections.abc import Callable
 
-ANSWERS = {
-    "greet": "Good morning. How are you today?",
-    "bring": "I am on my way to the kitchen.",
-    "television": "This is what you may like to see.",
-    "stop": "I stop.",
-    "chat": "Tell me more about it.",
-}
-TURN = 2.0
-"""[s] The robot does not speak more often than this."""
+from poise import CallError, Component, Message, Published, Required, subscribed
+from trot.interfaces import Knowledge
+from trot.messages import Order, Sentence, Utterance, Wish
 
 
 class Turns(Message, frozen=True):
@@ -24,32 +17,35 @@ class Turns(Message, frozen=True):
 
 
 class DialogueManager(Component):
-    """Answers the newest utterance when it is the robot's turn."""
+    """Answers each utterance, and orders what it asks for."""
 
+    knowledge: Required[Knowledge]
     sentence: Published[Sentence]
+    order: Published[Order]
     wish: Published[Wish]
 
     def configure(self) -> None:
-        self._effort = Effort.declared(self.parameters)
-        self._heard: Utterance | None = None
-        self._spoke = self.clock.now()
         self._turns = 0
+        self._rules: list[tuple[str, Callable[..., str]]] = [
+            (r"put the cup on the (left|right)", self._put),
+            (r"where (is|are) (?:my|the) (.+)", self._where),
+            (r"what is on television", self._television),
+            (r"what is the time", lambda: f"It is {self._ask('clock', 'shows')}."),
+            (r"how warm is it (\w+)", self._warm),
+            (r"when does the (\w+) come", self._visit),
+            (r"good (morning|evening)", lambda when: f"Good {when}. How are you?"),
+            (r"thank you", lambda: "You are welcome."),
+        ]
 
     @subscribed(keep=2)
     def utterance(self, message: Utterance) -> None:
-        self._heard = message
-
-    @every(0.1)
-    def turn(self) -> None:
-        self._effort.spend(_policy, self._effort.start())
-        now = self.clock.now()
-        if self._heard is None or now - self._spoke < TURN:
-            return
-        heard, self._heard = self._heard, None
-        self._spoke = now
+        try:
+            answer = self._answer(message.text)
+        except CallError as error:
+            self.log.info("no knowledge: %s", error)
+            answer = "I have to think about it."
         self._turns += 1
-        self.sentence.publish(Sentence(now, ANSWERS[heard.intent]))
-        self.wish.publish(Wish(now, self._turns % 16))
+        self.sentence.publish(Sentence(self.clock.now(), answer, message.text))
 
     def snapshot(self) -> Turns:
         return Turns(self._turns)
@@ -57,8 +53,32 @@ class DialogueManager(Component):
     def restore(self, state: Turns) -> None:
         self._turns = state.count
 
+    def _answer(self, text: str) -> str:
+        for pattern, answer in self._rules:
+            if found := re.match(pattern, text):
+                return answer(*found.groups())
+        return "Please say that again."
 
-def _policy(block: Block) -> float:
-    """Return the value of the best of 128 states of a dialogue, one sweep on."""
-    gain = block.reshape(128, 128)
-    return float((gain + 0.9 * gain.max(axis=1)).max(axis=1).max())
+    def _put(self, side: str) -> str:
+        self.order.publish(Order(self.clock.now(), side))
+        return f"I put the cup on the {side}."
+
+    def _television(self) -> str:
+        self.wish.publish(Wish(self.clock.now()))
+        return "This is what you may like to see."
+
+    def _where(self, verb: str, thing: str) -> str:
+        place = self._ask(thing, "is")
+        return (
+            f"The {thing} {verb} {place}." if place else f"I have not seen the {thing}."
+        )
+
+    def _warm(self, where: str) -> str:
+        return f"It has {self._ask(where, 'has')} degrees {where}."
+
+    def _visit(self, who: str) -> str:
+        when = self._ask(who, "comes")
+        return f"The {who} comes {when}." if when else f"The {who} does not come."
+
+    def _ask(self, subject: str, verb: str) -> str:
+        return self.knowledge.ask(subject, verb)

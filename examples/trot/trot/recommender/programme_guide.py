@@ -1,43 +1,52 @@
-"""Knows what is on television."""
+"""Knows what is on television, and what it is about; SQLite finds it."""
 
 from __future__ import annotations
 
-import numpy as np
+import sqlite3
 
-from poise import Component, Provided, every
-from trot.effort import Block, Effort
+from poise import Component, Provided
 from trot.interfaces import Guide
 from trot.messages import Programme
+from trot.recommender.audience import PROGRAMMES, SLOT, Audience, on_air
 
-PROGRAMMES = 2000
-GENRES = 16
-ANSWERS = 20
-"""Programmes that a search returns at most."""
+GENRES = ("News", "Crime", "Music", "Nature", "Sport", "Comedy", "History", "Cookery")
 
 
 class ProgrammeGuide(Component):
-    """A guide of a week, and an index that it goes on sorting."""
+    """Answers what is on the air now, with the shares of genres of each programme."""
 
     guide: Provided[Guide]
 
     def configure(self) -> None:
-        self._effort = Effort.declared(self.parameters)
-        random = np.random.default_rng(7)
-        self._starts = np.sort(random.uniform(0, 7 * 86_400, PROGRAMMES))
-        self._genres = random.integers(0, GENRES, PROGRAMMES)
+        genres = Audience().genres
+        self._guide = sqlite3.connect(":memory:", check_same_thread=False)
+        self._guide.execute(
+            "create table programmes (number primary key, title, genres)"
+        )
+        self._guide.execute("create table air (slot, number)")
+        self._guide.execute("create index slots on air (slot)")
+        self._guide.executemany(
+            "insert into programmes values (?, ?, ?)",
+            [
+                (n, f"{GENRES[genres[n].argmax()]} {n}", genres[n].tobytes())
+                for n in range(PROGRAMMES)
+            ],
+        )
+        self._last = -1
 
-    def search(self, genre: int) -> list[Programme]:
-        numbers = np.nonzero(self._genres == genre)[0][:ANSWERS]
-        return [
-            Programme(int(n), f"Programme {n}", genre, float(self._starts[n]))
-            for n in numbers
-        ]
+    def on_air(self) -> list[Programme]:
+        slot = int(self.clock.now() // SLOT)
+        if slot != self._last:
+            rows = [(slot, int(number)) for number in on_air(slot)]
+            self._guide.execute("delete from air")
+            self._guide.executemany("insert into air values (?, ?)", rows)
+            self._last = slot
+        found = self._guide.execute(
+            "select number, title, genres from programmes join air using (number) "
+            "where slot = ? order by number",
+            (slot,),
+        )
+        return [Programme(number, title, about, slot) for number, title, about in found]
 
-    @every(0.1)
-    def index(self) -> None:
-        self._effort.spend(_sort, self._effort.start())
-
-
-def _sort(block: Block) -> Block:
-    """Return a part of the index in order."""
-    return np.sort(block[:8192])
+    def cleanup(self) -> None:
+        self._guide.close()

@@ -1,21 +1,25 @@
-"""Shows what to watch, as a panel of thumbnails."""
+"""Recommends programmes: to the television, and as a panel for the screen."""
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from poise import CallError, Component, Published, Required, every, subscribed
-from trot.effort import Block, Effort
+from trot.device import Device
 from trot.interfaces import Guide, Ratings, Tastes
-from trot.messages import Image, Wish
+from trot.messages import Image, Programme, Wish
+from trot.packets import pack_recommended
 
-HEIGHT, WIDTH = 120, 160
-SHOWN = 4
+HEIGHT, WIDTH = 150, 240
+SHOWN = 3
+BY_GENRE = 0.5
+"""The weight of the share of genres against what the rating model says."""
 
 
 class RecommendationPresenter(Component):
-    """Publishes a panel twice a second: the best programmes of the wished genre."""
+    """Publishes a panel twice a second, and tells the television when it is asked."""
 
     guide: Required[Guide]
     tastes: Required[Tastes]
@@ -23,51 +27,64 @@ class RecommendationPresenter(Component):
     panel: Published[Image]
 
     def configure(self) -> None:
-        self._effort = Effort.declared(self.parameters)
-        self._genre: int | None = None
+        self._remote_control = Device(self.device("remote_control"))
 
     @subscribed(keep=1)
     def wish(self, message: Wish) -> None:
-        self._genre = message.genre
+        self._recommend(wished=message.stamp)
 
-    @every(0.5)
+    @every(0.5, deadline=0.5)
     def present(self) -> None:
-        since = self._effort.start()
+        self._recommend()
+
+    def cleanup(self) -> None:
+        self._remote_control.close()
+
+    def _recommend(self, wished: float = 0.0) -> None:
         try:
-            numbers = self._choose()
+            programmes, scores = self._choose()
         except CallError as error:
             self.log.info("nothing to recommend: %s", error)
             return
-        pixels = draw(numbers)
-        self._effort.spend(_blur, since)
-        self.panel.publish(Image(self.clock.now(), pixels))
+        numbers = [each.number for each in programmes]
+        packet = pack_recommended(wished, programmes[0].slot, numbers)
+        self._remote_control.send(packet)
+        self.panel.publish(Image(self.clock.now(), draw(programmes, scores)))
 
-    def _choose(self) -> list[int]:
-        """Return the numbers of the programmes to show, best first."""
-        likings = self.tastes.weights()
-        genre = int(likings.argmax()) if self._genre is None else self._genre
-        numbers = [programme.number for programme in self.guide.search(genre)]
-        rated = zip(self.ratings.predict(numbers), numbers, strict=True)
-        return [number for _, number in sorted(rated, reverse=True)[:SHOWN]]
+    def _choose(self) -> tuple[list[Programme], list[float]]:
+        """Return the best programmes on the air, and how good they seem."""
+        programmes = self.guide.on_air()
+        weights = self.tastes.weights()
+        rated = self.ratings.predict([each.number for each in programmes])
+        genres = [float(np.frombuffer(each.genres) @ weights) for each in programmes]
+        scores = _scaled(rated) + BY_GENRE * _scaled(genres)
+        best = np.argsort(-scores)[:SHOWN]
+        return [programmes[number] for number in best], scores[best].tolist()
 
 
-def draw(numbers: list[int]) -> NDArray[np.uint8]:
-    """Return a panel ``(HEIGHT, WIDTH, 3)`` with a pattern for each programme."""
-    panel = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
-    y, x = np.mgrid[0 : HEIGHT // 2, 0 : WIDTH // 2]
-    for place, number in enumerate(numbers):
-        top, left = divmod(place, 2)
-        waves = 128 + 127 * np.sin((x * (1 + number % 7) + y * (1 + number % 5)) / 20)
-        part = (
-            slice(top * HEIGHT // 2, (top + 1) * HEIGHT // 2),
-            slice(left * WIDTH // 2, (left + 1) * WIDTH // 2),
+def _scaled(values: list[float]) -> NDArray[np.float64]:
+    """Return values from 0 to 1, or all 0 when they are alike."""
+    array = np.array(values)
+    width = array.max() - array.min()
+    return (array - array.min()) / width if width > 0 else np.zeros(len(array))
+
+
+def draw(programmes: list[Programme], scores: list[float]) -> NDArray[np.uint8]:
+    """Return a panel ``(HEIGHT, WIDTH, 3)``: a title and a bar for each programme."""
+    panel = np.full((HEIGHT, WIDTH, 3), (60, 40, 30), np.uint8)
+    for place, (programme, score) in enumerate(zip(programmes, scores, strict=True)):
+        top = 10 + place * 46
+        width = round((WIDTH - 20) * min(1.0, score / (1 + BY_GENRE)))
+        cv2.rectangle(panel, (10, top + 26), (10 + width, top + 34), (90, 200, 90), -1)
+        where = (10, top + 18)
+        cv2.putText(
+            panel,
+            programme.title,
+            where,
+            cv2.FONT_HERSHEY_SIMPLEX,
+            0.6,
+            (255,) * 3,
+            1,
+            16,
         )
-        panel[part] = np.stack([waves, 255 - waves, waves / 2], axis=-1)
     return panel
-
-
-def _blur(block: Block) -> Block:
-    """Return a stored thumbnail, smoothed to be scaled down."""
-    picture = block.reshape(128, 128)
-    total = picture[:-1, :-1] + picture[1:, :-1] + picture[:-1, 1:]
-    return total / np.float32(3)

@@ -1,46 +1,54 @@
-"""Learns what the viewer likes."""
+"""Learns what we like from what we watch."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from poise import Component, Message, Provided, every
-from trot.effort import Block, Effort
+from poise import Component, Message, Provided, Published, every
+from trot.device import Device
 from trot.interfaces import Tastes
-from trot.recommender.programme_guide import GENRES
+from trot.messages import Watched
+from trot.packets import unpack_watched
+from trot.recommender.audience import GENRES, US, Audience
+
+FADES = 0.98
+"""The weight of what was watched one programme earlier."""
 
 
 class Liking(Message, frozen=True):
-    """How much the viewer likes each genre, ``(GENRES,)``."""
+    """How much of each genre was watched, ``(GENRES,)``."""
 
-    weights: NDArray[np.float32]
+    watched: NDArray[np.float64]
 
 
 class ViewerProfile(Component):
-    """A liking for each genre, learnt from a long log of what was watched."""
+    """Reads who watches what, hands it on, and keeps our share of each genre."""
 
     tastes: Provided[Tastes]
+    watched: Published[Watched]
 
     def configure(self) -> None:
-        self._effort = Effort.declared(self.parameters)
-        self._weights = np.full(GENRES, 1 / GENRES, np.float32)
+        self._television = Device(self.device("television"))
+        self._genres = Audience().genres
+        self._watched = np.full(GENRES, 0.1)
 
-    def weights(self) -> NDArray[np.float32]:
-        return self._weights
+    def weights(self) -> NDArray[np.float64]:
+        return np.asarray(self._watched / self._watched.sum())
 
     @every(0.1)
-    def learn(self) -> None:
-        self._effort.spend(self._replay, self._effort.start())
+    def read(self) -> None:
+        for packet in self._television.receive():
+            pairs = unpack_watched(packet)
+            for programme in pairs[pairs[:, 0] == US, 1]:
+                self._watched = FADES * self._watched + self._genres[programme]
+            self.watched.publish(Watched(self.clock.now(), pairs))
 
     def snapshot(self) -> Liking:
-        return Liking(self._weights)
+        return Liking(self._watched)
 
     def restore(self, state: Liking) -> None:
-        self._weights = state.weights
+        self._watched = state.watched.copy()
 
-    def _replay(self, block: Block) -> None:
-        """Let a part of the log move the likings a little."""
-        watched = np.bincount((block * GENRES).astype(np.intp), minlength=GENRES)
-        share = watched[:GENRES] / watched.sum()
-        self._weights = (0.99 * self._weights + 0.01 * share).astype(np.float32)
+    def cleanup(self) -> None:
+        self._television.close()

@@ -3,8 +3,8 @@
 It serves the devices' sockets in the folder POISE_RUN, says ``ready``, and runs until
 the goal is reached, SIGTERM comes, or its standard input ends when that is a pipe (so
 that it does not outlive who holds the other end). With ``--endless`` it runs on
-when the goal was reached. The last line it prints is a JSON object that says how the
-drive went.
+when the goal was reached; ``--seed 3`` is another world. The last line it prints is a
+JSON object that says how it went.
 """
 
 from __future__ import annotations
@@ -21,16 +21,26 @@ from typing import Any
 
 from trot import laser_model
 from trot.packets import (
+    DEVICES,
     SOUND_PERIOD,
+    pack_arm,
     pack_odometry,
+    pack_picture,
     pack_ranges,
     pack_sound,
+    pack_watched,
+    unpack_angle,
+    unpack_arm,
     unpack_command,
+    unpack_screen,
 )
+from trot.world import sound, television
+from trot.world.camera import Camera
 from trot.world.drive import Drive
+from trot.world.head import Head
 from trot.world.outlet import Outlet
+from trot.world.person import Person
 from trot.world.simulation import STEP, Simulation
-from trot.world.sound import Sound
 
 AFTER_GOAL = 0.5
 """[s] The world goes on for this long after the goal was reached."""
@@ -38,43 +48,91 @@ AFTER_GOAL = 0.5
 MOST_BEHIND = 0.1
 """[s] A world further behind the clock than this lets the rest of the time go."""
 
+CAMERA_PERIOD = 0.05
+"""[s] from picture to picture."""
+
 
 class World:
-    """The simulation, and the sockets through which the robot meets it."""
+    """The simulation, and the sockets through which the robot meets it.
 
-    def __init__(self, folder: Path) -> None:
-        self.simulation = Simulation()
-        self._drive = Drive(self.simulation)
+    Parameters
+    ----------
+    folder
+        For the sockets.
+    seed
+        Of all noise, and of who says and watches what.
+    """
+
+    def __init__(self, folder: Path, seed: int = 0) -> None:
+        self.simulation = Simulation(seed)
         self.finished_at: float | None = None
         self.is_told_to_end = False
         self._began = 0.0
-        self._sound = Sound()
+        self._drive = Drive(self.simulation)
+        self._camera, self._head = Camera(seed), Head()
+        self._sound, self._person = sound.Sound(seed), Person(seed)
+        self._television = television.Television(seed)
         self._steps = 0
-        names = ("wheels", "laser", "microphones", "speakers")
-        self._outlets = {name: Outlet(folder / f"{name}.sock") for name in names}
+        self._outlets = {name: Outlet(folder / f"{name}.sock") for name in DEVICES}
 
     def step(self, now: float) -> None:
         """Simulate one step that ends at `now` [s], and serve the devices."""
-        for packet in self._outlets["wheels"].poll():
-            command = unpack_command(packet)
-            if command is not None:
-                self.simulation.command(*command)
-                self._began = self._began or self.simulation.now
-        self._outlets["speakers"].poll()
+        self._act(now)
         self.simulation.step()
         self._drive.look()
+        self._head.step(STEP)
         self._steps += 1
         self._sense(now)
         if self.simulation.goal_reached and self.finished_at is None:
             self.finished_at = self.simulation.now
 
+    def _act(self, now: float) -> None:
+        """Do what the robot wants."""
+        for packet in self._outlets["wheels"].poll():
+            command = unpack_command(packet)
+            if command is not None:
+                self.simulation.command(*command)
+                self._began = self._began or self.simulation.now
+        for packet in self._outlets["arm"].poll():
+            angles, closed = unpack_arm(packet)
+            self.simulation.hand.move(angles, closed=closed)
+        for packet in self._outlets["pan_tilt"].poll():
+            self._head.wanted = unpack_angle(packet)
+        for packet in self._outlets["screen"].poll():
+            self._person.read(unpack_screen(packet))
+        if self._outlets["speakers"].poll():
+            self._person.hear(now)
+        for packet in self._outlets["remote_control"].poll():
+            asked = self._person.asked_for_television
+            self._television.take(packet, now, asked)
+
     def _sense(self, now: float) -> None:
+        """Tell the robot what there is."""
         _, x, y, heading = self.simulation.odometry
+        hand = self.simulation.hand
         self._outlets["wheels"].push(pack_odometry((now, x, y, heading)))
+        self._outlets["arm"].push(pack_arm(hand.angles, closed=hand.is_closed))
         if self._every(laser_model.PERIOD):
             self._outlets["laser"].push(pack_ranges(now, self.simulation.scan()))
         if self._every(SOUND_PERIOD):
-            self._outlets["microphones"].push(pack_sound(now, self._sound.block()))
+            self._speak(now)
+        if self._every(CAMERA_PERIOD):
+            picture = self._camera.jpeg(hand.cup[0], hand.points)
+            self._outlets["cameras"].push(pack_picture(now, picture))
+        if self._every(television.PERIOD) and self._outlets["television"].is_used:
+            watched = self._television.watched()
+            self._outlets["television"].push(pack_watched(watched))
+
+    def _speak(self, now: float) -> None:
+        """Let the person go on speaking, or begin to."""
+        samples = self._person.speak(now)
+        if samples is not None:
+            self._sound.say(samples)
+        was_speaking = self._sound.is_speaking
+        block = self._sound.block(self.simulation.pose)
+        self._outlets["microphones"].push(pack_sound(now, block))
+        if was_speaking and not self._sound.is_speaking:
+            self._head.judge(sound.bearing(self.simulation.pose))
 
     def _every(self, period: float) -> bool:
         """Whether a multiple of `period` [s] fell into the last step."""
@@ -92,10 +150,16 @@ class World:
     def result(self) -> dict[str, Any]:
         """Return how it went since the first command; lengths in [m]."""
         seconds = (self.finished_at or self.simulation.now) - self._began
+        hand = self.simulation.hand
         return {
             "goal_reached": self.finished_at is not None,
             "seconds": round(seconds, 2),
             **self._drive.result(),
+            "cups_placed": hand.placed,
+            "cups_dropped": hand.dropped,
+            **self._person.result(time.monotonic()),
+            **self._head.result(),
+            **self._television.result(),
         }
 
     def end(self) -> None:
@@ -136,6 +200,12 @@ def _told_to_end(wait: float) -> bool:
             return True
 
 
+def _seed() -> int:
+    """Return the number after ``--seed``; 0 without."""
+    words = sys.argv
+    return int(words[words.index("--seed") + 1]) if "--seed" in words else 0
+
+
 def main() -> int:
     """Run the world in the folder POISE_RUN; 2 when that is not given."""
     folder = os.environ.get("POISE_RUN")
@@ -143,7 +213,7 @@ def main() -> int:
         message = f"POISE_RUN names the folder for the sockets; it is {folder!r}"
         print(message, file=sys.stderr)  # noqa: T201, this is a program
         return 2
-    world = World(Path(folder))
+    world = World(Path(folder), _seed())
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: world.end())
     try:

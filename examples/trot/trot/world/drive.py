@@ -34,6 +34,8 @@ class Drive:
         away = np.linalg.norm(path[:, None] - self._best, axis=2).min(axis=1)
         return {
             "path": path.round(3).tolist(),
+            "walls": home.WALLS,
+            "goal": home.GOAL,
             "path_error": round(float(away.mean()), 3),
             "path_error_most": round(float(away.max()), 3),
             "collisions": self._simulation.collisions,

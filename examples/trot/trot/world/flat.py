@@ -30,7 +30,7 @@ def flat(walls: tuple[home.Segment, ...], furniture: tuple[home.Box, ...]) -> st
     x, y = arm_model.PLACES["left"]
     half = arm_model.CUP_HEIGHT / 2
     motors = "".join(
-        f'<position joint="{name}" kp="60" kv="6"/>' for name in arm_model.JOINTS
+        f'<position joint="{name}" kp="150" kv="10"/>' for name in arm_model.JOINTS
     )
     return f"""
 <mujoco>

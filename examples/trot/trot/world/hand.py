@@ -21,6 +21,9 @@ LIES = 2.0
 """[s] A cup that fell is put back on its last place after this time."""
 
 
+_SEEN = ("turn", "fore", "wrist", "hand")
+
+
 class Hand:
     """Six motors that follow the angles they are told, and a gripper."""
 
@@ -57,6 +60,15 @@ class Hand:
         robot = self._data.xpos[self._model.body("robot").id]
         lean = self._data.xmat[self._model.body("cup").id][8]
         return rotation.T @ (where - robot), float(lean)
+
+    @property
+    def points(self) -> list[NDArray[np.float64]]:
+        """The arm's joints and the hand in the robot's frame [m]."""
+        robot = self._data.body("robot")
+        rotation = robot.xmat.reshape(3, 3)
+        places = [self._data.body(name).xpos for name in _SEEN]
+        places.append(self._data.site("grip").xpos)
+        return [rotation.T @ (place - robot.xpos) for place in places]
 
     def move(self, angles: NDArray[np.float64], *, closed: bool) -> None:
         """Tell the motors where to turn [rad], and the hand whether to be closed."""

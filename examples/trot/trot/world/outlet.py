@@ -32,6 +32,12 @@ class Outlet:
         self._listener.listen()
         self._clients: list[socket.socket] = []
 
+    @property
+    def is_used(self) -> bool:
+        """Whether anybody has opened the device."""
+        self._accept()
+        return bool(self._clients)
+
     def push(self, packet: bytes) -> None:
         """Send `packet` to every client; one whose buffer is full does not get it."""
         self._accept()
