@@ -87,7 +87,7 @@ def drive(method: str, *, missed: int, is_at_goal: bool) -> RunReport:
         cpu_share={},
         components=(navigator,),
         connectors=(),
-        simulation={"goal_reached": is_at_goal},
+        simulation={"functions": {"navigation": is_at_goal, "audition": True}},
     )
 
 
@@ -99,4 +99,5 @@ def test_a_drive_without_a_result_is_trouble() -> None:
     silent = replace(static, simulation={}, invalid=missing)
     assert demo_command.find_trouble((static, auto)) == ""
     assert missing in demo_command.find_trouble((silent, auto))
-    assert "did not fail" in demo_command.find_trouble((auto, auto))
+    assert "static placement" in demo_command.find_trouble((auto, auto))
+    assert "failed: navigation" in demo_command.find_trouble((static, static))

@@ -37,6 +37,7 @@ from trot.packets import (
 from trot.world import sound, television
 from trot.world.camera import Camera
 from trot.world.drive import Drive
+from trot.world.functions import working
 from trot.world.head import Head
 from trot.world.outlet import Outlet
 from trot.world.person import Person
@@ -151,7 +152,7 @@ class World:
         """Return how it went since the first command; lengths in [m]."""
         seconds = (self.finished_at or self.simulation.now) - self._began
         hand = self.simulation.hand
-        return {
+        found = {
             "goal_reached": self.finished_at is not None,
             "seconds": round(seconds, 2),
             **self._drive.result(),
@@ -161,6 +162,7 @@ class World:
             **self._head.result(),
             **self._television.result(),
         }
+        return {**found, "functions": working(found)}
 
     def end(self) -> None:
         """End after this step; a signal's handler may call it at any moment."""

@@ -1,0 +1,32 @@
+"""Which of the robot's functions worked, as a person in the flat would say."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+ANSWERED = 0.75
+"""The share of sentences that want a right answer in time."""
+
+HEAD = 15.0
+"""[degrees] The head may be this far off, median."""
+
+GOOD = 0.6
+"""The share of recommendations that are to be good; by chance a fifth is."""
+
+SHOWN = 1.5
+"""[s] from the question what is on to the recommendation, median."""
+
+
+def working(result: Mapping[str, Any]) -> dict[str, bool]:
+    """Return function -> whether it worked, by the world's other results."""
+    said, seen = result["sentences"], result["recommendation_seconds"]
+    head, good = result["head_error_degrees"], result["good_recommendations"]
+    return {
+        "navigation": result["goal_reached"] and result["collisions"] == 0,
+        "manipulation": result["cups_placed"] > 0 and result["cups_dropped"] == 0,
+        "interaction": said > 0 and result["answered"] >= ANSWERED * said,
+        "audition": head is not None and head <= HEAD,
+        "recommendation": (good or 0.0) >= GOOD and (seen or math.inf) <= SHOWN,
+    }

@@ -1,0 +1,39 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from trot.world.functions import working
+
+GOOD: dict[str, Any] = {
+    "goal_reached": True,
+    "collisions": 0,
+    "cups_placed": 4,
+    "cups_dropped": 0,
+    "sentences": 5,
+    "answered": 4,
+    "head_error_degrees": 4.0,
+    "good_recommendations": 0.8,
+    "recommendation_seconds": 0.9,
+}
+
+
+def test_a_good_run_works() -> None:
+    assert all(working(GOOD).values())
+
+
+@pytest.mark.parametrize(
+    ("change", "fails"),
+    [
+        ({"collisions": 1}, "navigation"),
+        ({"cups_placed": 0}, "manipulation"),
+        ({"answered": 3}, "interaction"),
+        ({"head_error_degrees": None}, "audition"),
+        ({"good_recommendations": 0.5}, "recommendation"),
+        ({"recommendation_seconds": None}, "recommendation"),
+    ],
+)
+def test_says_what_failed(change: dict[str, Any], fails: str) -> None:
+    found = working(GOOD | change)
+    assert [name for name, works in found.items() if not works] == [fails]
