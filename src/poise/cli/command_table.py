@@ -49,6 +49,7 @@ COMMANDS = {
     "task list": ("task:list_command", "List the tasks that were started."),
     "task show": ("task:show_command", "Show a task and its actions."),
     "status": ("running_robot:status_command", "Show how a running robot is."),
+    "dashboard": ("dashboard:dashboard_command", "Show a running robot as a web page."),
     "move": ("running_robot:move_command", "Move a component of a running robot."),
     "replace": ("running_robot:replace_command", "Swap a component's implementation."),
     "balance": ("running_robot:balance_command", "Rebalance a running robot."),

@@ -18,6 +18,7 @@ from poise.cli.command.emulate import ListedSet
 from poise.errors import FileProblem
 from poise.estimate.profile import Profile
 from poise.estimate.success.learning import Belief
+from poise.manage.adaptation.what_if import WhatIf
 from poise.manage.control_socket.records import Rebalanced, RobotStatus
 from poise.manage.journal import Entry
 from poise.manage.migration.move import MoveReport
@@ -191,7 +192,7 @@ OUTPUTS: Mapping[str, Sequence[Any]] = {
     "task show": [TaskReport],
     **{f"task {act}": [TaskReport] for act in ("start", "pause", "resume", "cancel")},
     "status": [RobotStatus],
-    "move": [MoveReport],
+    "move": [MoveReport, WhatIf],
     "replace": [MoveReport, ReplaceReport],
     "balance": [Rebalanced],
     "journal": [Journal],

@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args
 import msgspec
 from msgspec import Struct
 
-from poise.errors import UsageError
+from poise.errors import RunError, UsageError
 
 log = logging.getLogger(__name__)
 
@@ -33,6 +33,7 @@ wrong, right
 
 _MOST_RECENT = 20
 KINDS: tuple[str, ...] = get_args(Kind)
+_ALL = -1
 
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS entries (
@@ -132,9 +133,20 @@ class Journal:
             self.trouble, self._num_missing = "", 0
             self.note("right", text)
 
-    def entries(self) -> list[Entry]:
-        """Return all entries, oldest first."""
-        return _entries(self._database) if self._database else []
+    def entries(self, after: int = 0, most: int = _ALL) -> list[Entry]:
+        """Return entries, oldest first: the last `most` with numbers above `after`.
+
+        From any thread.
+
+        Raises
+        ------
+        RunError
+            They cannot be read.
+        """
+        try:
+            return _entries(self._database, after, most) if self._database else []
+        except sqlite3.Error as error:
+            raise RunError(f"the journal cannot be read: {error}") from error
 
     def close(self) -> None:
         """Close the file."""
@@ -270,10 +282,13 @@ def read_journal(path: Path | str, after: int = 0) -> list[Entry]:
         ) from error
 
 
-def _entries(database: sqlite3.Connection, after: int = 0) -> list[Entry]:
+def _entries(
+    database: sqlite3.Connection, after: int = 0, most: int = _ALL
+) -> list[Entry]:
     rows = database.execute(
-        "SELECT at, kind, what, facts, id FROM entries WHERE id > ? ORDER BY id",
-        (after,),
+        "SELECT at, kind, what, facts, id FROM (SELECT * FROM entries WHERE id > ? "
+        "ORDER BY id DESC LIMIT ?) ORDER BY id",
+        (after, most),
     )
     return [
         Entry(at, kind, what, msgspec.json.decode(facts), number)

@@ -25,6 +25,8 @@ from poise.manage.adaptation.put_aside import PutAside
 from poise.manage.adaptation.replan import with_present_demands
 from poise.manage.control_socket.records import (
     Command,
+    JournalCommand,
+    JournalEntries,
     LogCommand,
     MoveCommand,
     Moved,
@@ -140,6 +142,8 @@ class Manager:
         future: Results = Future()
         if isinstance(command, StatusCommand):
             future.set_result(self.status())
+        elif isinstance(command, JournalCommand):
+            future.set_result(self._entries(command))
         elif isinstance(command, StopCommand):
             self._stops.append(future)  # before the flag, or nobody answers it
             self._stopping.set()
@@ -189,6 +193,8 @@ class Manager:
             recent=run.journal.recent(),
             tasks=self.tasks.reports,
             prefetch=self._prefetch.report(),
+            loads=self._estimates.loads.loads(),
+            traffic=self._estimates.traffic(),
         )
 
     def work(self, limit: float) -> None:
@@ -248,6 +254,13 @@ class Manager:
         """Return whether something is to be done at once."""
         return self.is_stopping or not self._commands.empty() or self.tasks.has_news()
 
+    def _entries(self, command: JournalCommand) -> Result | Refusal:
+        try:
+            found = self._run.journal.entries(command.after, command.most)
+        except PoiseError as error:
+            return Refusal.from_error(error)
+        return JournalEntries(tuple(found))
+
     def _carry_out(self, command: Command) -> Result | Refusal:
         try:
             return self._done(command)
@@ -270,6 +283,8 @@ class Manager:
         run = self._run
         self._lost.settle()
         match command:
+            case MoveCommand(component, computer, dry=True):
+                return self._adaptation.what_if(component, computer)
             case MoveCommand(component, computer, force):
                 if not force:
                     robot = with_present_demands(

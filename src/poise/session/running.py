@@ -11,9 +11,12 @@ from msgspec.structs import asdict
 from rich.console import RenderableType
 
 from poise.errors import RunError, UsageError
+from poise.manage.adaptation.what_if import WhatIf
 from poise.manage.control_socket.client import send_command
 from poise.manage.control_socket.records import (
     Command,
+    JournalCommand,
+    JournalEntries,
     LogCommand,
     LogReading,
     MoveCommand,
@@ -29,6 +32,7 @@ from poise.manage.control_socket.records import (
     StopReport,
     TapCommand,
 )
+from poise.manage.journal import Entry
 from poise.manage.migration.move import MoveReport
 from poise.manage.migration.replacement import ReplaceReport
 from poise.session.render.moves import Outcome, outcome_sentence
@@ -39,6 +43,8 @@ from poise.wire.records.taps import TapReading
 
 _LOOK_EVERY = 0.25
 """What goes out over a connector is fetched after this time [s]."""
+__all__ = ["Entry", "RolledBack", "Running", "Status", "WhatIf", "connect"]
+
 R = TypeVar("R", bound=Result)
 M = TypeVar("M", bound=MoveReport | ReplaceReport)
 
@@ -105,6 +111,20 @@ class Running:
         """
         report = self._send(MoveCommand(component, computer, force), Moved).report
         return _committed(report)
+
+    def what_if(self, component: str, computer: str) -> WhatIf:
+        """Return what a move would change; nothing happens."""
+        return self._send(MoveCommand(component, computer, dry=True), WhatIf)
+
+    def journal(self, after: int = 0) -> tuple[Entry, ...]:
+        """Return the last entries of its journal, oldest first: 500 at most.
+
+        Parameters
+        ----------
+        after
+            Only entries with a higher number.
+        """
+        return self._send(JournalCommand(after), JournalEntries).entries
 
     def replace(
         self, what: str, by: str, *, adapt: str = "", fresh: bool = False

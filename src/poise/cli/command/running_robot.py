@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +14,7 @@ from poise.cli.completion import running
 from poise.cli.options import AsJson, print_json
 from poise.errors import UsageError
 from poise.model import load
-from poise.session.render.moves import Outcome, outcome_lines
+from poise.session.render.moves import Outcome, outcome_lines, what_if_lines
 from poise.session.render.shown import console_to
 from poise.session.running import RolledBack, Running
 from poise.session.stop import stop_without_manager
@@ -56,6 +57,9 @@ def move_command(
             help="Move it even where it does not fit, or in spite of its layer.",
         ),
     ] = False,
+    dry: Annotated[
+        bool, typer.Option("--dry-run", help="Say what it would change; move nothing.")
+    ] = False,
     robot: Robot = None,
     as_json: AsJson = False,
 ) -> None:
@@ -64,11 +68,20 @@ def move_command(
     It keeps its state, and no call or message is lost, doubled or reordered. When
     something fails it goes on where it was, and the exit code is 1. A command-line
     component is stopped and started. A component that does not fit beside what
-    runs on the computer is refused, unless --force is given.
+    runs on the computer is refused, unless --force is given. With --dry-run it says
+    what the move would change and cost; the exit code is 1 when it would be refused.
 
     Example: poise move localiser vision
     """
     running = Running(robot)
+    if dry:
+        seen = running.what_if(component, computer)
+        print_json(seen) if as_json else sys.stdout.writelines(
+            f"{line}\n" for line in what_if_lines(seen)
+        )
+        if seen.breaks:
+            raise typer.Exit(1)
+        return
     _act(lambda: running.move(component, computer, force=force), as_json=as_json)
 
 

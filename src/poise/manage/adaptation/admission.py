@@ -25,15 +25,21 @@ def check_move(
     """
     if component not in placement or computer not in {h.name for h in robot.computers}:
         return  # the move itself says so
-    others = {name: at for name, at in placement.items() if name != component}
-    before = _broken(robot, others)
-    after = _broken(robot, {**others, component: computer})
-    new = [limit for limit in after if limit not in before]
-    if new:
+    if new := new_breaks(robot, placement, component, computer):
         raise UsageError(
             f"component '{component}' does not fit on '{computer}' ({'; '.join(new)}); "
             "`--force` moves it nevertheless"
         )
+
+
+def new_breaks(
+    robot: Robot, placement: Mapping[str, str], component: str, computer: str
+) -> list[str]:
+    """Return the limits that a component would break there, in the planner's words."""
+    others = {name: at for name, at in placement.items() if name != component}
+    before = _broken(robot, others)
+    after = _broken(robot, {**others, component: computer})
+    return [limit for limit in after if limit not in before]
 
 
 def _broken(robot: Robot, placement: Mapping[str, str]) -> list[str]:

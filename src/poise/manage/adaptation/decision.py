@@ -105,7 +105,7 @@ def decide(
     left = shortage(robot_now, proposal.placement, computers)
     in_vain -= wasted(facts, robot_now, proposal.placement, bad)
     gain = (short - left + relieved + in_vain) * HORIZON
-    cost = _cost(robot_now, proposal.steps, downtimes, _starts(facts))
+    cost = cost_of(robot_now, proposal.steps, downtimes, starts_of(facts))
     what = (
         f"{causes}{counted(len(proposal.steps), 'step')}: cost {cost:.2f} "
         f"core-seconds, gain {gain:.2f} within {HORIZON:g} s"
@@ -214,12 +214,13 @@ def _shortages(
     return {c.name: max(0.0, needs[c.name] - c.usable("cpu")) for c in computers}
 
 
-def _cost(
+def cost_of(
     robot: Robot,
     steps: Iterable[TransitionStep],
     downtimes: Mapping[str, float],
     starts: Mapping[str, float],
 ) -> float:
+    """Return what steps cost [core-seconds]."""
     demands = {c.name: c.demand.get("cpu", 0.0) for c in robot.components()}
     return sum(
         starts.get(step.component, START)
@@ -228,7 +229,7 @@ def _cost(
     )
 
 
-def _starts(facts: Facts) -> dict[str, float]:
+def starts_of(facts: Facts) -> dict[str, float]:
     """Return how long components took to start, where that is known [s]."""
     return {c.name: c.start for c in components_of(facts.statuses) if c.start}
 

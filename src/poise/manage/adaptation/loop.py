@@ -25,6 +25,7 @@ from poise.manage.adaptation.policies import Key, Policies, Symptom
 from poise.manage.adaptation.put_aside import CALM, PutAside
 from poise.manage.adaptation.replan import Proposal, propose
 from poise.manage.adaptation.subjects import values_of
+from poise.manage.adaptation.what_if import WhatIf, what_if
 from poise.manage.migration.transition import TransitionStep
 from poise.manage.migration.transition_run import (
     TransitionReport,
@@ -160,6 +161,16 @@ class Adaptation:
         what = f"asked to balance: {counted(len(proposal.steps), 'step')}"
         self._run.journal.note("decided", what, proposal=proposal, loads=facts.loads)
         return proposal, self._transit(proposal.steps, self._clock())
+
+    def what_if(self, component: str, computer: str) -> WhatIf:
+        """Return what a move would change, for a person who asks.
+
+        Raises
+        ------
+        UsageError
+            There is no such component or computer.
+        """
+        return what_if(self._facts(), component, computer, self._downtimes)
 
     def close(self) -> None:
         """End what policies have started."""

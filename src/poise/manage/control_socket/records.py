@@ -8,7 +8,9 @@ from typing import Literal
 from msgspec import Struct
 
 from poise.errors import PoiseError, RobotError, RunError, UsageError
+from poise.estimate.profile import ConnectorProfile
 from poise.manage.adaptation.replan import Proposal
+from poise.manage.adaptation.what_if import WhatIf
 from poise.manage.journal import Entry
 from poise.manage.migration.move import MoveReport
 from poise.manage.migration.replacement import ReplaceReport
@@ -16,6 +18,7 @@ from poise.manage.migration.transition_run import TransitionReport
 from poise.manage.observe.chains import ChainReport
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import DemandEstimate
+from poise.manage.observe.loads import Load
 from poise.manage.prefetch.report import PrefetchReport
 from poise.manage.tasks.report import TaskReport
 from poise.wire.records.output import OutputLine
@@ -33,11 +36,22 @@ class StopCommand(Struct, frozen=True, tag=True):
 
 
 class MoveCommand(Struct, frozen=True, tag=True):
-    """Move a component; `force`: even where it does not fit."""
+    """Move a component; `force`: also where it does not fit; `dry`: say what if."""
 
     component: str
     computer: str
     force: bool = False
+    dry: bool = False
+
+
+class JournalCommand(Struct, frozen=True, tag=True):
+    """Return the journal's entries with numbers above `after`: the last `most` of them.
+
+    Answered at once, even during a move.
+    """
+
+    after: int = 0
+    most: int = 500
 
 
 class ReplaceCommand(Struct, frozen=True, tag=True):
@@ -92,6 +106,7 @@ class TaskCommand(Struct, frozen=True, tag=True):
 
 Command = (
     StatusCommand
+    | JournalCommand
     | StopCommand
     | MoveCommand
     | ReplaceCommand
@@ -131,6 +146,10 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
         All tasks that were started, the last ones that are over, too.
     prefetch
         What prefetch was good for.
+    loads
+        Computer -> its CPU use over the last second, where it was seen.
+    traffic
+        Connector -> what goes over it now.
     """
 
     robot: str
@@ -147,6 +166,8 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
     recent: tuple[Entry, ...] = ()
     tasks: tuple[TaskReport, ...] = ()
     prefetch: PrefetchReport = PrefetchReport()
+    loads: Mapping[str, Load] = {}
+    traffic: Mapping[str, ConnectorProfile] = {}
 
 
 class StopReport(Struct, frozen=True, tag=True):
@@ -159,6 +180,12 @@ class Moved(Struct, frozen=True, tag=True):
     """The outcome of a move, or of a new implementation."""
 
     report: MoveReport
+
+
+class JournalEntries(Struct, frozen=True, tag=True):
+    """Entries of the journal, oldest first."""
+
+    entries: tuple[Entry, ...]
 
 
 class Replaced(Struct, frozen=True, tag=True):
@@ -208,6 +235,8 @@ Result = (
     | TaskDone
     | TapReading
     | LogReading
+    | JournalEntries
+    | WhatIf
 )
 
 

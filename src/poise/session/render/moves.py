@@ -7,11 +7,12 @@ from collections.abc import Iterator
 from rich.markup import escape
 
 from poise.manage.adaptation.replan import Proposal
+from poise.manage.adaptation.what_if import WhatIf
 from poise.manage.control_socket.records import Rebalanced
 from poise.manage.migration.move import MoveReport
 from poise.manage.migration.replacement import ReplaceReport
 from poise.manage.migration.transition_run import TransitionReport
-from poise.units import format_seconds
+from poise.units import format_bytes, format_seconds
 
 Outcome = MoveReport | ReplaceReport | Rebalanced
 
@@ -40,6 +41,26 @@ def outcome_sentence(report: MoveReport | ReplaceReport) -> str:
         return f"{runs} now; it was stopped and started, downtime {downtime}"
     prepared = format_seconds(report.prepared)
     return f"{runs} now; prepared in {prepared}, downtime {downtime}"
+
+
+def what_if_lines(what_if: WhatIf) -> Iterator[str]:
+    """Yield what a move would change."""
+    if what_if.trouble:
+        yield f"as it is: {what_if.trouble}"
+    now, then = what_if.now.total, what_if.then.total
+    yield f"F = {now:.4g} would become {then:.4g}"
+    for computer, (before, after) in what_if.loads.items():
+        yield (
+            f"components on {computer} need {before:.1%} of a core, and would need "
+            f"{after:.1%}, of {what_if.usable[computer]:.1%}"
+        )
+    state = f" with a state of {format_bytes(what_if.state)}" if what_if.state else ""
+    yield (
+        f"the move{state} costs {what_if.cost:.2f} core-seconds; {what_if.component} "
+        f"is paused for about {format_seconds(what_if.downtime)}"
+    )
+    for limit in what_if.breaks:
+        yield f"it would be refused: {limit}"
 
 
 def _proposal_lines(proposal: Proposal) -> Iterator[str]:

@@ -1,0 +1,62 @@
+"""`poise dashboard`: a running robot as a local web page."""
+
+from __future__ import annotations
+
+import socket
+import sys
+from typing import Annotated
+
+import typer
+
+from poise.errors import UsageError
+
+_PORT = 7480
+
+
+def dashboard_command(
+    robot: Annotated[
+        str | None, typer.Argument(help="The robot's name, when several run here.")
+    ] = None,
+    host: Annotated[
+        str,
+        typer.Option(help="Address to listen on; others than loopback need a token."),
+    ] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="TCP port; 0: any that is free.")
+    ] = _PORT,
+) -> None:
+    """Show a running robot as a web page, until Ctrl-C.
+
+    Computers with their components, connectors, deadlines, and what Poise decided and
+    why. Drag a component to another computer to see what a move would change. It waits
+    for the robot, and for a new manager when that was killed.
+
+    Example: poise dashboard
+    """
+    try:
+        from poise.view.dashboard.server import serve
+    except ImportError as error:
+        raise UsageError(
+            f"the dashboard needs NiceGUI: pip install 'poise[dashboard]' ({error})"
+        ) from error
+
+    def say(text: str) -> None:
+        sys.stdout.write(f"{text}\n")
+        sys.stdout.flush()
+
+    serve(robot, host, _free_port(host, port), say)
+
+
+def _free_port(host: str, port: int) -> int:
+    """Return the port, or a free one for 0, if it can be listened on."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            raise UsageError(
+                f"{host}:{port} cannot be listened on ({error.strerror}): choose "
+                "another with --host or --port; --port 0 takes any that is free"
+            ) from error
+        return int(probe.getsockname()[1])

@@ -1,0 +1,1 @@
+"""A running robot as a local web page (extra `dashboard`)."""

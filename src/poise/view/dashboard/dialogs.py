@@ -1,0 +1,174 @@
+"""What a person asks and does on a page: what a move would change, moves, undo."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+from nicegui import run, ui
+
+from poise.errors import PoiseError
+from poise.session.render.moves import outcome_sentence, what_if_lines
+from poise.session.running import Entry, Running, WhatIf
+from poise.view.dashboard.state import Page, why
+
+
+class Actions:
+    """What one page does; everything goes through the robot's manager.
+
+    Parameters
+    ----------
+    running
+        The robot.
+    """
+
+    def __init__(self, running: Running) -> None:
+        self._running = running
+        self._undo: list[tuple[str, str]] = []
+        self._button: Any = None
+        self._place = ui.element()  # a dialog inside another would end with that one
+
+    def place_undo(self) -> None:
+        """Place the button that undoes the last move of this page."""
+        self._button = ui.button("", on_click=self._undo_last)
+        self._button.props('outline dense no-caps color=""')
+        self._button.set_visibility(False)
+
+    async def ask(self, component: str, computer: str) -> None:
+        """Show what a move would change, and offer it."""
+        try:
+            seen = await run.io_bound(self._running.what_if, component, computer)
+        except PoiseError as error:
+            _complain(error)
+            return
+        with self._place, _dialog() as dialog:
+            ui.html(f"<h2>{_text(f'Move {component} to {computer}?')}</h2>")
+            ui.html(_terms({"as it is": seen.now, "after the move": seen.then}))
+            for line in what_if_lines(seen):
+                refused = line.startswith("it would be refused")
+                ui.label(line).classes("refused" if refused else "")
+            with ui.row():
+                do = "Do it anyway" if seen.breaks else "Do it"
+                ui.button(do, on_click=lambda: self._do(dialog, seen)).props("no-caps")
+                ui.button("Cancel", on_click=dialog.close).props("no-caps outline")
+
+    def show_component(self, name: str, page: Page) -> None:
+        """Show a component, and offer to move it: what dragging does, by keyboard."""
+        known = page.get("components", {}).get(name)
+        if known is None:
+            return
+        with self._place, _dialog() as dialog:
+            ui.html(f"<h2>{_text(name)}</h2>")
+            ui.label(f"{known['state']} on {known['at']}, container {known['in']}")
+            if "cpu" in known:
+                sure = known.get("sure")
+                error = "" if sure is None else f" ± {sure:.1%}"
+                ui.label(f"needs {known['cpu']:.1%}{error} of a core")
+            if known.get("errors"):
+                ui.label(f"{known['errors']} errors; the last: {known['error']}")
+            ui.label("What if it moved to")
+            with ui.row():
+                for computer in page["computers"]:
+                    if computer != known["at"]:
+                        ui.button(
+                            computer, on_click=self._asker(dialog, name, computer)
+                        ).props("no-caps outline")
+            ui.button("Close", on_click=dialog.close).props("no-caps")
+
+    def show_entry(self, entry: Entry) -> None:
+        """Show a decision, why it was taken, and what else there was."""
+        facts = entry.facts if isinstance(entry.facts, dict) else {}
+        decision = facts.get("decision") or {}
+        proposal = decision.get("proposal") or facts.get("proposal")
+        with self._place, _dialog() as dialog:
+            ui.html(f"<h2>{_text(f'{entry.kind}: {entry}')}</h2>")
+            if reason := why(entry):
+                ui.label(f"Why: {reason}")
+            if proposal:
+                stay, go = proposal["now"], proposal["then"]
+                ui.html(_terms({"stay as it is": stay, "what was proposed": go}))
+                if proposal["trouble"]:
+                    ui.label(f"As it was: {proposal['trouble']}").classes("refused")
+                for step in proposal["steps"]:
+                    ui.label(
+                        f"{step['kind']} {step['component']}: "
+                        f"{step['source'] or '-'} to {step['target'] or '-'}"
+                    )
+            if decision:
+                ui.label(
+                    f"It costs {decision['cost']:.2f} and gains {decision['gain']:.2f} "
+                    f"core-seconds. It was {'' if decision['acts'] else 'not '}done."
+                )
+            if facts:
+                raw = msgspec.json.format(msgspec.json.encode(facts), indent=2)
+                with ui.expansion("All facts").props("dense"):
+                    ui.html(f"<pre tabindex=0>{_text(raw.decode())}</pre>")
+            ui.button("Close", on_click=dialog.close).props("no-caps")
+
+    def _asker(self, dialog: Any, component: str, computer: str) -> Any:  # noqa: ANN401
+        async def ask() -> None:
+            dialog.close()
+            await self.ask(component, computer)
+
+        return ask
+
+    async def _do(self, dialog: Any, seen: WhatIf) -> None:  # noqa: ANN401, NiceGUI's
+        dialog.close()
+        if await self._move(seen.component, seen.target, force=bool(seen.breaks)):
+            self._undo.append((seen.component, seen.source))
+        self._show_undo()
+
+    async def _undo_last(self) -> None:
+        component, source = self._undo.pop()
+        await self._move(component, source, force=True)
+        self._show_undo()
+
+    def _show_undo(self) -> None:
+        self._button.set_visibility(bool(self._undo))
+        if self._undo:
+            component, source = self._undo[-1]
+            self._button.text = f"Undo: {component} back to {source}"
+
+    async def _move(self, component: str, computer: str, *, force: bool) -> bool:
+        try:
+            report = await run.io_bound(
+                self._running.move, component, computer, force=force
+            )
+        except PoiseError as error:
+            _complain(error)
+            return False
+        ui.notify(outcome_sentence(report), color="green-10")
+        return True
+
+
+@contextlib.contextmanager
+def _dialog() -> Iterator[Any]:
+    """Open a dialog with what is made in the ``with`` block; it ends when closed."""
+    with ui.dialog() as dialog, ui.card().classes("ask"):
+        yield dialog
+    dialog.on("hide", dialog.delete)
+    dialog.open()
+
+
+def _complain(error: PoiseError) -> None:
+    ui.notify(str(error), color="red-10", multi_line=True, timeout=10_000)
+
+
+def _terms(columns: dict[str, Any]) -> str:
+    """Return F and its parts as a table."""
+    terms = {name: msgspec.to_builtins(each) for name, each in columns.items()}
+    heads = "".join(f"<th scope=col>{_text(name)}</th>" for name in terms)
+    names = {"total": "F"} | {n: n for n in ("communication", "balance", "move")}
+    rows = "".join(
+        f"<tr><th scope=row>{says}</th>"
+        + "".join(f"<td>{each[term]:.4g}</td>" for each in terms.values())
+        + "</tr>"
+        for term, says in names.items()
+    )
+    return f"<table><tr><td></td>{heads}</tr>{rows}</table>"
+
+
+def _text(text: str) -> str:
+    return text.replace("&", "&amp;").replace("<", "&lt;")

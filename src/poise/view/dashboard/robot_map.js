@@ -1,0 +1,248 @@
+// Draws the robot: computers with their components, connectors, tables and decisions.
+// The server sends only what has changed; what is done goes back as events.
+
+const KINDS = {
+  direct: "within a container",
+  local: "between containers of a computer",
+  remote: "between computers",
+};
+const GLYPHS = { seen: "○", decided: "◆", done: "✓", failed: "✗", wrong: "▲", right: "▽" };
+const STATES = { active: "", inactive: "⏸ ", unresponsive: "⚠ ", failed: "✗ ", unconfigured: "… " };
+const FEW = 12; // rows of a table that is not opened
+const MINUTES = 5; // what the time line spans
+
+const percent = (x) => (x === undefined || x === null ? "" : `${(100 * x).toFixed(x < 0.0995 ? 1 : 0)} %`);
+const seconds = (x) => (x >= 1 ? `${+x.toPrecision(3)} s` : `${+(1000 * x).toPrecision(3)} ms`);
+const bytes = (x) => {
+  const units = ["B", "KiB", "MiB", "GiB"];
+  let unit = 0;
+  for (; x >= 1024 && unit < 3; unit++) x /= 1024;
+  return `${+x.toPrecision(3)} ${units[unit]}`;
+};
+const byName = (records) =>
+  Object.entries(records || {})
+    .sort(([a], [b]) => (a < b ? -1 : 1))
+    .map(([name, each]) => ({ name, ...each }));
+
+export default {
+  template: `
+<div :class="['robot', {stale: robot.trouble, many: components.length > 60}]">
+  <div class="headline">
+    <h1>{{ robot.name || 'no robot yet' }}</h1>
+    <span v-if="robot.task && !(robot.tasks || []).length">task <b>{{ robot.task }}</b></span>
+    <span v-for="task in robot.tasks || []">task <b>{{ task }}</b></span>
+    <label class="find">Find <input type="search" v-model="wanted" aria-label="Find components"></label>
+  </div>
+  <div role="status" aria-live="polite">
+    <p v-if="robot.trouble" class="trouble">⚠ No answer since {{ clock(robot.since) }}, trying again;
+      below is what was known last. {{ robot.trouble }}</p>
+    <ul v-if="robot.deviations && robot.deviations.length" class="deviations">
+      <li v-for="what in robot.deviations.slice(0, 6)">▲ {{ what }}</li>
+      <li v-if="robot.deviations.length > 6">and {{ robot.deviations.length - 6 }} more</li>
+    </ul>
+    <p v-else-if="robot.name && !robot.trouble" class="fine">✓ everything is as the robot file says</p>
+  </div>
+
+  <section aria-label="Computers" class="area" ref="area" @mouseleave="near = null">
+    <svg class="wires" aria-hidden="true" :width="size.width" :height="size.height">
+      <defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="9" markerHeight="9"
+        markerUnits="userSpaceOnUse" orient="auto"><path d="M0 0L8 4L0 8Z" fill="context-stroke"/></marker></defs>
+      <path v-for="wire in wires" :key="wire.name" :d="wire.d" :class="['wire', wire.kind, {dim: wire.dim, down: !wire.ready}]"
+        :stroke-width="wire.width" marker-end="url(#tip)"><title>{{ wire.says }}</title></path>
+    </svg>
+    <article v-for="computer in computers" :key="computer.name" :aria-label="'computer ' + computer.name"
+      :class="['computer', {gone: computer.state, over: over === computer.name}]" :data-computer="computer.name"
+      @dragover.prevent="over = computer.name" @dragleave="over = null" @drop.prevent="drop(computer.name)">
+      <h2>{{ computer.name }} <small v-if="computer.state">⚠ {{ computer.state }}</small></h2>
+      <div class="bar" role="img" :aria-label="load(computer)" :title="load(computer)">
+        <i class="own" :style="{width: share(computer.used - computer.background, computer)}"></i
+        ><i class="other" :style="{width: share(computer.background, computer)}"></i>
+        <b class="need" :style="{left: share(computer.need - computer.sure, computer), width: share(2 * computer.sure, computer)}"></b>
+      </div>
+      <p class="load">{{ load(computer) }}</p>
+      <ul class="components">
+        <li v-for="c in computer.components" :key="c.name">
+          <button type="button" draggable="true" :data-component="c.name" :title="describe(c)"
+            :class="['component', c.state.replace(' ', '-'), {late: c.late, other: !fits(c.name)}]"
+            @dragstart="grab(c.name, $event)" @dragend="over = null" @click="$emit('component', c.name)"
+            @mouseenter="near = c.name" @focus="near = c.name" @keydown="step($event)">
+            <span class="name">{{ mark(c) }}{{ c.name }}</span>
+            <span class="figures">{{ percent(c.cpu) }}<b v-if="c.late"> ⏱ {{ percent(c.late) }} late</b></span>
+            <span class="meter" aria-hidden="true"><i :style="{width: share(c.cpu || 0, computer)}"></i></span>
+          </button>
+        </li>
+      </ul>
+      <p v-if="!computer.components.length" class="empty">no component runs here</p>
+    </article>
+  </section>
+  <p class="legend"><span v-for="(says, kind) in kinds"><svg width="44" height="10" aria-hidden="true"><path d="M2 5H42"
+    :class="['wire', kind]" stroke-width="3"/></svg> {{ kind }}: {{ says }}</span>
+    <span>thicker: more traffic</span>
+    <span><i class="swatch own"></i> the robot</span><span><i class="swatch other"></i> other programs</span>
+    <span><i class="swatch need"></i> what components need, 95 % sure</span></p>
+  <p class="legend">Drag a component to another computer, or select it, to see what a move would change.</p>
+
+  <section v-if="entries.length" aria-labelledby="decisions">
+    <h2 id="decisions">Decisions</h2>
+    <div class="strip" aria-hidden="true">
+      <span v-for="(glyph, kind, row) in glyphs" class="lane" :style="{top: 1.2 * row + 'rem'}">{{ kind }}</span>
+      <button v-for="e in recent" :key="e.number" type="button" tabindex="-1" :class="['moment', e.kind]" :title="tell(e)"
+        :style="{left: e.x + '%', top: 1.2 * e.row + 'rem'}" @click="$emit('entry', e.number)">{{ glyphs[e.kind] }}</button>
+    </div>
+    <ol class="entries">
+      <li v-for="e in entries.slice(0, more.entries ? 200 : few)" :key="e.number">
+        <button type="button" :title="tell(e)" :class="e.kind" @click="$emit('entry', e.number)"
+        ><time>{{ clock(e.at) }}</time> <span>{{ glyphs[e.kind] }} {{ e.kind }}</span> <span>{{ e.what }}</span></button></li>
+    </ol>
+    <button v-if="entries.length > few" type="button" class="more" @click="more.entries = !more.entries"
+    >{{ more.entries ? 'fewer' : 'all ' + entries.length }} decisions</button>
+  </section>
+
+  <section v-for="t in tables" :key="t.name" :aria-labelledby="t.name">
+    <h2 :id="t.name">{{ t.title }}</h2>
+    <div class="scroll" tabindex="0" role="group" :aria-label="t.title + ', scrolls'"><table>
+      <thead><tr><th v-for="h in t.heads" scope="col">{{ h }}</th></tr></thead>
+      <tbody><tr v-for="row in t.rows.slice(0, more[t.name] ? 1000 : few)" :key="row.cells[0]" :class="{late: row.bad}">
+        <td v-for="cell in row.cells">{{ cell }}</td></tr></tbody>
+    </table></div>
+    <button v-if="t.rows.length > few" type="button" class="more" @click="more[t.name] = !more[t.name]"
+    >{{ more[t.name] ? 'fewer' : 'all ' + t.rows.length }} {{ t.title.toLowerCase() }}</button>
+  </section>
+</div>`,
+
+  data: () => ({
+    parts: {}, now: 0, wanted: "", near: null, over: null, more: {},
+    places: {}, size: { width: 0, height: 0 }, kinds: KINDS, glyphs: GLYPHS, few: FEW,
+  }),
+
+  computed: {
+    robot() { return (this.parts.robot || {})[""] || {}; },
+    components() { return byName(this.parts.components); },
+    computers() {
+      const here = {};
+      for (const each of this.components) (here[each.at] ||= []).push(each);
+      return byName(this.parts.computers).map((computer) => ({
+        ...computer,
+        components: (here[computer.name] || []).sort((a, b) => (a.in < b.in ? -1 : a.in > b.in ? 1 : 0)),
+      }));
+    },
+    layout() { return this.computers.map((c) => [c.name, c.state, c.components.map((each) => each.name)].join()).join(";"); },
+    wires() {
+      const found = byName(this.parts.connectors).map((wire) => this.wire(wire));
+      return found.filter(Boolean);
+    },
+    entries() { return Object.values(this.parts.entries || {}).sort((a, b) => b.number - a.number); },
+    recent() {
+      const rows = Object.keys(GLYPHS), begin = this.now - 60 * MINUTES;
+      return this.entries.filter((e) => e.at >= begin).map((e) => ({
+        ...e, row: rows.indexOf(e.kind), x: Math.min(99, (100 * (e.at - begin)) / (60 * MINUTES)),
+      }));
+    },
+    tables() {
+      const worst = (a, b) => (b.now || 0) - (a.now || 0) || b.missed / b.releases - a.missed / a.releases;
+      const rows = (part) => byName(this.parts[part]).filter((each) => this.fits(each.name));
+      return [
+        { name: "timers", title: "Timers", heads: ["timer", "rate", "deadline", "late now", "late in all", "takes (p99)"],
+          rows: rows("timers").sort(worst).map((t) => ({ bad: t.now > 0 && t.deadline, cells: [
+            t.name, `${+(1 / t.period).toPrecision(3)} Hz`, t.deadline ? seconds(t.deadline) : "none",
+            t.deadline ? (t.now > 0 ? "⏱ " : "") + percent(t.now) : "", t.deadline ? `${t.missed} of ${t.releases}` : "", seconds(t.p99)] })) },
+        { name: "chains", title: "Chains", heads: ["chain", "deadline", "age (median)", "age (p99)", "late", "age at each component"],
+          rows: rows("chains").map((c) => ({ bad: c.p99 > c.deadline, cells: [
+            c.name, seconds(c.deadline), seconds(c.median), (c.p99 > c.deadline ? "⏱ " : "") + seconds(c.p99), `${c.missed} of ${c.uses}`,
+            c.hops.map(([name, age]) => `${name} ${seconds(age)}`).join(" → ")] })) },
+        { name: "connectors", title: "Connectors", heads: ["connector", "kind", "a second", "traffic", "dropped", "errors"],
+          rows: rows("connectors").sort((a, b) => (b.rate || 0) - (a.rate || 0)).map((c) => ({ bad: c.drops || c.errors || !c.ready, cells: [
+            c.name, c.kind + (c.ready ? "" : " ⚠ not joined"), c.rate === undefined ? "" : `${c.rate}`,
+            c.bytes ? `${bytes(c.bytes)}/s` : "", c.drops, c.errors] })) },
+      ].filter((t) => t.rows.length);
+    },
+  },
+
+  watch: {
+    layout() { this.$nextTick(this.measure); },
+  },
+  mounted() {
+    this.observer = new ResizeObserver(() => this.measure());
+    this.observer.observe(this.$refs.area);
+  },
+  unmounted() { this.observer.disconnect(); },
+
+  methods: {
+    percent,
+    // Takes what has changed; answers, so that a slow link gets fewer updates.
+    show(changes, now, isWhole) {
+      if (isWhole) this.parts = {};
+      for (const [part, records] of Object.entries(changes)) {
+        const into = (this.parts[part] ||= {});
+        for (const [name, record] of Object.entries(records))
+          if (record === null) delete into[name];
+          else into[name] = record;
+      }
+      this.now = now;
+      return true;
+    },
+    measure() {
+      const area = this.$refs.area, at = area.getBoundingClientRect(), places = {};
+      for (const each of area.querySelectorAll("[data-component]")) {
+        const box = each.getBoundingClientRect();
+        places[each.dataset.component] = {
+          left: box.left - at.left, right: box.right - at.left, y: box.top - at.top + box.height / 2,
+        };
+      }
+      this.places = places;
+      this.size = { width: at.width, height: at.height };
+    },
+    wire(each) {
+      const from = this.places[each.source], to = this.places[each.target];
+      if (!from || !to || from === to) return null;
+      const forth = to.left > from.right, back = to.right < from.left;
+      const x1 = forth ? from.right : back ? from.left : from.right;
+      const x2 = forth ? to.left : to.right;
+      const bend = forth || back ? (x2 - x1) / 2 : 28;
+      const c2 = forth || back ? x2 - bend : x2 + bend;
+      const picked = this.near === each.source || this.near === each.target;
+      return {
+        ...each,
+        d: `M${x1} ${from.y}C${x1 + bend} ${from.y} ${c2} ${to.y} ${x2} ${to.y}`,
+        width: Math.min(8, 1.5 + Math.log10(1 + (each.bytes || 20 * (each.rate || 0)) / 100)),
+        dim: (this.near && !picked) || (this.wanted && !this.fits(each.source) && !this.fits(each.target)),
+        says: `${each.name} (${each.kind}) ${each.rate || 0} a second`,
+      };
+    },
+    fits(name) { return !this.wanted || name.toLowerCase().includes(this.wanted.toLowerCase()); },
+    share(part, computer) {
+      const whole = Math.max(computer.capacity || 0, computer.used || 0, computer.need + computer.sure, 0.001);
+      return `${Math.max(0, (100 * (part || 0)) / whole)}%`;
+    },
+    load(c) {
+      const used = c.capacity === undefined ? "use not known yet" : `${c.used.toFixed(2)} of ${c.capacity.toFixed(2)} cores used`;
+      const other = c.background ? `, ${c.background.toFixed(2)} by other programs` : "";
+      return `${used}${other}; components need ${c.need.toFixed(2)} ± ${c.sure.toFixed(2)}; ${bytes(c.memory)}`;
+    },
+    mark(c) { return c.errors || c.hung ? "⚠ " : STATES[c.state] ?? "? "; },
+    describe(c) {
+      const sure = c.sure === undefined || c.sure === null ? "" : ` ± ${percent(c.sure)}`;
+      return [`${c.name}: ${c.state}`, c.in && `in ${c.in}`, c.cpu !== undefined && `needs ${percent(c.cpu)}${sure} of a core`,
+        c.starved > 0 && `starved ${percent(c.starved)}`, c.late && `${percent(c.late)} of deadlines missed now`,
+        c.errors && `${c.errors} errors: ${c.error}`, c.hung && `hangs for ${c.hung} s`].filter(Boolean).join(", ");
+    },
+    tell(e) { return e.why ? `${e.what}\n${e.why}` : e.what; },
+    clock(at) { return new Date(1000 * at).toLocaleTimeString([], { hour12: false }); },
+    grab(name, event) {
+      event.dataTransfer.setData("text/plain", name);
+      this.near = this.held = name;
+    },
+    drop(computer) {
+      this.over = null;
+      if (this.held && this.parts.components[this.held].at !== computer) this.$emit("what_if", [this.held, computer]);
+      this.held = null;
+    },
+    step(event) {
+      const to = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
+      if (!to) return;
+      event.preventDefault();
+      const all = [...this.$refs.area.querySelectorAll("[data-component]")];
+      all[(all.indexOf(event.target) + to + all.length) % all.length].focus();
+    },
+  },
+};

@@ -1,0 +1,156 @@
+"""Gives the page to browsers, and reads the robot while somebody looks."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from nicegui import app, background_tasks, run, ui
+from nicegui.events import GenericEventArguments
+
+from poise.view.dashboard.dialogs import Actions
+from poise.view.dashboard.guard import Guard, is_loopback
+from poise.view.dashboard.state import Page, PageState, changes
+from poise.view.live import LiveReader, Look
+
+EVERY = 0.2
+"""The page is this old at most, on a quick link [s]."""
+_ANSWER_LIMIT = 15.0
+"""A page that has not taken an update within this time [s] gets everything again."""
+_STYLE = Path(__file__).with_name("style.css")
+
+
+class RobotMap(ui.element, component="robot_map.js"):  # type: ignore[call-arg,misc]
+    """The robot, as `robot_map.js` draws it."""
+
+
+class Dashboard:
+    """One robot, read once for all pages that are open."""
+
+    def __init__(self, robot: str | None) -> None:
+        self._reader = LiveReader(robot)
+        self._state = PageState()
+        self._page: Page = {}
+        self._look = Look()
+        self._viewers: set[str] = set()
+        self._is_watched = asyncio.Event()
+
+    async def keep_reading(self) -> None:
+        """Read the robot again and again, while any page is open."""
+        while True:
+            await self._is_watched.wait()
+            began = time.monotonic()
+            look = await run.io_bound(self._reader.look)
+            if look is None:  # the server ends
+                return
+            self._look = look
+            self._page = self._state.of(look, began)
+            await asyncio.sleep(max(0.0, EVERY - (time.monotonic() - began)))
+            if not self._viewers:
+                self._is_watched.clear()
+
+    def build(self) -> None:
+        """Build one page."""
+        ui.add_head_html(f"<style>{_STYLE.read_text()}</style>")
+        client = ui.context.client
+        actions = Actions(self._reader.running)
+        robot_map = RobotMap()
+        robot_map.on("what_if", lambda e: actions.ask(*e.args))
+        robot_map.on("component", lambda e: self._component(actions, e))
+        robot_map.on("entry", lambda e: self._entry(actions, e))
+        with ui.row().classes("tools"):
+            actions.place_undo()
+            _place_theme()
+        client.on_connect(lambda: self._note(client.id, is_there=True))
+        client.on_disconnect(lambda: self._note(client.id, is_there=False))
+        client.on_delete(lambda: self._note(client.id, is_there=False))
+        sent: Page = {}
+
+        async def push() -> None:
+            nonlocal sent
+            page = self._page
+            if page is sent or client.id not in self._viewers:
+                return
+            differ = changes(sent, page)
+            if not differ and sent:
+                sent = page
+                return
+            try:
+                await robot_map.run_method(
+                    "show", differ, time.time(), not sent, timeout=_ANSWER_LIMIT
+                )
+                sent = page
+            except TimeoutError:
+                sent = {}
+
+        ui.timer(EVERY, push)
+
+    def _note(self, client: str, *, is_there: bool) -> None:
+        if is_there:
+            self._viewers.add(client)
+            self._is_watched.set()
+        else:
+            self._viewers.discard(client)
+
+    def _component(self, actions: Actions, event: GenericEventArguments) -> None:
+        if self._look.status is not None:
+            actions.show_component(str(event.args), self._page)
+
+    def _entry(self, actions: Actions, event: GenericEventArguments) -> None:
+        for entry in self._look.entries:
+            if entry.number == event.args:
+                actions.show_entry(entry)
+
+
+def _place_theme() -> None:
+    """Place the button that changes between the system's theme, dark and light."""
+    dark = ui.dark_mode(None)
+    names = {None: "auto", True: "dark", False: "light"}
+    following = {None: True, True: False, False: None}
+
+    def change() -> None:
+        dark.value = following[dark.value]
+        button.text = f"Theme: {names[dark.value]}"
+
+    button = ui.button("Theme: auto", on_click=change)
+    button.props('outline dense no-caps color=""')
+
+
+def serve(
+    robot: str | None, host: str, port: int, say: Callable[[str], object]
+) -> None:
+    """Serve the page until Ctrl-C.
+
+    Parameters
+    ----------
+    robot
+        Its name; None: the only one that runs here.
+    host
+        The address to listen on; others than this computer's own need a token, which
+        is part of the address that is said.
+    """
+    token = "" if is_loopback(host) else secrets.token_urlsafe(18)
+    dashboard = Dashboard(robot)
+    app.add_middleware(Guard, token=token)
+    app.on_startup(
+        lambda: background_tasks.create(dashboard.keep_reading(), name="reader")
+    )
+    at = f"[{host}]" if ":" in host else host
+    address = f"http://{at}:{port}/" + (f"?token={token}" if token else "")
+    app.on_startup(lambda: say(f"the dashboard is at {address}; Ctrl-C ends it"))
+    ui.page("/", title=f"Poise: {robot}" if robot else "Poise")(dashboard.build)
+    ui.run(
+        host=host,
+        port=port,
+        language="en-US",
+        dark=None,
+        show=False,
+        reload=False,
+        tailwind=False,
+        binding_refresh_interval=None,
+        message_history_length=100,
+        show_welcome_message=False,
+    )

@@ -1,0 +1,257 @@
+"""What the page shows, as plain values: named parts of named records. Pure."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from poise.session.running import Entry
+from poise.view.live import Look, Rates
+
+Records = dict[str, dict[str, Any]]
+Page = dict[str, Records]
+"""Part -> name -> what is shown of it."""
+
+MOST_SHOWN = 200
+"""So many decisions are shown."""
+
+
+class PageState:
+    """Makes the page's state of what a reader sees."""
+
+    def __init__(self) -> None:
+        self._rates = Rates()
+
+    def of(self, look: Look, at: float) -> Page:
+        """Return the state.
+
+        Parameters
+        ----------
+        at
+            When the look was taken, on a clock that never goes back [s].
+        """
+        page: Page = {"robot": {"": _robot(look)}, "entries": _entries(look)}
+        if look.status is None:
+            return page
+        timers = dict(_timers(look))
+        grown = self._rates.take(
+            at, ((n, each["releases"], each["missed"]) for n, each in timers.items())
+        )
+        for name, (releases, missed) in grown.items():
+            timers[name]["now"] = _round(missed / releases) if releases else None
+        page["timers"] = timers
+        page["chains"] = dict(_chains(look))
+        page["connectors"] = dict(_connectors(look))
+        page["components"] = components = dict(_components(look))
+        for each in timers.values():
+            component = components[each["component"]]
+            if each["deadline"] is not None and (each.get("now") or 0.0) > 0.0:
+                component["late"] = max(component.get("late", 0.0), each["now"])
+        page["computers"] = dict(_computers(look, components))
+        return page
+
+
+def changes(before: Page, after: Page) -> dict[str, Any]:
+    """Return what of a page has changed: for each part its new records, None: gone."""
+    found: dict[str, Any] = {}
+    for part in before.keys() | after.keys():
+        old, new = before.get(part, {}), after.get(part, {})
+        differ: dict[str, Any] = {n: r for n, r in new.items() if old.get(n) != r}
+        differ |= dict.fromkeys(old.keys() - new.keys())
+        if differ:
+            found[part] = differ
+    return found
+
+
+def _robot(look: Look) -> dict[str, Any]:
+    status = look.status
+    shown: dict[str, Any] = {"trouble": look.trouble, "since": look.since}
+    if status is not None:
+        shown |= {
+            "name": status.robot,
+            "task": status.task,
+            "tasks": [_task(each) for each in status.tasks],
+            "deviations": [each.what for each in status.deviations],
+        }
+    return shown
+
+
+def _task(report: Any) -> str:  # noqa: ANN401, `view` does not import the manager
+    """Return how a task is, what it does now, and what waits for its turn."""
+    why = f" ({report.why})" if report.why else ""
+    now = [each.name for each in report.actions if each.is_at_work]
+    then = [each.name for each in report.actions if not each.is_at_work]
+    parts = [f"{report.name} {report.state}{why}"]
+    parts += [f"now {', '.join(now)}"] if now else []
+    parts += [f"waits to begin {', '.join(then)}"] if then else []
+    return "; ".join(parts)
+
+
+def _entries(look: Look) -> Records:
+    return {
+        str(each.number): {
+            "number": each.number,
+            "at": round(each.at, 2),
+            "kind": each.kind,
+            "what": each.what,
+            "why": why(each),
+        }
+        for each in look.entries[-MOST_SHOWN:]
+    }
+
+
+def why(entry: Entry) -> str:
+    """Return why something was decided, in words; empty: the sentence says all."""
+    facts: Mapping[str, Any] = entry.facts if isinstance(entry.facts, dict) else {}
+    parts = [
+        f"policy '{each['policy']}' saw: {_values(each['saw'])}"
+        for each in facts.get("policies", ())
+    ]
+    decision = facts.get("decision") or {}
+    proposal = decision.get("proposal") or facts.get("proposal")
+    if proposal:
+        now, then = proposal["now"]["total"], proposal["then"]["total"]
+        parts.append(f"F = {now:.4g} becomes {then:.4g}")
+    if decision.get("gain") or decision.get("cost"):
+        parts.append(
+            f"gain {decision['gain']:.2f}, cost {decision['cost']:.2f} core-seconds"
+        )
+    return "; ".join(parts)
+
+
+def _values(saw: Mapping[str, Any]) -> str:
+    return ", ".join(
+        f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
+        for name, value in saw.items()
+        if isinstance(value, int | float | str)
+    )
+
+
+def _timers(look: Look) -> Iterator[tuple[str, dict[str, Any]]]:
+    assert look.status is not None  # noqa: S101, the caller has looked
+    for computer in look.status.computers.values():
+        for container in computer.containers:
+            for component in container.components:
+                for timer in component.timers:
+                    yield (
+                        f"{component.name}.{timer.name}",
+                        {
+                            "component": component.name,
+                            "period": timer.period,
+                            "deadline": timer.deadline,
+                            "releases": timer.releases,
+                            "missed": timer.missed,
+                            "p99": _round(timer.duration.p99),
+                        },
+                    )
+
+
+def _chains(look: Look) -> Iterator[tuple[str, dict[str, Any]]]:
+    assert look.status is not None  # noqa: S101, the caller has looked
+    for chain in look.status.chains:
+        yield (
+            chain.name,
+            {
+                "deadline": chain.deadline,
+                "missed": chain.missed,
+                "uses": chain.age.count,
+                "median": _round(chain.age.median),
+                "p99": _round(chain.age.p99),
+                "hops": [[hop.component, _round(hop.age.median)] for hop in chain.hops],
+            },
+        )
+
+
+def _connectors(look: Look) -> Iterator[tuple[str, dict[str, Any]]]:
+    assert look.status is not None  # noqa: S101, the caller has looked
+    found: Records = {}
+    for computer in look.status.computers.values():
+        for container in computer.containers:
+            for end in container.connectors:
+                source, target = _ends(end.name)
+                each = found.setdefault(
+                    end.name,
+                    {
+                        "source": source,
+                        "target": target,
+                        "kind": end.kind,
+                        "ready": True,
+                        "drops": 0,
+                        "errors": 0,
+                    },
+                )
+                each["ready"] = each["ready"] and end.ready
+                each["drops"] += end.drops
+                each["errors"] += end.errors
+    for name, each in found.items():
+        traffic = look.status.traffic.get(name)
+        if traffic is not None:
+            rate = traffic.calls + traffic.messages
+            each |= {"rate": _round(rate), "bytes": _round(rate * traffic.size)}
+        yield name, each
+
+
+def _ends(connector: str) -> tuple[str, str]:
+    """Return the components that a connector joins, by its name."""
+    found = re.fullmatch(r"(.+?)\.\w+-(.+)\.\w+", connector)
+    return (found[1], found[2]) if found else ("", "")
+
+
+def _components(look: Look) -> Iterator[tuple[str, dict[str, Any]]]:
+    status = look.status
+    assert status is not None  # noqa: S101, the caller has looked
+    needs = {each.component: each.estimate for each in status.demand_estimates}
+    shown: Records = {
+        name: {"at": computer, "state": "not there", "in": ""}
+        for name, computer in status.placement.items()
+    }
+    for computer, agent in status.computers.items():
+        for container in agent.containers:
+            for component in container.components:
+                each = shown.get(component.name)
+                if each is not None and (
+                    each["at"] == computer or each["state"] == "not there"
+                ):
+                    each |= {
+                        "state": component.state,
+                        "in": container.name,
+                        "errors": component.errors,
+                        "error": component.error.rstrip().rpartition("\n")[2],
+                        "hung": round(component.hung, 1),
+                    }
+    for name, each in shown.items():
+        if (need := needs.get(name)) is not None:
+            each["cpu"], each["starved"] = _round(need.mean), _round(need.starved)
+            each["sure"] = None if need.error is None else _round(need.error)
+        if each["at"] in status.out_of_reach:
+            each["state"] = "unknown"
+        yield name, each
+
+
+def _computers(look: Look, components: Records) -> Iterator[tuple[str, dict[str, Any]]]:
+    status = look.status
+    assert status is not None  # noqa: S101, the caller has looked
+    for name in sorted({*status.computers, *status.placement.values()}):
+        agent, load = status.computers.get(name), status.loads.get(name)
+        here = [each for each in components.values() if each["at"] == name]
+        sure = [each.get("sure") or 0.0 for each in here]
+        each: dict[str, Any] = {
+            "state": "out of reach" if name in status.out_of_reach else "",
+            "need": _round(sum(each.get("cpu", 0.0) for each in here)),
+            "sure": _round(math.hypot(*sure)),
+            "memory": agent.memory if agent else 0,
+        }
+        if load is not None:
+            each |= {
+                "capacity": load.capacity,
+                "used": _round(load.used),
+                "background": _round(load.background),
+            }
+        yield name, each
+
+
+def _round(value: float) -> float:
+    """Return three digits: what cannot be seen is not sent again."""
+    return float(f"{value:.3g}")

@@ -1,0 +1,114 @@
+"""Reads how a running robot is, again and again, also after its manager was killed."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterable
+
+from msgspec import Struct
+
+from poise.errors import PoiseError
+from poise.session.running import Entry, Running, Status
+
+MOST_ENTRIES = 500
+"""So many decisions are kept."""
+
+
+class Look(Struct, frozen=True, kw_only=True):
+    """How a robot was when it was last looked at.
+
+    Parameters
+    ----------
+    status
+        What was known last; None: nothing yet.
+    entries
+        The last entries of its journal, oldest first.
+    trouble
+        Why there is no answer now; empty: there is.
+    since
+        Since when there is none [s since 1970].
+    """
+
+    status: Status | None = None
+    entries: tuple[Entry, ...] = ()
+    trouble: str = ""
+    since: float = 0.0
+
+
+class LiveReader:
+    """Reads one robot. It looks only when it is asked to, and never raises.
+
+    Parameters
+    ----------
+    robot
+        Its name; None: the only one that runs here. It stays with the one it found.
+    """
+
+    def __init__(self, robot: str | None = None) -> None:
+        self.running = Running(robot)
+        self._entries: deque[Entry] = deque(maxlen=MOST_ENTRIES)
+        self._look = Look()
+
+    def look(self) -> Look:
+        """Return how the robot is; without an answer, how it was, and why."""
+        before = self._look
+        try:
+            status = self.running.status()
+            self.running.name = status.robot
+            self._read_journal(_is_same_manager(before.status, status))
+        except PoiseError as error:
+            since = before.since if before.trouble else time.time()
+            trouble = str(error)
+            self._look = Look(
+                status=before.status,
+                entries=before.entries,
+                trouble=trouble,
+                since=since,
+            )
+        else:
+            self._look = Look(status=status, entries=tuple(self._entries))
+        return self._look
+
+    def _read_journal(self, is_same: bool) -> None:  # noqa: FBT001
+        if not is_same:  # its journal may be another file, with numbers of its own
+            self._entries.clear()
+        after = self._entries[-1].number if self._entries else 0
+        self._entries.extend(self.running.journal(after))
+
+
+def _is_same_manager(before: Status | None, now: Status) -> bool:
+    return before is not None and before.manager == now.manager
+
+
+class Rates:
+    """Turns counts that only grow into what they were over the last seconds.
+
+    Parameters
+    ----------
+    over
+        How long that is [s].
+    """
+
+    def __init__(self, over: float = 3.0) -> None:
+        self._over = over
+        self._counts: deque[tuple[float, dict[str, tuple[int, int]]]] = deque()
+
+    def take(
+        self, at: float, counts: Iterable[tuple[str, int, int]]
+    ) -> dict[str, tuple[int, int]]:
+        """Take two counts of each thing; return their growth over the last seconds.
+
+        A thing whose counts fell, because it began anew, has no growth yet.
+        """
+        now = {name: (of, missed) for name, of, missed in counts}
+        self._counts.append((at, now))
+        while len(self._counts) > 1 and at - self._counts[1][0] >= self._over:
+            self._counts.popleft()
+        before = self._counts[0][1]
+        grown = {
+            name: (of - before[name][0], missed - before[name][1])
+            for name, (of, missed) in now.items()
+            if name in before
+        }
+        return {name: (of, missed) for name, (of, missed) in grown.items() if of >= 0}

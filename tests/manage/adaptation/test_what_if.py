@@ -1,0 +1,40 @@
+"""What a move would change, before anything happens."""
+
+from __future__ import annotations
+
+import pytest
+from msgspec.structs import replace
+
+from poise.errors import UsageError
+from poise.manage.adaptation.what_if import what_if
+from poise.model.robot import Computer, Robot
+from poise.session.render.moves import what_if_lines
+from tests.manage.adaptation.conftest import Make
+
+
+def test_says_loads_limits_and_what_the_move_costs(facts: Make) -> None:
+    seen = what_if(facts(), "a", "right", {"a": 0.5})
+    assert (seen.source, seen.target) == ("left", "right")
+    before, after = seen.loads["left"]
+    gained = seen.loads["right"][1] - seen.loads["right"][0]
+    assert before - after == pytest.approx(gained)
+    assert gained == pytest.approx(0.2)
+    assert not seen.breaks
+    assert seen.downtime == 0.5
+    assert seen.cost == pytest.approx(0.3 + 0.2 * 0.5)
+
+
+def test_says_which_limits_the_move_would_break(facts: Make, two: Robot) -> None:
+    small = Computer(name="right", capacity={"cpu": 0.1})
+    robot = replace(two, computers=(two.computers[0], small))
+    seen = what_if(facts(robot=robot), "a", "right", {})
+    assert any("right" in limit for limit in seen.breaks)
+    assert any("refused" in line for line in what_if_lines(seen))
+
+
+@pytest.mark.parametrize(
+    ("component", "computer"), [("none", "right"), ("a", "none"), ("a", "left")]
+)
+def test_refuses_what_is_no_move(facts: Make, component: str, computer: str) -> None:
+    with pytest.raises(UsageError):
+        what_if(facts(), component, computer, {})

@@ -1,0 +1,75 @@
+"""Who may open the dashboard."""
+
+from __future__ import annotations
+
+import pytest
+
+from poise.view.dashboard.guard import Guard, Message, Receive, Scope, Send, is_loopback
+
+TOKEN = "a-token"
+
+
+async def inner(_scope: Scope, _receive: Receive, send: Send) -> None:
+    await send({"type": "http.response.start", "status": 200, "headers": []})
+
+
+def status(
+    token: str = "", query: str = "", kind: str = "http", **headers: str
+) -> object:
+    """Return the answer to a request: its status, or why a socket was closed."""
+    sent: list[Message] = []
+
+    async def receive() -> Message:
+        raise AssertionError
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    scope = {
+        "type": kind,
+        "path": "/",
+        "query_string": query.encode(),
+        "headers": [(k.encode(), v.encode()) for k, v in headers.items()],
+    }
+    with pytest.raises(StopIteration):  # it waits for nothing, so needs no event loop
+        Guard(inner, token)(scope, receive, send).send(None)
+    return sent[0].get("status", sent[0].get("code"))
+
+
+@pytest.mark.parametrize("host", ["localhost:7480", "127.0.0.1:7480", "[::1]:7480"])
+def test_this_computer_is_let_in(host: str) -> None:
+    assert status(host=host) == 200
+    assert status(host=host, origin=f"http://{host}") == 200
+
+
+def test_another_name_for_this_computer_is_refused() -> None:
+    """Else a page of that name could read ours (DNS rebinding)."""
+    assert status(host="evil.example") == 403
+    assert status(kind="websocket", host="evil.example") == 1008
+    assert status() == 403
+
+
+def test_pages_of_other_sites_are_refused() -> None:
+    origin = "http://evil.example"
+    assert status(host="localhost:7480", origin=origin) == 403
+    assert status(kind="websocket", host="localhost:7480", origin=origin) == 1008
+    assert (
+        status(TOKEN, host="r:1", origin=origin, cookie=f"poise_token={TOKEN}") == 403
+    )
+
+
+def test_other_addresses_need_the_token_once_and_then_its_cookie() -> None:
+    assert status(TOKEN, host="robot:7480") == 403
+    assert status(TOKEN, host="robot:7480", query="token=wrong") == 403
+    assert status(TOKEN, host="robot:7480", query=f"token={TOKEN}") == 303
+    assert status(TOKEN, host="robot:7480", cookie=f"poise_token={TOKEN}") == 200
+    assert status(TOKEN, host="robot:7480", cookie="poise_token=wrong") == 403
+    assert status(TOKEN, kind="websocket", host="robot:7480") == 1008
+
+
+def test_knows_the_addresses_of_this_computer_alone() -> None:
+    assert is_loopback("127.0.0.1")
+    assert is_loopback("::1")
+    assert is_loopback("localhost")
+    assert not is_loopback("0.0.0.0")
+    assert not is_loopback("robot.local")

@@ -1,0 +1,119 @@
+"""What the page shows, and what of it is sent."""
+
+from __future__ import annotations
+
+import pytest
+
+from poise.manage.journal import Entry
+from poise.session.running import Status
+from poise.view.dashboard.state import PageState, changes, why
+from poise.view.live import Look, Rates
+from poise.wire.records.requests import ManagerId
+from poise.wire.records.status import (
+    AgentStatus,
+    ComponentStatus,
+    ConnectorStatus,
+    ContainerStatus,
+    Summary,
+    TimerStatus,
+)
+
+
+def look(missed: int = 0, releases: int = 10, computer: str = "left") -> Look:
+    timer = TimerStatus(
+        name="tick",
+        period=0.1,
+        deadline=0.1,
+        releases=releases,
+        missed=missed,
+        lateness=Summary(),
+        duration=Summary(),
+    )
+    container = ContainerStatus(
+        name="all",
+        pid=1,
+        components=(ComponentStatus(name="arm", state="active", timers=(timer,)),),
+        connectors=(
+            ConnectorStatus(
+                name="arm.out-lid-2.in", kind="remote", end="source", ready=True
+            ),
+        ),
+    )
+    agent = AgentStatus(
+        computer=computer, generation=1, uptime=9.0, cpu=1.0, containers=(container,)
+    )
+    status = Status(
+        robot="r",
+        task="work",
+        manager=ManagerId(key="k", user="ann", host="desk", pid=7, since=0.0),
+        placement={"arm": computer, "lid-2": "right"},
+        computers={computer: agent},
+    )
+    return Look(status=status)
+
+
+def test_every_component_is_on_its_computer() -> None:
+    page = PageState().of(look(), 0.0)
+    assert {name: each["at"] for name, each in page["components"].items()} == {
+        "arm": "left",
+        "lid-2": "right",
+    }
+    assert page["components"]["lid-2"]["state"] == "not there"
+    assert set(page["computers"]) == {"left", "right"}
+    (connector,) = page["connectors"].values()
+    assert (connector["source"], connector["target"]) == ("arm", "lid-2")
+
+
+def test_only_late_deadlines_of_the_last_seconds_count_as_late_now() -> None:
+    state = PageState()
+    state.of(look(missed=5, releases=10), 0.0)
+    page = state.of(look(missed=5, releases=20), 2.0)
+    assert page["timers"]["arm.tick"]["now"] == 0.0
+    assert "late" not in page["components"]["arm"]
+    page = state.of(look(missed=10, releases=30), 4.0)
+    assert page["timers"]["arm.tick"]["now"] == pytest.approx(0.25)
+    assert page["components"]["arm"]["late"] == pytest.approx(0.25)
+
+
+def test_counts_that_begin_again_give_no_rate() -> None:
+    rates = Rates()
+    rates.take(0.0, [("t", 100, 5)])
+    assert rates.take(1.0, [("t", 3, 0)]) == {}
+
+
+def test_only_what_has_changed_is_sent() -> None:
+    state = PageState()
+    before, same = state.of(look(), 0.0), state.of(look(), 0.0)
+    assert not changes(before, before)
+    assert changes({}, before) == {part: r for part, r in before.items() if r}
+    after = state.of(look(computer="right"), 1.0)
+    differ = changes(same, after)
+    assert differ["components"]["arm"]["at"] == "right"
+    assert "lid-2" not in differ["components"]
+    assert differ["computers"]["left"] is None
+
+
+def test_a_robot_that_gives_no_answer_is_shown_as_it_was() -> None:
+    known = look()
+    gone = Look(status=known.status, trouble="no answer", since=5.0)
+    page = PageState().of(gone, 0.0)
+    assert page["robot"][""]["trouble"] == "no answer"
+    assert "arm" in page["components"]
+    assert "components" not in PageState().of(Look(trouble="none runs"), 0.0)
+
+
+def test_a_decision_says_what_its_policy_saw_and_what_it_gains() -> None:
+    terms = {"total": 0.5, "communication": 0.5, "balance": 0.0, "move": 0.0}
+    facts = {
+        "policies": [{"policy": "overload", "saw": {"name": "left", "share": 0.98765}}],
+        "decision": {
+            "proposal": {"now": terms, "then": {**terms, "total": 0.25}},
+            "gain": 6.0,
+            "cost": 0.31,
+        },
+    }
+    assert why(Entry(0.0, "decided", "1 step", facts)) == (
+        "policy 'overload' saw: name left, share 0.988; F = 0.5 becomes 0.25; "
+        "gain 6.00, cost 0.31 core-seconds"
+    )
+    assert not why(Entry(0.0, "seen", "something", {}))
