@@ -122,12 +122,14 @@ def test_refuses_what_it_does_not_know(two_computers: Problem) -> None:
 
 def test_ctrl_c_returns_the_best_so_far() -> None:
     robot = random_robot(4, 80, 6)
-    timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
-    timer.start()
+
+    def press() -> bool:  # asked now and then while it searches
+        os.kill(os.getpid(), signal.SIGINT)
+        return False
+
     start = time.monotonic()
-    result = plan.solve(robot, budget=60.0, method="search")
+    result = plan.solve(robot, budget=60.0, method="search", stop=press)
     assert time.monotonic() - start < 30
-    timer.join()
     assert result.stopped_by == "interrupted"
     assert result.feasible
 

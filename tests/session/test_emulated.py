@@ -116,9 +116,11 @@ def agent_of(kept: EmulatedSet, computer: str) -> int:
 def test_a_run_uses_them_and_leaves_them_up(kept: EmulatedSet, file: Path) -> None:
     agents = [agent_of(kept, name) for name in kept.computers]
     done = run_poise("run", file, "--task", "greet", "--for", "1s", "--json")
-    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    # a busy host makes a run invalid
+    assert done.returncode == (1 if report["invalid"] else 0), done.stdout
     assert f"process {os.getpid()} keeps" in done.stderr
-    assert json.loads(done.stdout)["placement"].keys() == {"counter", "printer"}
+    assert report["placement"].keys() == {"counter", "printer"}
     assert [agent_of(kept, name) for name in kept.computers] == agents
 
 

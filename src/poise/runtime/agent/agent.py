@@ -285,7 +285,7 @@ class Agent:
         elif refusal:
             answer(query, Refused(refusal))
         elif isinstance(request, ReadOutput):
-            answer(query, read_output(Path(self._setup.folder), request))
+            answer(query, self._read_output(request))
         elif isinstance(request, CheckpointCopy):
             answer(query, self._keep_checkpoint(request))
         elif wanted and request.generation < wanted.generation:
@@ -303,6 +303,12 @@ class Agent:
         except OSError as error:
             return Refused(f"it cannot keep a checkpoint: {error}")
         return Accepted()
+
+    def _read_output(self, asked: ReadOutput) -> Answer:
+        try:
+            return read_output(Path(self._setup.folder), asked)
+        except OSError as error:
+            return Refused(f"it cannot read what containers wrote: {error}")
 
     def _serve(self, publisher: zenoh.Publisher) -> None:
         reports = StatusReports(publisher.put, self._clock, self._status())

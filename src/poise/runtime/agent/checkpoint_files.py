@@ -57,11 +57,17 @@ class CheckpointFiles:
             self._thread.join(_JOIN_LIMIT)
 
     def keep_only(self, wanted: Deployment) -> None:
-        """Remove the checkpoints of all that is not wanted any more."""
+        """Remove the checkpoints of all that is not wanted any more.
+
+        What cannot be removed is said, and stays until the next time.
+        """
         components = [c for each in wanted.containers for c in each.components]
         kept = {checkpoint_path(self._folder, c.name, c.epoch) for c in components}
-        for path in set(self._folder.glob("*.checkpoint")) - kept:
-            path.unlink(missing_ok=True)
+        try:
+            for path in set(self._folder.glob("*.checkpoint")) - kept:
+                path.unlink(missing_ok=True)
+        except OSError as error:  # no descriptor is free, say
+            log.warning("checkpoints that nobody needs stay for now: %s", error)
         self._wanted = tuple((c.name, c.epoch) for c in components if c.checkpoint)
         if self._wanted:
             self._has_work.set()
