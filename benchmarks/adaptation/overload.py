@@ -16,6 +16,7 @@ from typing import Literal
 from msgspec import Struct
 
 import poise
+from poise.emulate.background_load import background_load
 from poise.errors import PoiseError
 from poise.session.running import Running, Status
 from poise.session.scenes.overload import Deadlines
@@ -110,8 +111,8 @@ def measure(arm: Arm, seed: int, seconds: float) -> Trial:
         time.sleep(WARM_UP + delay)
         movers = _Mover(running, robot, chance) if arm == "random" else None
         deadlines = Deadlines(running)
-        program = [sys.executable, "-m", "poise.emulate.background_load", f"{load:g}"]
-        hog, began = running.emulated[home].popen(program), time.monotonic()
+        hog = running.emulated[home].popen(background_load(load))
+        began = time.monotonic()
         met_again, last_move, moves = 0.0, 0.0, 0
         before = running.status().placement
         while (now := time.monotonic() - began) < seconds:

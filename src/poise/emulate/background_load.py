@@ -9,6 +9,14 @@ _PERIOD = 0.02
 """It takes its share of each of these [s]."""
 
 
+def background_load(cores: float) -> list[str]:
+    """Return the command of a program that takes `cores` [at most 1].
+
+    It imports nothing of Poise, so that it is at work at once.
+    """
+    return [sys.executable, "-I", __file__, f"{cores:g}"]
+
+
 def burn(cores: float) -> None:
     """Use `cores` [at most 1] of a host CPU, where that is to be had, for ever."""
     while True:

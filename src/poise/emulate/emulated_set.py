@@ -11,7 +11,6 @@ import math
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -19,6 +18,7 @@ from contextlib import contextmanager
 from msgspec.structs import replace
 
 from poise.emulate import processes, registry
+from poise.emulate.background_load import background_load
 from poise.emulate.computer import EmulatedComputer
 from poise.emulate.injected_fault import FaultKind, InjectedFault
 from poise.emulate.layout import EmulationLayout, KeptSet
@@ -276,7 +276,7 @@ class EmulatedSet:
     def _burn(self, computer: str, cpu: float) -> tuple[int, ...]:
         """Start what takes CPU, a process for each core; return their numbers."""
         count = math.ceil(cpu)
-        argv = [sys.executable, "-m", "poise.emulate.background_load", f"{cpu / count}"]
+        argv = background_load(cpu / count)
         null = subprocess.DEVNULL
         return tuple(
             self.computers[computer].popen(argv, stdin=null, stdout=null).pid

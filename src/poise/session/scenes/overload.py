@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 import time
 
 from msgspec import Struct
 
+from poise.emulate.background_load import background_load
 from poise.model.robot import Robot
 from poise.session.placement import place
 from poise.session.running import Running
@@ -68,8 +68,8 @@ def _under_load(
         count = Deadlines(running)
         loaded = next(iter(placed.where.values()))
         say(f"another program takes {_LOAD:g} cores on '{loaded}'")
-        program = [sys.executable, "-m", "poise.emulate.background_load", f"{_LOAD:g}"]
-        hog, began = running.emulated[loaded].popen(program), time.monotonic()
+        program = running.emulated[loaded].popen(background_load(_LOAD))
+        began = time.monotonic()
         met_again, places = 0.0, running.status().placement
         moves: list[float] = []
         while (now := time.monotonic() - began) < _WATCH:
@@ -79,7 +79,7 @@ def _under_load(
             where = running.status().placement
             moves += [now for name, at in where.items() if places[name] != at]
             places = where
-        hog.kill()
+        program.kill()
     say(f"{count.missed} of {count.released} deadlines missed under the load")
     settled = max([met_again, *(at + _SETTLES for at in moves[:1])])
     return count.share(), met_again, sum(at > settled for at in moves)
