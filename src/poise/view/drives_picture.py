@@ -24,11 +24,14 @@ class DrivePicture(Struct, frozen=True, kw_only=True):
         x, y [m] of its points.
     shares
         What a bar is of -> how long it is, 0 to 1.
+    verdict
+        What came of it, in words; empty: nothing is said.
     """
 
     title: str
     path: Points
     shares: Mapping[str, float]
+    verdict: str = ""
 
 
 def drives_picture(drives: Sequence[DrivePicture], walls: Points, goal: Points) -> str:
@@ -60,7 +63,7 @@ def drives_picture(drives: Sequence[DrivePicture], walls: Points, goal: Points) 
     for number, drive in enumerate(drives):
         colour = _COLOURS[number % len(_COLOURS)]
         parts.append(_line([at(*point[:2]) for point in drive.path], colour, 3))
-        top = _TOP + number * (30 + 24 * len(drive.shares) + 20)
+        top = _TOP + number * (30 + 24 * (len(drive.shares) + 1) + 20)
         parts.append(_text(right, top + 8, drive.title, colour, 16))
         for row, (label, share) in enumerate(drive.shares.items()):
             y = top + 32 + 24 * row
@@ -70,6 +73,9 @@ def drives_picture(drives: Sequence[DrivePicture], walls: Points, goal: Points) 
                 f'fill="{colour}" fill-opacity="0.35"/>'
             )
             parts.append(_text(right + 4, y + 1, f"{label}: {share:.0%}", "#222", 12))
+        if drive.verdict:
+            below = top + 33 + 24 * len(drive.shares)
+            parts.append(_text(right + 4, below, drive.verdict, colour, 13))
     width, height = right + _BARS + 30, _TOP + high + 30
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.0f}" '

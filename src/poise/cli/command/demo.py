@@ -344,6 +344,7 @@ def _draw(runs: Sequence[RunReport], console: Console) -> None:
             path=drive.simulation.get("path", ()),
             shares={"deadlines missed": _missed(drive)}
             | {f"CPU of {name}": share for name, share in drive.cpu_share.items()},
+            verdict=f"functions that failed: {', '.join(_failed(drive)) or 'none'}",
         )
         for drive in runs
     ]
