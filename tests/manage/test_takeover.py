@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import cast
 
 import pytest
+from msgspec import structs
 
 from poise.errors import TakenOver
 from poise.estimate.profile.code_version import version_of
@@ -71,6 +72,24 @@ def test_new_incarnations_differ_from_any_that_another_computer_may_run(
     assert run.placement() == PLACEMENT
     assert run.placed["thinker"].epoch > 5  # as high as the generation, at least
     assert run.next_epoch("grabber") == 1
+
+
+def test_starts_what_an_architecture_lacks_that_serves_a_task(robot: Robot) -> None:
+    run, agents, _ = run_of(robot)
+    layout = DeploymentPlan(robot, "/run", code_version=version_of)
+    agents.deploy(
+        {
+            computer: structs.replace(told, tasks=b"some")
+            for computer, told in layout.specs(LEFT[:1], 5, {}).items()
+        }
+    )
+    start_or_take_over(run, by_force=False)
+    (serving,) = (
+        {component.name for component in architecture.components}
+        for architecture in robot.architectures
+        if any(component.name == "grabber" for component in architecture.components)
+    )
+    assert run.placement().keys() == serving > {"grabber"}
 
 
 def test_a_manager_that_has_a_successor_leaves_the_robot_as_it_is(

@@ -13,6 +13,7 @@ from poise.manage.deployment import Incarnation
 from poise.manage.migration.transition import plan_transition
 from poise.manage.migration.transition_run import transit
 from poise.manage.run import ACTIVE_LIMIT, READY_LIMIT, Run
+from poise.model.check.allowed_computers import allowed_computers
 from poise.units import counted
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.migration import MigrationSteps, Step, StepsDone
@@ -94,13 +95,24 @@ def _take_over(
 
 
 def _at_work(run: Run, found: Sequence[Found]) -> dict[str, str]:
-    """Return what works of all that was found; what only rests ends."""
-    known = {component.name for component in run.robot.components()}
-    return {
-        each.name: each.computer
-        for each in found
-        if each.name in known and each.spec.goal != "inactive"
-    }
+    """Return what works, with what its architectures lack; what only rests ends.
+
+    What they lack may be at work on a computer that is out of reach: it counts as
+    there, if it is allowed there, so that it is not started twice.
+    """
+    allowed, planned = allowed_computers(run.robot), run.placement()
+    away = {c.name for c in run.robot.computers} - (run.computers() - run.excused)
+    works = {e.name: e.computer for e in found if e.spec.goal != "inactive"}
+    where: dict[str, str] = {}
+    for architecture in run.robot.architectures:
+        names = [component.name for component in architecture.components]
+        if works.keys().isdisjoint(names):
+            continue
+        for name in names:
+            lost, anywhere = sorted(allowed[name] & away), sorted(allowed[name])
+            elsewhere = lost[0] if lost else planned.get(name, anywhere[0])
+            where[name] = works.get(name, elsewhere)
+    return where
 
 
 def _is_committed(run: Run, deployments: Mapping[str, Deployment]) -> bool:
