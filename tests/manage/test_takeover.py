@@ -74,7 +74,8 @@ def test_new_incarnations_differ_from_any_that_another_computer_may_run(
     assert run.next_epoch("grabber") == 1
 
 
-def test_starts_what_an_architecture_lacks_that_serves_a_task(robot: Robot) -> None:
+def serving_tasks(robot: Robot) -> Run:
+    """Return a run of tasks that goes on, of which only `grabber` was found."""
     run, agents, _ = run_of(robot)
     layout = DeploymentPlan(robot, "/run", code_version=version_of)
     agents.deploy(
@@ -84,12 +85,20 @@ def test_starts_what_an_architecture_lacks_that_serves_a_task(robot: Robot) -> N
         }
     )
     start_or_take_over(run, by_force=False)
-    (serving,) = (
-        {component.name for component in architecture.components}
-        for architecture in robot.architectures
-        if any(component.name == "grabber" for component in architecture.components)
-    )
-    assert run.placement().keys() == serving > {"grabber"}
+    return run
+
+
+def test_starts_what_an_architecture_lacks_that_serves_a_task(robot: Robot) -> None:
+    eye, *_ = robot.architectures
+    names = {component.name for component in eye.components}
+    assert serving_tasks(robot).placement().keys() == names > {"grabber"}
+
+
+def test_starts_layers_that_never_stop(robot: Robot) -> None:
+    eye, *others = robot.architectures
+    fixed = tuple(structs.replace(each, layer="reactive") for each in others)
+    run = serving_tasks(structs.replace(robot, architectures=(eye, *fixed)))
+    assert run.placement()["thinker"] == "right"
 
 
 def test_a_manager_that_has_a_successor_leaves_the_robot_as_it_is(

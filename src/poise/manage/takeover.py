@@ -95,10 +95,11 @@ def _take_over(
 
 
 def _at_work(run: Run, found: Sequence[Found]) -> dict[str, str]:
-    """Return what works, with what its architectures lack; what only rests ends.
+    """Return what works, with what its architectures lack, and layers that never stop.
 
-    What they lack may be at work on a computer that is out of reach: it counts as
-    there, if it is allowed there, so that it is not started twice.
+    What is lacking may be at work on a computer that is out of reach: it counts as
+    there, if it is allowed there, so that it is not started twice. What only rests
+    ends.
     """
     allowed, planned = allowed_computers(run.robot), run.placement()
     away = {c.name for c in run.robot.computers} - (run.computers() - run.excused)
@@ -106,11 +107,13 @@ def _at_work(run: Run, found: Sequence[Found]) -> dict[str, str]:
     where: dict[str, str] = {}
     for architecture in run.robot.architectures:
         names = [component.name for component in architecture.components]
-        if works.keys().isdisjoint(names):
+        stays = architecture.layer != "sequencing" and planned.keys() >= set(names)
+        if not stays and works.keys().isdisjoint(names):
             continue
         for name in names:
-            lost, anywhere = sorted(allowed[name] & away), sorted(allowed[name])
-            elsewhere = lost[0] if lost else planned.get(name, anywhere[0])
+            first = planned.get(name, min(allowed[name]))
+            lost = allowed[name] & away
+            elsewhere = first if first in lost or not lost else min(lost)
             where[name] = works.get(name, elsewhere)
     return where
 
