@@ -6,8 +6,45 @@ What shares agents runs on one worker, for its file's fixtures are made once the
 from __future__ import annotations
 
 import random
+from typing import TYPE_CHECKING
 
 import pytest
+from xdist.scheduler import LoadGroupScheduling
+
+if TYPE_CHECKING:
+    from xdist.remote import Producer
+    from xdist.workermanage import WorkerController
+
+
+class Scheduling(LoadGroupScheduling):
+    """Goes on when a worker has crashed.
+
+    Else what that one had done would be handed out again, as work without a test, for
+    whose end all others wait.
+    """
+
+    def remove_node(self, node: WorkerController) -> str | None:
+        """Let others do what a worker has not done; return the test that crashed it."""
+        work = {
+            group: [test for test, done in tests.items() if not done]
+            for group, tests in self.assigned_work.pop(node).items()
+        }
+        left: list[tuple[str, str]] = [
+            (group, test) for group, tests in work.items() for test in tests
+        ]
+        if not left:
+            return None
+        (_, crashed), *others = left
+        for group, test in others:
+            self.workqueue.setdefault(group, {})[test] = False
+        for other in self.assigned_work:
+            self._reschedule(other)
+        return crashed
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Scheduling:
+    """Say who hands out the tests."""
+    return Scheduling(config, log)
 
 
 @pytest.hookimpl(trylast=True)

@@ -1,10 +1,9 @@
 """`solve`: methods, limits, present placement, interruption."""
 
 import itertools
-import os
-import signal
+import subprocess
+import sys
 import threading
-import time
 from typing import Any, cast
 
 import pytest
@@ -18,6 +17,7 @@ from poise.plan._core import Core
 from poise.plan.problem.snapshot import Snapshot
 from poise.plan.solvers import portfolio
 from poise.plan.solvers.portfolio import Effort
+from tests.waiting import LONG
 
 
 @pytest.mark.parametrize("method", ["auto", "greedy", "exact", "search"])
@@ -120,18 +120,35 @@ def test_refuses_what_it_does_not_know(two_computers: Problem) -> None:
         plan.solve(two_computers, stop=3)  # type: ignore[arg-type]
 
 
-def test_ctrl_c_returns_the_best_so_far() -> None:
-    robot = random_robot(4, 80, 6)
+CTRL_C = """
+import os, signal
+from benchmarks.random_robots import random_robot
+from poise import plan
 
-    def press() -> bool:  # asked now and then while it searches
+pressed = []
+def press():  # asked now and then while it searches
+    if not pressed:
+        pressed.append(True)
         os.kill(os.getpid(), signal.SIGINT)
-        return False
+    return False
 
-    start = time.monotonic()
-    result = plan.solve(robot, budget=60.0, method="search", stop=press)
-    assert time.monotonic() - start < 30
-    assert result.stopped_by == "interrupted"
-    assert result.feasible
+result = plan.solve(random_robot(4, 80, 6), budget=600.0, method="search", stop=press)
+print(result.stopped_by, result.feasible)
+"""
+
+
+@pytest.mark.slow
+def test_ctrl_c_returns_the_best_so_far() -> (
+    None
+):  # in a process of its own to press in
+    done = subprocess.run(
+        [sys.executable, "-c", CTRL_C],
+        capture_output=True,
+        text=True,
+        timeout=LONG,
+        check=False,
+    )
+    assert (done.stdout, done.stderr) == ("interrupted True\n", "")
 
 
 @pytest.mark.slow
