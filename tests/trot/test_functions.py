@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from trot.world.functions import working
+from trot.world.functions import MEASURED, criteria, working
 
 GOOD: dict[str, Any] = {
     "goal_reached": True,
@@ -37,3 +37,16 @@ def test_a_good_run_works() -> None:
 def test_says_what_failed(change: dict[str, Any], fails: str) -> None:
     found = working(GOOD | change)
     assert [name for name, works in found.items() if not works] == [fails]
+
+
+def test_every_function_has_its_values_with_units() -> None:
+    others = {key: None for keys in MEASURED.values() for key in keys}
+    found = {each["name"]: each for each in criteria(others | GOOD | {"answered": 0})}
+    assert found.keys() == working(GOOD).keys()
+    assert found["interaction"]["success"] is False
+    assert found["interaction"]["values"]["answered"] == {"value": 0, "unit": ""}
+    assert found["audition"] == {
+        "name": "audition",
+        "success": True,
+        "values": {"head_error_degrees": {"value": 4.0, "unit": "degrees"}},
+    }

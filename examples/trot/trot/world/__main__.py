@@ -37,7 +37,7 @@ from trot.packets import (
 from trot.world import sound, television
 from trot.world.camera import Camera
 from trot.world.drive import Drive
-from trot.world.functions import working
+from trot.world.functions import criteria, working
 from trot.world.head import Head
 from trot.world.outlet import Outlet
 from trot.world.person import Person
@@ -162,7 +162,7 @@ class World:
             **self._head.result(),
             **self._television.result(),
         }
-        return {**found, "functions": working(found)}
+        return {**found, "functions": working(found), "criteria": criteria(found)}
 
     def end(self) -> None:
         """End after this step; a signal's handler may call it at any moment."""

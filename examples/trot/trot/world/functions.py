@@ -18,6 +18,50 @@ GOOD = 0.6
 SHOWN = 1.5
 """[s] from the question what is on to the recommendation, median."""
 
+MEASURED: Mapping[str, Mapping[str, str]] = {
+    "navigation": {
+        "seconds": "s",
+        "path_error": "m",
+        "path_error_most": "m",
+        "distance_to_goal": "m",
+        "collisions": "",
+    },
+    "manipulation": {"cups_placed": "", "cups_dropped": ""},
+    "interaction": {
+        "sentences": "",
+        "answered": "",
+        "word_error_rate": "",
+        "answer_seconds": "s",
+    },
+    "audition": {"head_error_degrees": "degrees"},
+    "recommendation": {
+        "recommended": "",
+        "good_recommendations": "",
+        "recommendation_seconds": "s",
+    },
+}
+"""What each function is judged by: keys of the world's result, and their units."""
+
+
+def criteria(result: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return name, success and values of each function.
+
+    Values are mappings of a key to ``{"value": 1.5, "unit": "s"}``; what was not
+    measured is None, what has no unit has "".
+    """
+    worked = working(result)
+    return [
+        {
+            "name": name,
+            "success": worked[name],
+            "values": {
+                key: {"value": result[key], "unit": unit}
+                for key, unit in MEASURED[name].items()
+            },
+        }
+        for name in MEASURED
+    ]
+
 
 def working(result: Mapping[str, Any]) -> dict[str, bool]:
     """Return function -> whether it worked, by the world's other results."""
