@@ -40,7 +40,7 @@ from poise.manage.observe.recording import Recording
 from poise.model.robot import Robot
 from poise.runtime._calls import ComponentCounters
 from poise.session.launch.start import Sampling, started
-from poise.session.placement import place
+from poise.session.placing.placement import place
 from poise.session.profiles import read_profile
 from poise.session.profiling.figures import Subject, figures
 from poise.session.profiling.measurement import measure_alone

@@ -21,9 +21,9 @@ from pathlib import Path
 
 from benchmarks.synthetic import robots
 from poise.clock import SystemClock
-from poise.manage.agents import Agents
+from poise.manage.agent_connections.agents import Agents
+from poise.manage.deploy.running_components import Run
 from poise.manage.journal import Journal
-from poise.manage.run import Run
 from poise.model.robot import Robot
 from poise.runtime.agent.sampler import proportional_memory
 from poise.session.launch.computers import computers_of

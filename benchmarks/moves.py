@@ -23,11 +23,11 @@ from statistics import median
 from threading import Timer
 
 from poise.clock import SystemClock
-from poise.manage.agents import Agents
+from poise.manage.agent_connections.agents import Agents
+from poise.manage.agent_connections.statuses import components_of
+from poise.manage.deploy.running_components import Run
 from poise.manage.journal import Journal
 from poise.manage.migration.move import MoveReport, move
-from poise.manage.run import Run
-from poise.manage.statuses import components_of
 from poise.model import load
 from poise.session.launch.computers import computers_of
 

@@ -31,12 +31,12 @@ from msgspec import Struct
 from benchmarks.moves import COMPONENTS, ROBOTS, count
 from poise.clock import SystemClock
 from poise.errors import PoiseError
-from poise.manage.agents import Agents
+from poise.manage.agent_connections.agents import Agents
+from poise.manage.agent_connections.statuses import components_of
+from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal, read_journal
 from poise.manage.migration.move import move
-from poise.manage.run import Run
-from poise.manage.statuses import components_of
-from poise.manage.takeover import start_or_take_over
 from poise.model import load
 from poise.session.launch.computers import computers_of
 from poise.wire.records.deployment import Deployment

@@ -10,8 +10,8 @@ from msgspec.structs import replace
 from poise.errors import RunError, UsageError
 from poise.manage.tasks.report import TaskReport
 from poise.manage.tasks.tasks import TaskState
-from poise.session.running import Running
-from poise.session.tasks import RunningTasks
+from poise.session.running_robots.running import Running
+from poise.session.running_robots.tasks import RunningTasks
 
 py_trees = pytest.importorskip("py_trees", reason="the extra `py_trees` is missing")
 Status = py_trees.common.Status

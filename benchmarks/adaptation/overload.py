@@ -18,7 +18,7 @@ from msgspec import Struct
 import poise
 from poise.emulate.background_load import background_load
 from poise.errors import PoiseError
-from poise.session.running import Running, Status
+from poise.session.running_robots.running import Running, Status
 from poise.session.scenes.overload import Deadlines
 
 Arm = Literal["poise", "none", "random"]

@@ -41,21 +41,23 @@ if TYPE_CHECKING:
     from poise.session.diagrams.draw import Drawing as Drawing
     from poise.session.diagrams.draw import draw as draw
     from poise.session.emulated import emulated as emulated
-    from poise.session.placement import Placement as Placement
-    from poise.session.placement import place as place
-    from poise.session.policies import PolicyEvent as PolicyEvent
-    from poise.session.policies import test_policies as test_policies
+    from poise.session.placing.placement import Placement as Placement
+    from poise.session.placing.placement import place as place
     from poise.session.profiling.profile import Profiling as Profiling
     from poise.session.profiling.profile import profile as profile
+    from poise.session.recordings.policy_events import PolicyEvent as PolicyEvent
+    from poise.session.recordings.policy_events import test_policies as test_policies
     from poise.session.recordings.recorded_run import RecordedRun as RecordedRun
-    from poise.session.report import RunReport as RunReport
+    from poise.session.reports.run_report import RunReport as RunReport
     from poise.session.robot_file import check as check
     from poise.session.robot_file import load as load
     from poise.session.run import run as run
-    from poise.session.running import RolledBack as RolledBack
-    from poise.session.running import Running as Running
-    from poise.session.running import connect as connect
-    from poise.session.stop import stop_without_manager as stop_without_manager
+    from poise.session.running_robots.running import RolledBack as RolledBack
+    from poise.session.running_robots.running import Running as Running
+    from poise.session.running_robots.running import connect as connect
+    from poise.session.running_robots.stop_without_manager import (
+        stop_without_manager as stop_without_manager,
+    )
     from poise.session.up import up as up
     from poise.wire.connections.blocks import loan as loan
 else:
@@ -68,10 +70,10 @@ else:
         "Entry": "manage.journal",
         "FileProblem": "errors",
         "Message": "runtime.component.ports",
-        "Placement": "session.placement",
+        "Placement": "session.placing.placement",
         "PoiseError": "errors",
         "PolicyAction": "model.policy.seen",
-        "PolicyEvent": "session.policies",
+        "PolicyEvent": "session.recordings.policy_events",
         "Profiling": "session.profiling.profile",
         "Provided": "runtime.component.ports",
         "Published": "runtime.component.ports",
@@ -79,10 +81,10 @@ else:
         "Required": "runtime.component.ports",
         "Robot": "model.robot",
         "RobotError": "errors",
-        "RolledBack": "session.running",
+        "RolledBack": "session.running_robots.running",
         "RunError": "errors",
-        "RunReport": "session.report",
-        "Running": "session.running",
+        "RunReport": "session.reports.run_report",
+        "Running": "session.running_robots.running",
         "Seen": "model.policy.seen",
         "Situation": "estimate.success",
         "Stamp": "clock",
@@ -92,7 +94,7 @@ else:
         "UsageError": "errors",
         "calibrate": "session.calibration.calibrate",
         "check": "session.robot_file",
-        "connect": "session.running",
+        "connect": "session.running_robots.running",
         "draw": "session.diagrams.draw",
         "emulated": "session.emulated",
         "every": "runtime.component.ports",
@@ -100,13 +102,13 @@ else:
         "loan": "wire.connections.blocks",
         "note_outcome": "estimate.success.learning",
         "oneway": "runtime.component.ports",
-        "place": "session.placement",
+        "place": "session.placing.placement",
         "profile": "session.profiling.profile",
         "read_journal": "manage.journal",
         "run": "session.run",
-        "stop_without_manager": "session.stop",
+        "stop_without_manager": "session.running_robots.stop_without_manager",
         "subscribed": "runtime.component.ports",
-        "test_policies": "session.policies",
+        "test_policies": "session.recordings.policy_events",
         "time_left": "runtime.component.deadline",
         "up": "session.up",
         "within": "runtime.component.deadline",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from poise.errors import PoiseError, UsageError
 from poise.manage.tasks.report import TaskReport
-from poise.session.running import Running, connect
+from poise.session.running_robots.running import Running, connect
 
 try:
     from py_trees.behaviour import Behaviour

@@ -23,7 +23,7 @@ from msgspec import Struct
 
 import poise
 from poise.errors import PoiseError, UsageError
-from poise.session.running import Running, Status
+from poise.session.running_robots.running import Running, Status
 from poise.wire.records.status import ComponentStatus
 
 ROBOT = Path(__file__).parent / "robot" / "robot.yaml"

@@ -7,14 +7,14 @@ import json
 import pytest
 import typer
 
-from poise.cli.command.running_robot import balance_command, move_command
+from poise.cli.command.run_time.running_robot import balance_command, move_command
 from poise.manage.adaptation.replan import Proposal
 from poise.manage.control_socket.records import Moved, Rebalanced
 from poise.manage.migration.move import MoveReport
 from poise.manage.migration.transition import TransitionStep
 from poise.manage.migration.transition_run import TransitionReport
 from poise.plan import Terms
-from poise.session.running import RolledBack, Running
+from poise.session.running_robots.running import RolledBack, Running
 
 WHY = "ValueError at\n    maps[name] = found[/tmp] + [i for i in rest]"
 
@@ -29,7 +29,9 @@ def test_why_it_was_called_off_is_told_as_it_is(
     )
     report = TransitionReport(steps=steps, committed=False, reason=WHY)
     answer = Rebalanced(proposal, report)
-    monkeypatch.setattr("poise.session.running.send_command", lambda *_: answer)
+    monkeypatch.setattr(
+        "poise.session.running_robots.running.send_command", lambda *_: answer
+    )
     with pytest.raises(typer.Exit):
         balance_command()
     assert f"rolled back: {WHY}" in capsys.readouterr().out
@@ -46,7 +48,9 @@ def test_an_outcome_that_was_rolled_back_is_json_too(
         reason=WHY,
         downtime=0.0,
     )
-    monkeypatch.setattr("poise.session.running.send_command", lambda *_: Moved(report))
+    monkeypatch.setattr(
+        "poise.session.running_robots.running.send_command", lambda *_: Moved(report)
+    )
     with pytest.raises(typer.Exit):
         move_command("eye", "b", as_json=True)
     assert json.loads(capsys.readouterr().out)["reason"] == WHY

@@ -114,7 +114,7 @@ def test_a_missing_file_is_a_problem_without_a_traceback(tmp_path: Path) -> None
 @pytest.mark.slow
 def test_an_interrupt_ends_with_130() -> None:
     interrupt = (
-        "import poise.cli.command.check as c\n"
+        "import poise.cli.command.design_time.check as c\n"
         "def stop(*_):\n    raise KeyboardInterrupt\n"
         "c.check = stop\n"
     )

@@ -14,7 +14,7 @@ from poise.cli.completion import in_file, one_of, running
 from poise.errors import RunError
 from poise.manage.control_socket.records import RobotStatus
 from poise.manage.tasks.report import TaskReport
-from poise.session import robots_here
+from poise.session.running_robots import local_robots as robots_here
 from poise.wire.records.requests import ManagerId
 
 HELLO = Path(__file__).parents[2] / "examples" / "hello" / "robot.yaml"

@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from poise.cli.command import demo as demo_command
-from poise.session.report import ComponentReport, RunReport
+from poise.cli.command.run_time import demo as demo_command
+from poise.session.reports.run_report import ComponentReport, RunReport
 from poise.wire.records.status import Summary, TimerStatus
 from tests.waiting import LONG
 
 SHORT = """
-from poise.cli.command import demo
+from poise.cli.command.run_time import demo
 from poise.cli.main import main
 
 demo._DRIVE, demo._MOVE_AT, demo._CALLS = 3.0, 1.0, 1.0

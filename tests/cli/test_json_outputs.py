@@ -37,8 +37,8 @@ def test_it_is_a_schema_of_draft_2020_12() -> None:
 def test_it_has_every_command_that_prints_json() -> None:
     printing = []
     for name, (where, _) in COMMANDS.items():
-        module, function = where.split(":")
-        command = getattr(import_module(f"poise.cli.command.{module}"), function)
+        module = import_module(f"poise.cli.command.{where}")
+        command = getattr(module, f"{name.split()[-1]}_command")
         if {"as_json", "json"} & inspect.signature(command).parameters.keys():
             printing.append(name)
     assert sorted(printing) == sorted(OUTPUTS)

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from poise.emulate import Emulation, look
+from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.control_socket.client import send_command
 from poise.manage.control_socket.records import (
     MoveCommand,
@@ -20,7 +21,6 @@ from poise.manage.control_socket.records import (
     RobotStatus,
     StatusCommand,
 )
-from poise.manage.statuses import connectors_of
 from poise.model.robot import Computer, Robot
 from poise.wire.records.status import ConnectorStatus
 from tests.command import POISE, run_poise

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.cli.command.run import run_command
+from poise.cli.command.run_time.run import run_command
 from poise.emulate import sweep
 from poise.errors import PoiseError
 from poise.runtime.waker import wait_readable

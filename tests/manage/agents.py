@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from poise.clock import SystemClock
-from poise.manage.agents import Agents
+from poise.manage.agent_connections.agents import Agents
 from tests.runtime.conftest import free_port
 from tests.waiting import LIMIT, wait_until
 

@@ -7,18 +7,18 @@ from typing import cast
 import pytest
 from msgspec.structs import replace
 
-from poise.manage.agents import Agents
+from poise.manage.agent_connections.agents import Agents
 from poise.manage.control_socket.records import (
     MoveCommand,
     Moved,
     Refusal,
     StatusCommand,
 )
+from poise.manage.deploy.running_components import Run
 from poise.manage.journal import Journal
 from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.recording import Recording
-from poise.manage.run import Run
 from poise.manage.tasks.tasks import Tasks
 from poise.model.robot import Action, Robot, Task
 from poise.wire.records.status import ComponentStatus, Fault

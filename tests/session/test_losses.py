@@ -10,7 +10,7 @@ import pytest
 import poise
 from poise.emulate import EmulatedSet
 from poise.errors import RunError
-from poise.manage import takeover
+from poise.manage.deploy import takeover
 from tests.command import robot_up
 from tests.session.emulated_robot import written
 from tests.waiting import LONG, wait_long

@@ -13,8 +13,8 @@ import pytest
 
 import poise
 from poise.emulate import EmulatedSet, look
-from poise.session.placement import place
-from poise.session.running import Running
+from poise.session.placing.placement import place
+from poise.session.running_robots.running import Running
 from poise.session.scenes.waiting import measures
 from tests.waiting import LONG, wait_long
 

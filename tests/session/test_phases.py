@@ -10,8 +10,8 @@ import poise
 from poise.errors import UsageError
 from poise.model import load
 from poise.model.robot import Action, Robot, Task
-from poise.session.first_phase import first_phase
-from poise.session.placement import place
+from poise.session.placing.first_phase import first_phase
+from poise.session.placing.placement import place
 
 DOCS = Path(__file__).parents[2] / "docs/tasks.md"
 

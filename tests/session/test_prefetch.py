@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import poise
-from poise.session.running import Running, Status
+from poise.session.running_robots.running import Running, Status
 from tests.session.emulated_robot import written
 from tests.waiting import wait_long
 

@@ -11,7 +11,7 @@ import pytest
 import poise
 from poise.model import Architecture, ComponentEntry, Computer, Robot
 from poise.model.robot import Action, Task
-from poise.session.report import ComponentReport, RunReport
+from poise.session.reports.run_report import ComponentReport, RunReport
 from poise.wire.records.status import Summary, TimerStatus
 from tests.waiting import LONG
 

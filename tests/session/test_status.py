@@ -11,6 +11,7 @@ from rich.console import Console
 from poise.estimate.online import Drift, Estimate
 from poise.manage.control_socket.records import RobotStatus
 from poise.manage.observe.estimates import DemandEstimate
+from poise.session.render.shared_tables.columns import table
 from poise.session.render.status import (
     _remarks,
     component_table,
@@ -19,7 +20,6 @@ from poise.session.render.status import (
     remarks,
     status_parts,
 )
-from poise.session.render.tables import table
 from poise.wire.records.requests import ManagerId
 from poise.wire.records.status import (
     AgentStatus,

@@ -11,54 +11,54 @@ from typing import Annotated
 import typer
 
 COMMANDS = {
-    "check": ("check:check_command", "Check a robot file and the code that it names."),
-    "plan": ("plan:plan_command", "Decide where each component runs."),
-    "draw": ("draw:draw_command", "Draw components, placements or a transition."),
-    "profile": ("profile:profile_command", "Measure what each component needs."),
-    "profile show": ("profile:show_command", "Show the last profile."),
-    "calibrate": ("calibrate:calibrate_command", "Measure computers and connectors."),
-    "recording": ("recording:recording_command", "Export or replay a recording."),
-    "policy": ("policy:policy_command", "Show what a robot does by itself, and when."),
-    "repository": ("repository:list_command", "Show what provides which function."),
-    "repository list": ("repository:list_command", "List architectures by function."),
-    "repository show": ("repository:show_command", "Show an architecture's success."),
-    "repository reset": ("repository:reset_command", "Forget what was learned of it."),
-    "run": ("run:run_command", "Run a task for a while and report."),
-    "demo": ("demo:demo_command", "Drive a robot, placed by hand and by Poise."),
-    "emulate": ("emulate:emulate_command", "Keep a robot's emulated computers up."),
-    "emulate list": ("emulate:list_command", "Show what is up, and the faults there."),
-    "emulate cut": ("emulate:cut_command", "Cut computers from each other."),
-    "emulate slow": ("emulate:slow_command", "Slow a link down."),
-    "emulate heal": ("emulate:heal_command", "End a cut, or make a link quick again."),
-    "emulate crash": ("emulate:crash_command", "Kill all processes of a computer."),
-    "emulate freeze": ("emulate:freeze_command", "Stop all processes of a computer."),
-    "emulate boot": ("emulate:boot_command", "Bring a computer back."),
-    "emulate load": ("emulate:load_command", "Let a program take CPU on a computer."),
-    "emulate stop": ("emulate:stop_command", "End the emulated computers of a robot."),
-    "up": ("up:up_command", "Start a robot and keep it running."),
-    "top": ("top:top_command", "Watch a running robot in the terminal."),
-    "list": ("look:list_command", "List robots that run, and what they consist of."),
-    "echo": ("look:echo_command", "Show messages as they go out over a connector."),
-    "hz": ("look:hz_command", "Show how often something goes out over a connector."),
-    "log": ("look:log_command", "Show what components wrote."),
-    "task": ("task:list_command", "Start, pause, resume and cancel tasks."),
-    "task start": ("task:start_command", "Start a task of a running robot."),
-    "task pause": ("task:pause_command", "Let a task rest."),
-    "task resume": ("task:resume_command", "Let a paused task go on."),
-    "task cancel": ("task:cancel_command", "End a task."),
-    "task list": ("task:list_command", "List the tasks that were started."),
-    "task show": ("task:show_command", "Show a task and its actions."),
-    "status": ("running_robot:status_command", "Show how a running robot is."),
-    "dashboard": ("dashboard:dashboard_command", "Show a running robot as a web page."),
-    "move": ("running_robot:move_command", "Move a component of a running robot."),
-    "replace": ("running_robot:replace_command", "Swap a component's implementation."),
-    "balance": ("running_robot:balance_command", "Rebalance a running robot."),
-    "journal": ("journal:journal_command", "Show what a manager decided and why."),
-    "stop": ("running_robot:stop_command", "Stop a running robot."),
-    "agent": ("agent:agent_command", "Run what the manager wants on this computer."),
+    "check": ("design_time.check", "Check a robot file and the code that it names."),
+    "plan": ("design_time.plan", "Decide where each component runs."),
+    "draw": ("design_time.draw", "Draw components, placements or a transition."),
+    "profile": ("design_time.profile", "Measure what each component needs."),
+    "profile show": ("design_time.profile", "Show the last profile."),
+    "calibrate": ("design_time.calibrate", "Measure computers and connectors."),
+    "recording": ("design_time.recording", "Export or replay a recording."),
+    "policy": ("design_time.policy", "Show what a robot does by itself, and when."),
+    "repository": ("design_time.repository", "Show what provides which function."),
+    "repository list": ("design_time.repository", "List architectures by function."),
+    "repository show": ("design_time.repository", "Show an architecture's success."),
+    "repository reset": ("design_time.repository", "Forget what was learned of it."),
+    "run": ("run_time.run", "Run a task for a while and report."),
+    "demo": ("run_time.demo", "Drive a robot, placed by hand and by Poise."),
+    "emulate": ("run_time.emulate", "Keep a robot's emulated computers up."),
+    "emulate list": ("run_time.emulate", "Show what is up, and the faults there."),
+    "emulate cut": ("run_time.emulate", "Cut computers from each other."),
+    "emulate slow": ("run_time.emulate", "Slow a link down."),
+    "emulate heal": ("run_time.emulate", "End a cut, or make a link quick again."),
+    "emulate crash": ("run_time.emulate", "Kill all processes of a computer."),
+    "emulate freeze": ("run_time.emulate", "Stop all processes of a computer."),
+    "emulate boot": ("run_time.emulate", "Bring a computer back."),
+    "emulate load": ("run_time.emulate", "Let a program take CPU on a computer."),
+    "emulate stop": ("run_time.emulate", "End the emulated computers of a robot."),
+    "up": ("run_time.up", "Start a robot and keep it running."),
+    "top": ("run_time.top", "Watch a running robot in the terminal."),
+    "list": ("run_time.look", "List robots that run, and what they consist of."),
+    "echo": ("run_time.look", "Show messages as they go out over a connector."),
+    "hz": ("run_time.look", "Show how often something goes out over a connector."),
+    "log": ("run_time.look", "Show what components wrote."),
+    "task": ("run_time.task", "Start, pause, resume and cancel tasks."),
+    "task start": ("run_time.task", "Start a task of a running robot."),
+    "task pause": ("run_time.task", "Let a task rest."),
+    "task resume": ("run_time.task", "Let a paused task go on."),
+    "task cancel": ("run_time.task", "End a task."),
+    "task list": ("run_time.task", "List the tasks that were started."),
+    "task show": ("run_time.task", "Show a task and its actions."),
+    "status": ("run_time.running_robot", "Show how a running robot is."),
+    "dashboard": ("run_time.dashboard", "Show a running robot as a web page."),
+    "move": ("run_time.running_robot", "Move a component of a running robot."),
+    "replace": ("run_time.running_robot", "Swap a component's implementation."),
+    "balance": ("run_time.running_robot", "Rebalance a running robot."),
+    "journal": ("run_time.journal", "Show what a manager decided and why."),
+    "stop": ("run_time.running_robot", "Stop a running robot."),
+    "agent": ("run_time.agent", "Run what the manager wants on this computer."),
 }
-"""Command -> file and function in `command/`, and what it does. A second word makes a
-sub-command."""
+"""Command -> its file in `command/`, and what it does. A second word makes a
+sub-command. Its function is named after its last word: `stop_command`."""
 
 
 def build(arguments: Sequence[str]) -> typer.Typer:
@@ -75,10 +75,9 @@ def build(arguments: Sequence[str]) -> typer.Typer:
     asked = both if both in COMMANDS else "".join(words[:1])
     for name, (where, help_) in COMMANDS.items():
         if name == asked:
-            module, function = where.split(":")
-            loaded = importlib.import_module(f"poise.cli.command.{module}")
-            command = getattr(loaded, function)
+            loaded = importlib.import_module(f"poise.cli.command.{where}")
             group, last = _group_of(app, name)
+            command = getattr(loaded, f"{last}_command")
             group.command(last, help=_flowing(inspect.getdoc(command) or ""))(command)
         elif not asked.startswith(f"{name} "):
             app.command(name, help=help_)(_not_loaded)

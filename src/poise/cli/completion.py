@@ -16,11 +16,11 @@ def running(what: str) -> Complete:
     Parameters
     ----------
     what
-        One of `poise.session.robots_here.THINGS`.
+        One of `poise.session.running_robots.local_robots.THINGS`.
     """
 
     def complete(context: typer.Context, begun: str) -> list[str]:
-        from poise.session.robots_here import names_of, robots_here
+        from poise.session.running_robots.local_robots import names_of, robots_here
 
         robot = None if what == "robots" else context.params.get("robot")
         return _fitting(lambda: names_of(robots_here(robot), what), begun)

@@ -13,8 +13,8 @@ from typing import Any, TypedDict, get_type_hints
 import msgspec
 
 from poise import plan
-from poise.cli.command.demo import DemoReport
-from poise.cli.command.emulate import ListedSet
+from poise.cli.command.run_time.demo import DemoReport
+from poise.cli.command.run_time.emulate import ListedSet
 from poise.errors import FileProblem
 from poise.estimate.profile import Profile
 from poise.estimate.success.learning import Belief
@@ -28,9 +28,9 @@ from poise.manage.tasks.report import TaskReport
 from poise.model.policy.policy import Policy
 from poise.plan.result_records import Conflict, GreedyStep, Stopped, Terms, Tightest
 from poise.session.calibration.calibrate import Calibration
-from poise.session.rates import Rate
-from poise.session.report import RunReport
-from poise.session.robots_here import Robots
+from poise.session.reports.run_report import RunReport
+from poise.session.running_robots.local_robots import Robots
+from poise.session.running_robots.rates import Rate
 from poise.session.scenes import SCENES
 from poise.wire.records.output import OutputLine
 

@@ -21,8 +21,10 @@ from poise.errors import PoiseError, RunError, TakenOver
 from poise.manage.adaptation.admission import check_move
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.loop import Adaptation
-from poise.manage.adaptation.put_aside import PutAside
 from poise.manage.adaptation.replan import with_present_demands
+from poise.manage.adaptation.shortages.put_aside import PutAside
+from poise.manage.agent_connections.output import read_log
+from poise.manage.agent_connections.taps import read_tap
 from poise.manage.control_socket.records import (
     Command,
     JournalCommand,
@@ -44,7 +46,8 @@ from poise.manage.control_socket.records import (
     TaskCommand,
     TaskDone,
 )
-from poise.manage.lost_computers import LostComputers
+from poise.manage.deploy.lost_computers import LostComputers
+from poise.manage.deploy.running_components import Run
 from poise.manage.migration.move import move, replace
 from poise.manage.migration.replacement import replace_architecture
 from poise.manage.observe.chains import ChainAges, chain_reports
@@ -53,10 +56,7 @@ from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.own_troubles import OwnTroubles
 from poise.manage.observe.recording import Recording
 from poise.manage.observe.watch import Watch
-from poise.manage.output import read_log
 from poise.manage.prefetch.prefetch import Prefetch
-from poise.manage.run import Run
-from poise.manage.taps import read_tap
 from poise.manage.tasks.task_manager import TaskManager
 from poise.manage.tasks.tasks import Saved
 from poise.model.policy.seen import Seen

@@ -16,8 +16,8 @@ from msgspec import Struct
 from poise.emulate import set_for
 from poise.errors import PoiseError, RunError
 from poise.model.robot import Robot
-from poise.session.running import Running
-from poise.session.say import Check, Say
+from poise.session.callbacks import Check, Say
+from poise.session.running_robots.running import Running
 
 _LOOK_EVERY = 0.05
 _LARGE_LOG = 1_000_000

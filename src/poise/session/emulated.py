@@ -8,10 +8,10 @@ from collections.abc import Iterator
 from poise.emulate import EmulatedSet, find_set
 from poise.errors import UsageError
 from poise.model.robot import Robot
+from poise.session.callbacks import Say, log
 from poise.session.launch.agent_keeper import keeping_agents
 from poise.session.launch.emulated_agents import emulated_agents
 from poise.session.launch.temporary_folders import scratch_folder
-from poise.session.say import Say, log
 
 
 @contextlib.contextmanager

@@ -11,8 +11,8 @@ from poise.errors import FileProblem, RobotError, UsageError
 from poise.model.load import Source, load_source
 from poise.model.robot import Robot
 from poise.runtime.isolated_check import check_code_isolated
+from poise.session.callbacks import Say, log, nothing
 from poise.session.profiles import profiled
-from poise.session.say import Say, log, nothing
 
 
 def check(file: str | PathLike[str]) -> tuple[FileProblem, ...]:

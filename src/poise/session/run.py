@@ -9,21 +9,21 @@ from functools import partial
 from pathlib import Path
 
 from poise.manage.adaptation.facts import Facts
-from poise.manage.deactivation import drain
+from poise.manage.deploy.deactivation import drain
+from poise.manage.deploy.lost_computers import LostComputers
+from poise.manage.deploy.running_components import Run
 from poise.manage.journal import Entry, Journal
-from poise.manage.lost_computers import LostComputers
-from poise.manage.run import Run
 from poise.manage.tasks.task_manager import TaskManager
 from poise.model.robot import Robot
-from poise.session.first_phase import first_phase
-from poise.session.history import History
+from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.launch.start import Sampling, Started, started
-from poise.session.placement import Placement
+from poise.session.placing.first_phase import first_phase
+from poise.session.placing.placement import Placement
+from poise.session.placing.repository import note_architectures
 from poise.session.recordings.record_run import keeping
-from poise.session.report import MeasuredRun, RunReport, reported
-from poise.session.repository import note_architectures
+from poise.session.reports.history import History
+from poise.session.reports.run_report import MeasuredRun, RunReport, reported
 from poise.session.robot_file import task_of
-from poise.session.say import Check, Say, log, nothing
 
 Meanwhile = Callable[[Run, float], object]
 """Called a few times a second with the run and its time so far [s]; may move

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from msgspec import Struct
 
 from poise.errors import PoiseError
-from poise.session.running import Entry, Running, Status
+from poise.session.running_robots.running import Entry, Running, Status
 
 MOST_ENTRIES = 500
 """So many decisions are kept."""

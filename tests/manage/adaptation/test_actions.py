@@ -11,12 +11,17 @@ from poise.errors import RunError, UsageError
 from poise.manage.adaptation.actions import Actions
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.move_limits import BUDGET, MoveLimits
-from poise.manage.adaptation.policies import Policies
-from poise.manage.adaptation.subjects import values_of
+from poise.manage.adaptation.policy.evaluation import Policies
+from poise.manage.adaptation.policy.subjects import values_of
 from poise.manage.migration.transition import TransitionStep
 from poise.model.policy.policy import Policy
 from poise.model.robot import Computer
-from tests.manage.adaptation.test_put_aside import BOTH, HIGH, Robbed, robot_with
+from tests.manage.adaptation.shortages.test_put_aside import (
+    BOTH,
+    HIGH,
+    Robbed,
+    robot_with,
+)
 
 RIGHT = Computer(name="right", capacity={"cpu": 0.3, "memory": 1e9})
 

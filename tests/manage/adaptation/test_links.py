@@ -10,8 +10,8 @@ from msgspec.structs import replace
 from poise.manage.adaptation.decision import decide
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.move_limits import MoveLimits
-from poise.manage.adaptation.policies import Policies
-from poise.manage.adaptation.subjects import values_of
+from poise.manage.adaptation.policy.evaluation import Policies
+from poise.manage.adaptation.policy.subjects import values_of
 from poise.model.policy.shipped import policies_of
 from poise.model.policy.values import LinkValues
 from poise.model.robot import Computer, Connector, ConnectorEnd, Link, Robot

@@ -5,10 +5,10 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from poise.manage.adaptation.loop import Adaptation
-from poise.manage.adaptation.put_aside import CALM
+from poise.manage.adaptation.shortages.put_aside import CALM
 from poise.manage.migration.transition_run import start_together
 from poise.model.robot import Computer
-from tests.manage.adaptation.test_put_aside import BOTH, Robbed, robot_with
+from tests.manage.adaptation.shortages.test_put_aside import BOTH, Robbed, robot_with
 
 
 class Returning(Robbed):

@@ -21,13 +21,13 @@ from poise.manage.adaptation import loop
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.move_limits import STAY_AWAY
-from poise.manage.adaptation.put_aside import PutAside
+from poise.manage.adaptation.shortages.put_aside import PutAside
+from poise.manage.deploy.running_components import Run
 from poise.manage.migration.transition import TransitionStep
 from poise.manage.migration.transition_run import TransitionReport
 from poise.manage.observe.deadline_misses import Misses
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.observe.loads import Load
-from poise.manage.run import Run
 from poise.model.robot import (
     Action,
     Architecture,

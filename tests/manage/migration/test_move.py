@@ -20,8 +20,10 @@ import pytest
 
 from poise.clock import SystemClock
 from poise.errors import RunError, UsageError
-from poise.manage.agent_requests import AgentRequests
-from poise.manage.agents import Agents
+from poise.manage.agent_connections.agents import Agents
+from poise.manage.agent_connections.requests import AgentRequests
+from poise.manage.agent_connections.statuses import components_of, connectors_of
+from poise.manage.deploy.running_components import Run
 from poise.manage.journal import Journal
 from poise.manage.migration.coordinator import (
     DOWNTIME_LIMIT,
@@ -29,8 +31,6 @@ from poise.manage.migration.coordinator import (
     RESUME_LIMIT,
 )
 from poise.manage.migration.move import MoveReport, move, replace
-from poise.manage.run import Run
-from poise.manage.statuses import components_of, connectors_of
 from poise.model.robot import (
     Architecture,
     ComponentEntry,
@@ -763,7 +763,7 @@ def test_the_sources_resume_without_waiting_for_why_an_agent_is_silent(
         return why(self, computer, limit, patience)
 
     monkeypatch.setattr(AgentRequests, "why_silent", noting)
-    monkeypatch.setattr("poise.manage.agents.LOSS_DELAY", LIMIT)
+    monkeypatch.setattr("poise.manage.agent_connections.agents.LOSS_DELAY", LIMIT)
     monkeypatch.setattr("poise.manage.migration.coordinator.DOWNTIME_LIMIT", 0.5)
     run = mortal.start("Counter")
     right = mortals.processes["right"]

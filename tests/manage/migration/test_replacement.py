@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from poise.errors import UsageError
-from poise.manage.agents import Agents
+from poise.manage.agent_connections.agents import Agents
+from poise.manage.agent_connections.statuses import components_of
+from poise.manage.deploy.running_components import Run
 from poise.manage.journal import Journal
 from poise.manage.migration.move import replace
 from poise.manage.migration.replacement import replace_architecture
-from poise.manage.run import Run
-from poise.manage.statuses import components_of
 from poise.model.robot import (
     Architecture,
     ComponentEntry,

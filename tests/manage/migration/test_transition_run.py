@@ -7,11 +7,11 @@ from typing import cast
 import pytest
 from msgspec import structs
 
-from poise.manage.agents import Agents
+from poise.manage.agent_connections.agents import Agents
+from poise.manage.deploy.running_components import Run
 from poise.manage.journal import Journal
 from poise.manage.migration.transition import TransitionStep
 from poise.manage.migration.transition_run import transit
-from poise.manage.run import Run
 from poise.model.robot import Robot
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.status import ComponentStatus

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from poise.manage.deployment import DeploymentPlan, Incarnation
+from poise.manage.deploy.deployment_plan import DeploymentPlan, Incarnation
 from poise.manage.observe.deviations import (
     Deviation,
     find_deviations,

@@ -10,7 +10,7 @@ from poise.errors import RunError, UsageError
 from poise.estimate.profile import ComponentProfile, Profile
 from poise.estimate.profile.distribution import Distribution
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.prometheus import MetricsServer, to_prometheus
+from poise.manage.observe.export.prometheus import MetricsServer, to_prometheus
 from poise.manage.observe.recording import Recording, load, save
 from poise.model.robot import Robot
 from poise.wire.records.recorded import Recorded

@@ -8,13 +8,13 @@ from typing import Any, cast
 import pytest
 from msgspec.structs import replace
 
-from poise.manage.agents import Agents
+from poise.manage.agent_connections.agents import Agents
+from poise.manage.deploy.running_components import Run
 from poise.manage.journal import Journal
 from poise.manage.observe.loads import Load
 from poise.manage.prefetch.prefetch import TRY_AGAIN, Prefetch
-from poise.manage.run import Run
+from poise.manage.prefetch.switch import switch
 from poise.manage.tasks.likely import Likely
-from poise.manage.tasks.switch import switch
 from poise.model.robot import Robot
 from poise.model.tasks.prefetch import Prefetch as Bounds
 from poise.wire.records.status import ComponentStatus, ContainerHealth, Fault

@@ -12,9 +12,9 @@ from msgspec.structs import replace
 from poise.errors import UsageError
 from poise.estimate.success.learning import beliefs_about
 from poise.manage.adaptation.facts import Facts
-from poise.manage.agents import Agents
+from poise.manage.agent_connections.agents import Agents
+from poise.manage.deploy.running_components import Run
 from poise.manage.journal import Journal
-from poise.manage.run import Run
 from poise.manage.tasks.saved import goes_on_with
 from poise.manage.tasks.task_manager import TaskManager
 from poise.manage.tasks.tasks import Saved, Tasks

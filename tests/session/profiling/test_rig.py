@@ -2,7 +2,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.errors import UsageError
-from poise.manage.deployment import DeploymentPlan
+from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.model.robot import (
     Architecture,
     ComponentEntry,

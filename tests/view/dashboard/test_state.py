@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from poise.manage.journal import Entry
-from poise.session.running import Status
+from poise.session.running_robots.running import Status
 from poise.view.dashboard.state import PageState, changes, why
 from poise.view.live import Look, Rates
 from poise.wire.records.requests import ManagerId

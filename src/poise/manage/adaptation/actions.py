@@ -11,17 +11,17 @@ from collections.abc import Callable, Mapping
 
 from poise.errors import RunError, UsageError
 from poise.manage.adaptation.admission import check_move
-from poise.manage.adaptation.crash_loops import CrashLoops, components_in
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.move_limits import MoveLimits
-from poise.manage.adaptation.policies import Symptom
-from poise.manage.adaptation.put_aside import PutAside
+from poise.manage.adaptation.policy.evaluation import Symptom
 from poise.manage.adaptation.replan import with_present_demands
+from poise.manage.adaptation.shortages.crash_loops import CrashLoops, components_in
+from poise.manage.adaptation.shortages.put_aside import PutAside
+from poise.manage.deploy.running_components import Run
 from poise.manage.migration.move import move
 from poise.manage.migration.replacement import replace_architecture
 from poise.manage.migration.transition import TransitionStep
 from poise.manage.migration.transition_run import transit
-from poise.manage.run import Run
 from poise.model.policy.policy import Do
 from poise.model.robot import Architecture
 

@@ -26,8 +26,8 @@ from poise.manage.adaptation.links import (
     with_bad_links,
 )
 from poise.manage.adaptation.replan import Proposal, propose, with_present_demands
+from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.transition import TransitionStep
-from poise.manage.statuses import components_of
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Computer, Robot
 from poise.units import counted, format_cores

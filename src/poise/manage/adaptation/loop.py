@@ -18,14 +18,15 @@ from poise.errors import PoiseError
 from poise.manage.adaptation.actions import Actions
 from poise.manage.adaptation.decision import Decision, decide
 from poise.manage.adaptation.facts import Facts
-from poise.manage.adaptation.failover import fail_over
 from poise.manage.adaptation.move_limits import MoveLimits
-from poise.manage.adaptation.needs import Needs, lacking
-from poise.manage.adaptation.policies import Key, Policies, Symptom
-from poise.manage.adaptation.put_aside import CALM, PutAside
+from poise.manage.adaptation.policy.evaluation import Key, Policies, Symptom
+from poise.manage.adaptation.policy.subjects import values_of
 from poise.manage.adaptation.replan import Proposal, propose
-from poise.manage.adaptation.subjects import values_of
+from poise.manage.adaptation.shortages.failover import fail_over
+from poise.manage.adaptation.shortages.needs import Needs, lacking
+from poise.manage.adaptation.shortages.put_aside import CALM, PutAside
 from poise.manage.adaptation.what_if import WhatIf, what_if
+from poise.manage.deploy.running_components import Run
 from poise.manage.migration.transition import TransitionStep
 from poise.manage.migration.transition_run import (
     TransitionReport,
@@ -33,7 +34,6 @@ from poise.manage.migration.transition_run import (
     transit,
 )
 from poise.manage.observe.deviations import Deviation
-from poise.manage.run import Run
 from poise.model.policy.policy import Do
 from poise.model.policy.seen import Seen
 from poise.model.policy.shipped import policies_of

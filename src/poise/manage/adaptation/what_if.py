@@ -12,8 +12,8 @@ from poise.manage.adaptation.admission import new_breaks
 from poise.manage.adaptation.decision import DOWNTIME, cost_of, starts_of
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.replan import with_present_demands
+from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.transition import TransitionStep
-from poise.manage.statuses import components_of
 
 
 class WhatIf(Struct, frozen=True, tag=True, kw_only=True):

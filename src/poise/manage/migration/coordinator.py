@@ -18,11 +18,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from msgspec import Struct
 
 from poise.errors import RunError
-from poise.manage.deployment import Incarnation
+from poise.manage.agent_connections.statuses import calling_ports, components_of
+from poise.manage.deploy.deployment_plan import Incarnation
+from poise.manage.deploy.running_components import Run
 from poise.manage.migration.plan import MigrationPlan, PlacedStep
 from poise.manage.observe.deviations import explain
-from poise.manage.run import Run
-from poise.manage.statuses import calling_ports, components_of
 from poise.priority import first
 from poise.wire.address import LOST_AFTER
 from poise.wire.migration_phases import MigrationPhases

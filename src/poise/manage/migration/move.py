@@ -11,10 +11,10 @@ import time
 from msgspec import structs
 
 from poise.errors import RunError, UsageError
-from poise.manage.deployment import Incarnation
+from poise.manage.deploy.deployment_plan import Incarnation
+from poise.manage.deploy.running_components import ACTIVE_LIMIT, READY_LIMIT, Run
 from poise.manage.journal import Kind
 from poise.manage.migration.coordinator import Migration, MigrationReport
-from poise.manage.run import ACTIVE_LIMIT, READY_LIMIT, Run
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import ComponentEntry, Layer
 

@@ -9,11 +9,11 @@ from msgspec import structs
 
 from poise import plan
 from poise.errors import UsageError
-from poise.manage.deployment import Incarnation, Placement
+from poise.manage.agent_connections.statuses import calling_ports, components_of
+from poise.manage.deploy.deployment_plan import Incarnation, Placement
+from poise.manage.deploy.running_components import Run
 from poise.manage.journal import Kind
 from poise.manage.migration.coordinator import Migration, MigrationReport
-from poise.manage.run import Run
-from poise.manage.statuses import calling_ports, components_of
 from poise.model.robot import Architecture, Robot
 
 

@@ -9,10 +9,10 @@ from collections.abc import Collection, Mapping, Sequence
 from msgspec import Struct, structs
 
 from poise.errors import RunError, UsageError
-from poise.manage.deployment import Incarnation
+from poise.manage.deploy.deployment_plan import Incarnation
+from poise.manage.deploy.running_components import ACTIVE_LIMIT, READY_LIMIT, Run
 from poise.manage.migration.move import MoveReport, move
 from poise.manage.migration.transition import TransitionStep
-from poise.manage.run import ACTIVE_LIMIT, READY_LIMIT, Run
 from poise.units import counted
 
 LEASE_LIMIT = 3.0

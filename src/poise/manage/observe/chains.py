@@ -8,8 +8,8 @@ from itertools import pairwise
 
 from msgspec import Struct
 
+from poise.manage.agent_connections.statuses import Statuses, connectors_of
 from poise.manage.observe.deadline_misses import OVER, is_late
-from poise.manage.statuses import Statuses, connectors_of
 from poise.model.robot import Chain, Robot
 from poise.units import format_seconds
 from poise.wire.records.status import (

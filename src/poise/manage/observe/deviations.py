@@ -7,8 +7,12 @@ from collections.abc import Set as AbstractSet
 
 from msgspec import Struct
 
-from poise.manage.deployment import DeploymentPlan, Incarnation, name_of
-from poise.manage.statuses import Statuses, components_of, connectors_of
+from poise.manage.agent_connections.statuses import (
+    Statuses,
+    components_of,
+    connectors_of,
+)
+from poise.manage.deploy.deployment_plan import DeploymentPlan, Incarnation, name_of
 from poise.wire.records.status import AgentStatus, ComponentStatus, ContainerHealth
 
 _CRASH_LOOP = 3

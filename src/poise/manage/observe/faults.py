@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from msgspec import Struct
 
-from poise.manage.statuses import Statuses
+from poise.manage.agent_connections.statuses import Statuses
 from poise.wire.records.status import Fault
 
 Numbers = Mapping[str, int]

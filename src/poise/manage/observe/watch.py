@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 
+from poise.manage.agent_connections.statuses import Statuses
+from poise.manage.deploy.running_components import Run
 from poise.manage.journal import Kind
 from poise.manage.observe.deviations import (
     Deviation,
@@ -12,8 +14,6 @@ from poise.manage.observe.deviations import (
     find_unjoined,
 )
 from poise.manage.observe.faults import FaultFilter
-from poise.manage.run import Run
-from poise.manage.statuses import Statuses
 
 _JOIN_WITHIN = 2.0
 """A connector that is not joined for so long is a deviation [s]."""

@@ -8,14 +8,14 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from msgspec.structs import replace
 
 from poise.errors import RunError
-from poise.manage.deployment import Incarnation
+from poise.manage.agent_connections.statuses import components_of
+from poise.manage.deploy.deployment_plan import Incarnation
+from poise.manage.deploy.running_components import Run
 from poise.manage.observe.loads import Load
 from poise.manage.prefetch.choice import Choice, choose
 from poise.manage.prefetch.report import PrefetchReport
-from poise.manage.run import Run
-from poise.manage.statuses import components_of
+from poise.manage.prefetch.switch import prepare
 from poise.manage.tasks.likely import Likely
-from poise.manage.tasks.switch import prepare
 from poise.wire.records.status import AgentStatus
 
 LOOK_EVERY = 1.0

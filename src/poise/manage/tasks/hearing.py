@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 
 from msgspec import Struct
 
-from poise.manage.run import Run
-from poise.manage.statuses import components_of
+from poise.manage.agent_connections.statuses import components_of
+from poise.manage.deploy.running_components import Run
 from poise.wire.records.status import TaskWish
 
 

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from poise.estimate.success.learning import learned
 from poise.manage.adaptation.facts import Facts
-from poise.manage.run import Run
+from poise.manage.deploy.running_components import Run
 from poise.manage.tasks.learned_choice import situation_of
 from poise.manage.tasks.likely import PlanOverTime
 from poise.manage.tasks.progress import Try

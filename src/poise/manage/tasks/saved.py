@@ -8,8 +8,8 @@ import time
 import msgspec
 
 from poise.errors import UsageError
+from poise.manage.deploy.running_components import Run
 from poise.manage.journal import Journal
-from poise.manage.run import Run
 from poise.manage.tasks.tasks import OVER, Saved, Tasks
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 
-from poise.manage.run import Run
+from poise.manage.deploy.running_components import Run
 from poise.model.robot import Architecture
 
 

@@ -15,19 +15,19 @@ from msgspec.structs import replace
 
 from poise.errors import PoiseError, RunError, UsageError
 from poise.manage.adaptation.facts import Facts
-from poise.manage.adaptation.subjects import values_of
+from poise.manage.adaptation.policy.subjects import values_of
+from poise.manage.deploy.running_components import Run
 from poise.manage.migration.transition_run import transit
-from poise.manage.run import Run
+from poise.manage.prefetch.resting import Resting
+from poise.manage.prefetch.switch import switch
 from poise.manage.tasks.hearing import Heard, Hearing
 from poise.manage.tasks.learned_choice import choose, note_ending, situation_of
 from poise.manage.tasks.likely import Likely, PlanOverTime, likely_next
 from poise.manage.tasks.progress import Try
 from poise.manage.tasks.report import TaskReport, task_reports
-from poise.manage.tasks.resting import Resting
 from poise.manage.tasks.room import Room, beyond_memory
 from poise.manage.tasks.room_for_tasks import RoomForTasks
 from poise.manage.tasks.serving import Serving
-from poise.manage.tasks.switch import switch
 from poise.manage.tasks.tasks import OVER, Ended, Saved, TaskRecord, Tasks
 from poise.model.policy.condition import parse_condition
 from poise.model.policy.values import SUBJECTS

@@ -17,9 +17,9 @@ from poise.model.robot import Robot
 from poise.runtime.workload.calibration import SCORES
 from poise.session.calibration.costs import costs_of
 from poise.session.calibration.robots import pairs, yardsticks
+from poise.session.callbacks import Check, nothing
 from poise.session.launch.start import Sampling, started
 from poise.session.profiles import check_keepable, read_profile, store_of
-from poise.session.say import Check, nothing
 from poise.wire.records.status import AgentStatus
 
 _WARM_UP = 1.0

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from html import escape
 from math import ceil, sqrt
 
-from poise.manage.topological_order import levels
+from poise.manage.deploy.topological_order import levels
 from poise.session.diagrams.records import (
     ComponentDiagram,
     DeploymentDiagram,

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator
 from poise.emulate.registry import locked
 from poise.errors import PoiseError
 from poise.runtime.waker import Waker, wait_readable
+from poise.session.callbacks import Say
 from poise.session.launch.emulated_agents import EmulatedAgents
-from poise.session.say import Say
 
 _LOOK_EVERY = 0.02
 """While an agent has ended, it is looked whether it may start so often [s]."""

@@ -12,13 +12,13 @@ from poise.emulate import EmulatedComputer, EmulatedSet, StarvationWatch, set_fo
 from poise.endpoint import Endpoint
 from poise.errors import RunError
 from poise.model.robot import Robot
+from poise.session.callbacks import Say
 from poise.session.launch.agent_keeper import keeping_agents
 from poise.session.launch.emulated_agents import (
     UNCUT_LEASE,
     agent_of,
     emulated_agents,
 )
-from poise.session.say import Say
 from poise.wire.control_session import LEASE, locator
 from poise.wire.records.samples import SAMPLE_EVERY
 

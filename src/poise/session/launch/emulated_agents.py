@@ -12,8 +12,8 @@ from pathlib import Path
 from poise.emulate import EmulatedComputer, Emulation
 from poise.endpoint import AGENT_PORT, Endpoint
 from poise.model.robot import Robot
+from poise.session.callbacks import Say
 from poise.session.launch.printer import STDERR, Printer, relay
-from poise.session.say import Say
 from poise.units import counted
 from poise.wire.control_session import LEASE
 from poise.wire.records.samples import SAMPLE_EVERY

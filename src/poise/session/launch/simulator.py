@@ -17,7 +17,7 @@ from poise.errors import RobotError, RunError
 from poise.model.robot import Robot
 from poise.runtime.hosting.command_line import die_with_parent, program
 from poise.runtime.waker import wait_readable
-from poise.session.say import Check, nothing
+from poise.session.callbacks import Check, nothing
 
 READY_LIMIT = 20.0
 """A simulated world says ``ready`` within this time [s]."""

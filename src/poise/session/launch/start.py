@@ -15,14 +15,14 @@ from msgspec import Struct
 
 from poise.clock import SystemClock
 from poise.errors import RobotError, RunError
-from poise.manage.agents import Agents
+from poise.manage.agent_connections.agents import Agents
+from poise.manage.deploy.running_components import Run
 from poise.manage.journal import Journal
-from poise.manage.run import Run
 from poise.model.robot import Robot
+from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.launch.computers import Computers, computers_of
 from poise.session.launch.simulator import SimulatorProcess, world_of
 from poise.session.launch.temporary_folders import scratch_folder
-from poise.session.say import Check, Say, log, nothing
 from poise.units import counted
 from poise.wire.records.samples import SAMPLE_EVERY, AgentSample
 

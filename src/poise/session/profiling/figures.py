@@ -13,8 +13,12 @@ from poise.estimate.profile import (
     TimerProfile,
 )
 from poise.estimate.profile.distribution import Distribution
-from poise.manage.deployment import name_of
-from poise.manage.statuses import Statuses, components_of, connectors_of
+from poise.manage.agent_connections.statuses import (
+    Statuses,
+    components_of,
+    connectors_of,
+)
+from poise.manage.deploy.deployment_plan import name_of
 from poise.model.robot import Connector, Robot
 from poise.session.profiling.usage import MeasuredUsage
 from poise.wire.records.status import ComponentStatus, Summary

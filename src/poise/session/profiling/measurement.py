@@ -6,14 +6,14 @@ from collections.abc import Callable
 
 from poise.errors import RunError
 from poise.estimate.profile.distribution import WINDOW
+from poise.manage.deploy.running_components import ACTIVE_LIMIT
 from poise.manage.journal import Journal
 from poise.manage.observe.recording import Recording
-from poise.manage.run import ACTIVE_LIMIT
+from poise.session.callbacks import Check, Say, nothing
 from poise.session.launch.start import Sampling, Started, started
 from poise.session.profiling.figures import Observed
 from poise.session.profiling.rig import ProfilingRig
 from poise.session.profiling.usage import measure
-from poise.session.say import Check, Say, nothing
 
 Tick = Callable[[float], None]
 

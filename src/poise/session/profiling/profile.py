@@ -16,8 +16,9 @@ from poise.errors import UsageError
 from poise.estimate.profile import Profile
 from poise.estimate.profile import file as profile_file
 from poise.estimate.profile.code_version import version_of
-from poise.manage.statuses import components_of
+from poise.manage.agent_connections.statuses import components_of
 from poise.model.robot import Robot
+from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.profiles import check_keepable, read_profile, store_of
 from poise.session.profiling.figures import (
     Figures,
@@ -28,8 +29,7 @@ from poise.session.profiling.figures import (
 )
 from poise.session.profiling.measurement import Tick, measure_alone
 from poise.session.profiling.rig import EMPTY, ProfilingRig, rig_of
-from poise.session.run_errors import silent_ports
-from poise.session.say import Check, Say, log, nothing
+from poise.session.reports.run_errors import silent_ports
 
 Progress = Callable[[str, float], AbstractContextManager[Tick]]
 """Takes an architecture and the time that its measurement takes [s]; gives a function

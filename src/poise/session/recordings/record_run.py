@@ -11,8 +11,8 @@ from msgspec import Struct
 from poise.manage.observe.recording import Recording, save
 from poise.model.robot import Robot
 from poise.runtime.connectors.recorded_inputs import read_inputs
+from poise.session.callbacks import Say
 from poise.session.recordings.tapped_robot import Tapped, tapped
-from poise.session.say import Say
 from poise.wire.records.recorded import Recorded
 
 

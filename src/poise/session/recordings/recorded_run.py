@@ -10,9 +10,9 @@ from poise.errors import UsageError
 from poise.manage.observe.estimates import DemandEstimate, Estimates
 from poise.manage.observe.recording import load
 from poise.model.robot import Robot
+from poise.session.callbacks import Say, log
 from poise.session.profiles import read_profile
 from poise.session.recordings.export import Which, export, rows
-from poise.session.say import Say, log
 
 if TYPE_CHECKING:
     import pandas as pd

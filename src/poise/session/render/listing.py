@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 from rich.console import RenderableType
 
-from poise.manage.statuses import components_of, connectors_of
-from poise.session.render.tables import NamedRows, table
-from poise.session.robots_here import Robots
+from poise.manage.agent_connections.statuses import components_of, connectors_of
+from poise.session.render.shared_tables.columns import NamedRows, table
+from poise.session.running_robots.local_robots import Robots
 
 
 def listing(robots: Robots) -> Iterator[RenderableType]:

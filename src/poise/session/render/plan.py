@@ -9,7 +9,7 @@ from rich.markup import escape
 
 from poise import plan, units
 from poise.model.robot import Computer
-from poise.session.render.tables import table
+from poise.session.render.shared_tables.columns import table
 from poise.units import counted
 
 BAR = 10

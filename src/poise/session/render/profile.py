@@ -12,7 +12,7 @@ from poise.estimate.overhead import overheads
 from poise.estimate.profile import ComponentProfile, ConnectorProfile, Profile
 from poise.model.robot import Robot
 from poise.session.profiling.figures import AGREE_CORES, AGREE_SHARE
-from poise.session.render.tables import NamedRows, table
+from poise.session.render.shared_tables.columns import NamedRows, table
 from poise.units import format_bytes, format_seconds
 
 _MOST_EARLIER = 2

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-from poise.manage.run import Run
-from poise.manage.statuses import components_of
+from poise.manage.agent_connections.statuses import components_of
+from poise.manage.deploy.running_components import Run
 from poise.session.run import Meanwhile
 
 _LINE_EVERY = 5.0

@@ -12,15 +12,15 @@ from rich.table import Table
 from rich.text import Text
 
 from poise.manage.observe.faults import combined
-from poise.session.render.chains import chain_tables
-from poise.session.render.clocks import clock_table
-from poise.session.render.connectors import connector_tables
-from poise.session.render.tables import table
-from poise.session.render.tasks import task_lines
+from poise.session.render.shared_tables.chains import chain_tables
+from poise.session.render.shared_tables.clocks import clock_table
+from poise.session.render.shared_tables.columns import table
+from poise.session.render.shared_tables.connectors import connector_tables
+from poise.session.render.shared_tables.tasks import task_lines
 from poise.units import counted, format_seconds
 
 if TYPE_CHECKING:
-    from poise.session.report import ComponentReport, RunReport
+    from poise.session.reports.run_report import ComponentReport, RunReport
 
 
 def report_parts(report: RunReport) -> Iterator[RenderableType]:

@@ -10,14 +10,14 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.control_socket.records import RobotStatus
 from poise.manage.observe.estimates import DemandEstimate
-from poise.manage.statuses import connectors_of
-from poise.session.render.chains import chain_tables
-from poise.session.render.clocks import clock_table
-from poise.session.render.connectors import connector_tables
-from poise.session.render.tables import table
-from poise.session.render.tasks import task_lines
+from poise.session.render.shared_tables.chains import chain_tables
+from poise.session.render.shared_tables.clocks import clock_table
+from poise.session.render.shared_tables.columns import table
+from poise.session.render.shared_tables.connectors import connector_tables
+from poise.session.render.shared_tables.tasks import task_lines
 from poise.units import counted, format_bytes
 from poise.wire.records.status import ComponentStatus
 

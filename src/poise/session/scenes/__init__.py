@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from poise.model.robot import Robot
-from poise.session.say import Check, Say
+from poise.session.callbacks import Check, Say
 from poise.session.scenes.cut_link import CutLinkScene, cut_link
 from poise.session.scenes.lost_computer import LostComputerScene, lose_computer
 from poise.session.scenes.manager_killed import ManagerKilledScene, kill_manager

@@ -14,11 +14,11 @@ from pathlib import Path
 from msgspec import Struct
 
 from poise.errors import PoiseError
-from poise.manage.statuses import components_of
+from poise.manage.agent_connections.statuses import components_of
 from poise.model.robot import Robot
+from poise.session.callbacks import Check, Say
 from poise.session.emulated import emulated
-from poise.session.running import Running
-from poise.session.say import Check, Say
+from poise.session.running_robots.running import Running
 from poise.session.scenes.waiting import (
     WARM_UP,
     active_components,

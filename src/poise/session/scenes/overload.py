@@ -8,9 +8,9 @@ from msgspec import Struct
 
 from poise.emulate.background_load import background_load
 from poise.model.robot import Robot
-from poise.session.placement import place
-from poise.session.running import Running
-from poise.session.say import Check, Say
+from poise.session.callbacks import Check, Say
+from poise.session.placing.placement import place
+from poise.session.running_robots.running import Running
 from poise.session.scenes.waiting import LOOK_EVERY, WARM_UP, wait
 from poise.session.up import up
 

@@ -11,8 +11,8 @@ from msgspec.structs import replace
 from poise.manage.prefetch.report import PrefetchReport
 from poise.model.robot import Robot
 from poise.model.tasks.prefetch import Prefetch
-from poise.session.running import Running
-from poise.session.say import Check, Say
+from poise.session.callbacks import Check, Say
+from poise.session.running_robots.running import Running
 from poise.session.scenes.overload import Deadlines
 from poise.session.scenes.waiting import wait_until
 from poise.session.up import up

@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable
 
 from poise.errors import RunError
-from poise.manage.statuses import components_of
-from poise.session.running import Running
+from poise.manage.agent_connections.statuses import components_of
+from poise.session.running_robots.running import Running
 
 WARM_UP = 4.0
 LOOK_EVERY = 0.1

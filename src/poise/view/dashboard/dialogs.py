@@ -11,7 +11,7 @@ from nicegui import run, ui
 
 from poise.errors import PoiseError
 from poise.session.render.moves import outcome_sentence, what_if_lines
-from poise.session.running import Entry, Running, WhatIf
+from poise.session.running_robots.running import Entry, Running, WhatIf
 from poise.view.dashboard.state import Page, why
 
 

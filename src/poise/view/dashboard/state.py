@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from poise.session.running import Entry
+from poise.session.running_robots.running import Entry
 from poise.view.live import Look, Rates
 
 Records = dict[str, dict[str, Any]]

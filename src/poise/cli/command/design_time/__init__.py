@@ -1,0 +1,1 @@
+"""Commands about robots that need not run: checked, measured, placed and drawn."""

@@ -1,0 +1,178 @@
+"""Commands to a running robot: `poise status`, `move`, `replace`, `balance`, `stop`."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from poise.cli.completion import running
+from poise.cli.options import AsJson, print_json
+from poise.errors import UsageError
+from poise.model import load
+from poise.session.render.moves import Outcome, outcome_lines, what_if_lines
+from poise.session.render.printable import console_to
+from poise.session.running_robots.running import RolledBack, Running
+from poise.session.running_robots.stop_without_manager import stop_without_manager
+
+Robot = Annotated[
+    str | None,
+    typer.Option(
+        help="The robot's name, when several run here.",
+        autocompletion=running("robots"),
+    ),
+]
+
+
+def status_command(robot: Robot = None, as_json: AsJson = False) -> None:
+    """Show where a running robot's components are, and how they and connectors do.
+
+    The exit code is 1 when anything is not as the robot file says.
+
+    Example: poise status
+    """
+    status = Running(robot).status()
+    print_json(status) if as_json else console_to().print(status)
+    if status.deviations:
+        raise typer.Exit(1)
+
+
+def move_command(
+    component: Annotated[
+        str,
+        typer.Argument(help="The component.", autocompletion=running("components")),
+    ],
+    computer: Annotated[
+        str,
+        typer.Argument(help="Where it is to run.", autocompletion=running("computers")),
+    ],
+    force: Annotated[
+        bool,
+        typer.Option(
+            "--force",
+            help="Move it even where it does not fit, or in spite of its layer.",
+        ),
+    ] = False,
+    dry: Annotated[
+        bool, typer.Option("--dry-run", help="Say what it would change; move nothing.")
+    ] = False,
+    robot: Robot = None,
+    as_json: AsJson = False,
+) -> None:
+    """Move a component of a running robot to another computer.
+
+    It keeps its state, and no call or message is lost, doubled or reordered. When
+    something fails it goes on where it was, and the exit code is 1. A command-line
+    component is stopped and started. A component that does not fit beside what
+    runs on the computer is refused, unless --force is given. With --dry-run it says
+    what the move would change and cost; the exit code is 1 when it would be refused.
+
+    Example: poise move localiser vision
+    """
+    running = Running(robot)
+    if dry:
+        seen = running.what_if(component, computer)
+        print_json(seen) if as_json else sys.stdout.writelines(
+            f"{line}\n" for line in what_if_lines(seen)
+        )
+        if seen.breaks:
+            raise typer.Exit(1)
+        return
+    _act(lambda: running.move(component, computer, force=force), as_json=as_json)
+
+
+def replace_command(
+    what: Annotated[
+        str,
+        typer.Argument(
+            help="The component, or an architecture.",
+            autocompletion=running("components"),
+        ),
+    ],
+    by: Annotated[
+        str, typer.Argument(help="package.module:Class, or another architecture.")
+    ],
+    adapt: Annotated[
+        str, typer.Option(help="package.module:function that maps the old state.")
+    ] = "",
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Drop the old state and begin without.")
+    ] = False,
+    robot: Robot = None,
+    as_json: AsJson = False,
+) -> None:
+    """Swap a running component's implementation, or a whole architecture.
+
+    State is kept: --adapt maps it where it is another one, and --fresh drops it. An
+    architecture is replaced by another that provides the same function: all its
+    components take over at once, or none does.
+
+    Example: poise replace localiser trot.navigator.scan_matcher:ScanMatcher
+    """
+    running = Running(robot)
+    _act(lambda: running.replace(what, by, adapt=adapt, fresh=fresh), as_json=as_json)
+
+
+def balance_command(
+    cost: Annotated[
+        float,
+        typer.Option(help="What F grows by for a move, and for each MB of its state."),
+    ] = 0.01,
+    dry: Annotated[
+        bool, typer.Option("--dry-run", help="Say what is best; move nothing.")
+    ] = False,
+    robot: Robot = None,
+    as_json: AsJson = False,
+) -> None:
+    """Find a better placement for what a running robot needs now, and go there.
+
+    Components move, one after the other, so that no computer is overfull midway. When
+    one cannot, all go back to where they were, and the exit code is 1.
+
+    Example: poise balance --dry-run
+    """
+    if not (math.isfinite(cost) and cost >= 0):
+        raise UsageError(f"--cost {cost:g}: it is a number that is not negative")
+    running = Running(robot)
+    _act(lambda: running.balance(cost=cost, dry_run=dry), as_json=as_json)
+
+
+def stop_command(
+    robot: Robot = None,
+    file: Annotated[
+        Path | None,
+        typer.Option(help="Robot file: end what a killed manager left running."),
+    ] = None,
+) -> None:
+    """Stop a running robot, and wait until it has stopped.
+
+    A move under way is rolled back. The exit code is 1 when something still runs. With
+    --file it needs no manager: it ends all containers on the computers of the robot.
+
+    Example: poise stop
+    """
+    if file is None:
+        Running(robot).stop()
+    else:
+        stop_without_manager(load(file))
+    console_to().print("stopped")
+
+
+def _act(act: Callable[[], Outcome], *, as_json: bool) -> None:
+    """Print the outcome; exit with 1 if it was rolled back."""
+    try:
+        outcome, is_done = act(), True
+    except RolledBack as error:
+        outcome, is_done = error.outcome, False
+    if as_json:
+        print_json(outcome)
+    else:
+        console = console_to()
+        for line in outcome_lines(outcome):
+            console.print(line)
+    if not is_done:
+        raise typer.Exit(1)

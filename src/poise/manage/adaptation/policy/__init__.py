@@ -1,0 +1,1 @@
+"""What policies see of a running robot, and which of them apply."""

@@ -1,0 +1,1 @@
+"""What cannot run where it was: lost computers, crashes, too little room."""

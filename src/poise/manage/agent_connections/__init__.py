@@ -1,0 +1,1 @@
+"""The manager's agents: what it asks, what they report, and who is reached."""

@@ -1,0 +1,354 @@
+"""The manager's connections to the robot's agents, and what it asks of them."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from typing import Self
+
+from poise.clock import Clock
+from poise.endpoint import Endpoint
+from poise.errors import RunError
+from poise.manage.agent_connections.checkpoint_copies import CheckpointCopies
+from poise.manage.agent_connections.heartbeats import AgentHeartbeats
+from poise.manage.agent_connections.messages import (
+    has_ended,
+    manager_id,
+    reading,
+)
+from poise.manage.agent_connections.reports import AgentReports
+from poise.manage.agent_connections.requests import (
+    ANSWER_LIMIT,
+    LOOK_EVERY,
+    LOSS_DELAY,
+    AgentRequests,
+    nothing,
+)
+from poise.priority import ahead
+from poise.wire.control_session import (
+    IDENTITIES,
+    LEASE,
+    open_session,
+)
+from poise.wire.records.checkpoints import CheckpointCopy
+from poise.wire.records.deployment import Deployment
+from poise.wire.records.migration import (
+    MigrationSteps,
+    StepsDone,
+    StepsFailed,
+    StepsOutcome,
+)
+from poise.wire.records.requests import (
+    Accepted,
+    Answer,
+    Claim,
+    Claimed,
+    ManagerId,
+    Refused,
+    Request,
+)
+from poise.wire.records.samples import AgentSample
+from poise.wire.records.status import AgentStatus
+
+_LATE = LEASE + 1.0
+"""An agent that was cut off knows within this time that its manager ended [s]."""
+MARGIN = 0.1
+"""An agent's answer to migration steps may come this much after their limit [s]."""
+_PROBE_LIMIT = 0.1
+"""A computer answers within this time, if it is there [s]."""
+_REVOKED = 2
+"""A token that was revoked counts as one so much higher, which no agent has."""
+_LEAST_BANDWIDTH = 1e6
+"""A state that is sent takes no longer than with this [bytes/s]."""
+
+
+class Agents(AgentReports):
+    """The agents of one robot. Use it as a context manager.
+
+    Parameters
+    ----------
+    robot
+        The robot's name.
+    endpoints
+        Computer -> zenoh endpoint of its agent.
+    on_sample
+        Called with every sample, on zenoh's thread; must not block.
+    lease
+        An agent that is cut off is out of reach after this time [s]; one that ends,
+        at once.
+    """
+
+    def __init__(
+        self,
+        robot: str,
+        endpoints: Mapping[str, str],
+        clock: Clock,
+        on_sample: Callable[[AgentSample], object] | None = None,
+        lease: float = LEASE,
+    ) -> None:
+        super().__init__(robot, endpoints, clock)
+        self.manager = manager_id()
+        self._agents = endpoints if lease <= LEASE else {}
+        self._heartbeats = AgentHeartbeats(
+            robot, self.manager.key, self._agents, clock, self.on_silent
+        )
+        self._tokens: dict[str, int] = {}
+        self._claimed: dict[str, int] = {}
+        self.checkpoints = CheckpointCopies()
+        # no gossip: it talks to the agents that it knows, and to no other manager
+        with ahead():  # zenoh's threads do nothing but carry messages
+            self._session = open_session(
+                connect=tuple(endpoints.values()), gossip=False, lease=lease
+            )
+        prefix = f"poise/{robot}"
+        self._requests = AgentRequests(self._session, prefix, self, clock, self._tokens)
+        self._declared = [
+            self._session.declare_subscriber(
+                f"{prefix}/status/*",
+                reading(AgentStatus, self.on_status, self.on_refused),
+            ),
+            self._session.declare_subscriber(
+                f"{prefix}/checkpoint/*",
+                reading(CheckpointCopy, self.checkpoints.note, self.on_refused),
+            ),
+            self._session.liveliness().declare_subscriber(
+                f"{prefix}/alive/*", self.on_alive, history=True
+            ),
+            self._session.liveliness().declare_subscriber(
+                IDENTITIES, self.on_identity, history=True
+            ),
+        ]
+        if on_sample is not None:
+            self._declared.append(
+                self._session.declare_subscriber(
+                    f"{prefix}/samples/*",
+                    reading(AgentSample, on_sample, self.on_refused),
+                )
+            )
+        # last, because agents report at once to a manager that comes
+        self._token = self._session.liveliness().declare_token(
+            f"{prefix}/manager/{self.manager.key}"
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the agents as they are."""
+        self._heartbeats.close()
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def has_computer(self, computer: str) -> bool:
+        """Return whether a computer answers that it runs no agent."""
+        at = Endpoint.parse(self._endpoints[computer].removeprefix("tcp/"))
+        try:
+            socket.create_connection((at.host, at.port), _PROBE_LIMIT).close()
+        except ConnectionRefusedError:
+            return True
+        except OSError:
+            pass
+        return False  # one that takes connections and is silent is frozen
+
+    def obey(self, computer: str) -> bool:
+        """Return whether an agent is reached and obeys this manager."""
+        with self._changed:
+            status = self._statuses.get(computer)
+            token = self._tokens.get(computer)
+            return (
+                status is not None
+                and computer not in self._lost
+                and computer not in self._silent
+                and status.token == token
+            )
+
+    def successor(self) -> ManagerId | None:
+        """Return the manager that agents obey instead of this one; None: none."""
+        with self._changed:
+            for computer, token in self._claimed.items():
+                status = self._statuses.get(computer)
+                if status is None or status.manager is None or status.token <= token:
+                    continue
+                if status.manager.key != self.manager.key:  # else its lease ended
+                    return status.manager
+        return None
+
+    def wait_alive(
+        self,
+        computers: Iterable[str],
+        limit: float,
+        check: Callable[[], None] = nothing,
+    ) -> None:
+        """Wait until the agents of all `computers` are there and reported.
+
+        Parameters
+        ----------
+        check
+            Called now and then; may raise to end the waiting.
+
+        Raises
+        ------
+        RunError
+            One was not there within `limit` [s], or at its address there is the agent
+            of another computer or robot.
+        """
+        wanted, deadline = set(computers), self._clock.now() + limit
+        while not self.wait_news(lambda: wanted <= self.reached(), LOOK_EVERY):
+            check()
+            self.raise_on_other_agents(wanted - self.reached())
+            if self._clock.now() < deadline:
+                continue
+            missing = ", ".join(sorted(wanted - self.reached()))
+            raise RunError(
+                f"no agent answered within {limit:g} s on: {missing}. Is `poise agent` "
+                "running there, and can this computer reach it?"
+                + "".join(f"\n{refusal}" for refusal in self.take_refused())
+            )
+
+    def claim(
+        self, computers: Collection[str], *, take_over: bool = False
+    ) -> dict[str, Deployment]:
+        """Let the agents of `computers` obey this manager, and no other.
+
+        One after the other in the order of their names: of two managers that start at
+        the same time, one gets the first agent, and the other none.
+
+        Parameters
+        ----------
+        take_over
+            Whether they are to obey it even if they obey another that is alive.
+
+        Returns
+        -------
+        Computer -> what its agent works towards.
+
+        Raises
+        ------
+        RunError
+            One obeys another manager that is alive, or does not answer.
+        """
+        deployments = {}
+        for computer in sorted(computers):
+            answer = self._claim(computer, take_over=take_over)
+            if isinstance(answer, Claimed) and answer.deployment is not None:
+                deployments[computer] = answer.deployment
+            self.wait_news(
+                lambda c=computer: self.obey(c),  # type: ignore[misc]
+                ANSWER_LIMIT,
+            )
+        if self._agents:
+            self._heartbeats.start()
+        return deployments
+
+    def _claim(self, computer: str, *, take_over: bool) -> Answer:
+        """Claim an agent; one that was cut off learns late that its manager ended."""
+        before = self._statuses[computer].manager
+        is_late = bool(self._claimed) or (before is not None and has_ended(before))
+        until = self._clock.now() + (_LATE if is_late else 0.0)
+        while True:
+            known = self._statuses[computer].token, self._tokens.get(computer, 0)
+            token = self._tokens[computer] = max(known) + 1
+            claim = Claim(self.manager, take_over, self._agents)
+            answers, refusals = self._requests.send({computer: claim})
+            if not refusals:
+                self._claimed[computer] = token
+                return answers[computer]
+            if self._clock.now() >= until:
+                raise RunError(refusals[computer])
+            self._clock.sleep(LOOK_EVERY)
+
+    def heard_by(self, computer: str) -> str:
+        """Return a computer that still hears one out of reach; empty when none does."""
+        return self._heartbeats.heard_by(computer)
+
+    def holds_lease(self, computer: str) -> bool:
+        """Return whether an agent is heard and says that its lease is in force."""
+        return not self._agents or self._heartbeats.holds_lease(computer)
+
+    def is_cut_off(self, computer: str) -> bool:
+        """Return whether an agent says that its lease has ended."""
+        return self._heartbeats.is_cut_off(computer)
+
+    def revoke(self, computers: Iterable[str]) -> bool:
+        """Obtain that components of lost computers may be started elsewhere.
+
+        From then on the agents of these computers are to be claimed again. It fails,
+        and changes nothing, while the lease of one may not have ended yet.
+        """
+        tokens = {name: self._tokens.get(name, 0) for name in computers}
+        if not self._heartbeats.revoke(tokens):
+            return False
+        self._tokens |= {name: token + _REVOKED for name, token in tokens.items()}
+        return True
+
+    def deploy(self, deployments: Mapping[str, Deployment]) -> dict[str, str]:
+        """Send agents what should run, all at once; by computer.
+
+        Returns
+        -------
+        Computer -> why its agent did not accept it within `ANSWER_LIMIT`; empty when
+        all did.
+        """
+        return self._requests.send(deployments)[1]
+
+    def ask(self, computer: str, request: Request, limit: float) -> Answer | None:
+        """Return an agent's answer; None: it gave none within `limit` [s]."""
+        return self.ask_all({computer: request}, limit)[computer]
+
+    def ask_all(
+        self, requests: Mapping[str, Request], limit: float
+    ) -> dict[str, Answer | None]:
+        """Return the answers of agents by computer; None: none within `limit` [s]."""
+        asked = {name: (name, each, limit) for name, each in requests.items()}
+        return dict(self._requests.answers(asked))
+
+    def keep_checkpoint(self, computer: str, copy: CheckpointCopy) -> str:
+        """Let an agent keep a state for a component that is to start there.
+
+        Returns
+        -------
+        Why it did not; empty: it did.
+        """
+        limit = ANSWER_LIMIT + len(copy.data or b"") / _LEAST_BANDWIDTH
+        answer = self.ask(computer, copy, limit)
+        if isinstance(answer, Accepted):
+            return ""
+        why = answer.reason if isinstance(answer, Refused) else str(answer)
+        return why if answer else f"no answer within {limit:.0f} s"
+
+    def take_steps(
+        self,
+        batches: Iterable[tuple[str, MigrationSteps]],
+        check: Callable[[], object] = nothing,
+    ) -> Iterator[StepsOutcome]:
+        """Let containers take steps, all at once; yield each outcome as it is known.
+
+        Parameters
+        ----------
+        batches
+            Computers, and the steps for a container on each. No answer of an agent
+            counts as failed.
+        check
+            Called now and then; may raise to end the waiting.
+        """
+        began = self._clock.now()
+        asked = {
+            steps.number: (computer, steps, steps.limit + MARGIN)
+            for computer, steps in batches
+        }
+        for number, answer in self._requests.answers(asked, check):
+            computer, steps, limit = asked[number]
+            if isinstance(answer, StepsDone | StepsFailed):
+                yield answer
+                continue
+            why = f"answered {answer}"
+            if answer is None:
+                # a component may be paused: the agent has had time enough
+                left = max(0.0, began + limit - self._clock.now())
+                why = self._requests.why_silent(computer, limit, min(LOSS_DELAY, left))
+            yield StepsFailed(steps.number, f"the agent of '{computer}' {why}")
+
+    def _on_new_agent(self, computer: str) -> None:
+        self._heartbeats.forget(computer)

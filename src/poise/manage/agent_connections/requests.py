@@ -1,0 +1,163 @@
+"""What the manager asks of agents, and how long it waits for their answers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from queue import Empty, SimpleQueue
+from typing import TypeVar
+
+import msgspec
+import zenoh
+from zenoh.handlers import Callback
+
+from poise.clock import Clock
+from poise.manage.agent_connections.messages import answer_of, note
+from poise.manage.agent_connections.reports import AgentReports
+from poise.wire.records.requests import (
+    Accepted,
+    Answer,
+    Claimed,
+    ManagerRequest,
+    Refused,
+    Request,
+)
+
+K = TypeVar("K")
+
+LOOK_EVERY = 0.1
+ANSWER_LIMIT = 2.0
+"""An agent answers a claim or deployment within this time [s]."""
+SEND_LIMIT = 2 * ANSWER_LIMIT
+"""A claim or deployment that is not answered is sent again within this time [s]: the
+connection may just be made again, and receiving one twice is harmless."""
+_LAST_REPLY = 1.0
+"""zenoh reports within this time after the steps' limit that no answer came [s]."""
+LOSS_DELAY = 0.5
+"""The loss of an agent is known this long [s] after its connection ends, at most."""
+
+
+def nothing() -> None:
+    """Raise nothing: the default of what is checked while one waits."""
+
+
+class AgentRequests:
+    """Asks the agents of one robot, all at once.
+
+    Parameters
+    ----------
+    prefix
+        What all keys of the robot begin with.
+    reports
+        What is known of the agents.
+    tokens
+        Computer -> the token that its agent obeys.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        prefix: str,
+        reports: AgentReports,
+        clock: Clock,
+        tokens: Mapping[str, int],
+    ) -> None:
+        self._session = session
+        self._prefix = prefix
+        self._reports = reports
+        self._clock = clock
+        self._tokens = tokens
+
+    def send(
+        self, requests: Mapping[str, Request]
+    ) -> tuple[dict[str, Answer], dict[str, str]]:
+        """Send agents requests until they answer.
+
+        An agent that is cut off for a moment gets its request again.
+
+        Returns
+        -------
+        Their answers; and why others did not accept them.
+        """
+        answers: dict[str, Answer] = {}
+        refusals = {}
+        pending = dict(requests)
+        deadline = self._clock.now() + SEND_LIMIT
+        while pending:
+            asked = {c: (c, request, ANSWER_LIMIT) for c, request in pending.items()}
+            for computer, answer in self.answers(asked):
+                if answer is None:
+                    continue
+                del pending[computer]
+                answers[computer] = answer
+                if not isinstance(answer, Accepted | Claimed):
+                    why = answer.reason if isinstance(answer, Refused) else str(answer)
+                    refusals[computer] = f"the agent of '{computer}' refused: {why}"
+            if pending:
+                self._clock.sleep(LOOK_EVERY)  # a loss may not be known yet
+            for computer in list(pending):
+                left = max(0.0, deadline - self._clock.now())
+                is_reached = partial(self._is_reached, computer)
+                if not left or not self._reports.wait_news(is_reached, left):
+                    del pending[computer]
+                    why = self.why_silent(computer, SEND_LIMIT, LOSS_DELAY)
+                    refusals[computer] = f"the agent of '{computer}' {why}"
+        return answers, refusals
+
+    def answers(
+        self,
+        asked: Mapping[K, tuple[str, Request, float]],
+        check: Callable[[], object] = nothing,
+    ) -> Iterator[tuple[K, Answer | None]]:
+        """Ask agents, all at once; yield each answer as it comes.
+
+        None: the agent gave none.
+
+        Parameters
+        ----------
+        asked
+            By any key: the computer, what its agent is asked, and the limit [s].
+        """
+        replies: SimpleQueue[tuple[K, zenoh.Reply | None]] = SimpleQueue()
+        pending, deadline = set(asked), self._clock.now() + _LAST_REPLY
+        deadline += max((limit for _, _, limit in asked.values()), default=0.0)
+        for key, (computer, request, limit) in asked.items():
+            take = partial(note, replies, key)
+            token = self._tokens.get(computer, 0)
+            self._session.get(
+                f"{self._prefix}/agent/{computer}",
+                Callback(take, take),
+                payload=msgspec.msgpack.encode(
+                    ManagerRequest(token=token, request=request)
+                ),
+                timeout=limit,
+            )
+        while pending:
+            try:
+                key, reply = replies.get(timeout=LOOK_EVERY)
+            except Empty:
+                check()
+                away = self._reports.out_of_reach().keys()
+                gone = [key for key in pending if asked[key][0] in away]
+                if not gone and self._clock.now() < deadline:
+                    continue
+                # zenoh did not even report that the time is over
+                key, reply = next(iter(gone or pending)), None
+            if key in pending:
+                pending.discard(key)
+                yield key, answer_of(reply)
+
+    def _is_reached(self, computer: str) -> bool:
+        return computer in self._reports.reached()
+
+    def why_silent(self, computer: str, limit: float, patience: float) -> str:
+        """Return what is known of an agent that gave no answer within `limit` [s].
+
+        No answer comes from the moment when its connection ends, which may be a little
+        before zenoh reports the loss of the agent: `patience` [s] is for that.
+        """
+        if self._reports.wait_news(
+            lambda: computer in self._reports.out_of_reach(), patience
+        ):
+            return "is out of reach"
+        return f"did not answer within {limit:g} s"

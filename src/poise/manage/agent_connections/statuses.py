@@ -1,0 +1,109 @@
+"""What the statuses of all agents say together. Pure."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Iterable, Iterator, Mapping
+
+from poise.manage.deploy.deployment_plan import Incarnation
+from poise.wire.records.status import AgentStatus, ComponentStatus, ConnectorStatus
+
+Statuses = Mapping[str, AgentStatus]
+"""Computer -> what its agent reported last."""
+
+_WORKING = {
+    "unconfigured": " (do its import and `configure` end?)",
+    "inactive": " (does its `activate` end?)",
+}
+"""What may keep a component in a state."""
+
+
+def components_of(statuses: Statuses) -> Iterator[ComponentStatus]:
+    """Yield the components in all statuses."""
+    for status in statuses.values():
+        for container in status.containers:
+            yield from container.components
+
+
+def calling_ports(statuses: Statuses) -> set[tuple[str, str]]:
+    """Return the ends over which components call: component and port."""
+    return {(c.name, port) for c in components_of(statuses) for port in c.requires}
+
+
+def gateways(statuses: Statuses) -> dict[str, str]:
+    """Return where other computers reach each computer's containers."""
+    return {name: status.gateway for name, status in statuses.items()}
+
+
+def connectors_of(statuses: Statuses) -> Iterator[ConnectorStatus]:
+    """Yield the connector ends in all statuses."""
+    for status in statuses.values():
+        for container in status.containers:
+            yield from container.connectors
+
+
+def missing(
+    wanted: Iterable[Incarnation],
+    statuses: Statuses,
+    silent: Iterable[str],
+    unreached: Collection[str],
+) -> list[str]:
+    """Return what is not yet as it is wanted, in words; nothing when all is.
+
+    Parameters
+    ----------
+    silent
+        Computers that have not reported since they were told what should run.
+    unreached
+        Connectors that need not be joined.
+    """
+    states = {(c.name, c.epoch): c.state for c in components_of(statuses)}
+    found = [f"computer '{name}' is silent" for name in sorted(silent)]
+    found += [
+        f"component '{each.component}' on '{each.computer}' is {state}, not yet "
+        f"{each.goal}{_WORKING.get(state, '')}"
+        for each in wanted
+        if (state := states.get((each.component, each.epoch), "not there")) != each.goal
+    ]
+    found += [
+        f"connector '{connector.name}' is not joined"
+        for connector in connectors_of(statuses)
+        if not connector.ready and connector.name not in unreached
+    ]
+    return found
+
+
+def containers_left(statuses: Statuses, computers: Iterable[str]) -> list[str]:
+    """Return the containers that may still run on computers, in words."""
+    left = sorted(computers)
+    return [f"everything on '{each}'" for each in left if each not in statuses] + [
+        f"container '{container.name}' on '{each}'"
+        for each in left
+        if each in statuses
+        for container in statuses[each].containers
+    ]
+
+
+def unreached(
+    out_of_reach: Mapping[str, float],
+    placement: Mapping[str, str],
+    heard_by: Mapping[str, str],
+) -> dict[str, str]:
+    """Return what is known of each computer that is out of reach, in words.
+
+    Parameters
+    ----------
+    heard_by
+        Computer -> another one that still hears it; empty: none does.
+    """
+    sentences = {}
+    for computer, since in sorted(out_of_reach.items()):
+        began = time.strftime("%H:%M:%S", time.localtime(since))
+        sentences[computer] = f"computer '{computer}' is out of reach since {began}"
+        inside = ", ".join(sorted(n for n, at in placement.items() if at == computer))
+        if inside:
+            what = f"its components {inside} may run on without a manager"
+            if other := heard_by.get(computer):
+                what = f"'{other}' hears it: its components {inside} go on"
+            sentences[computer] += f"; {what}"
+    return sentences

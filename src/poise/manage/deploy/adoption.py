@@ -1,0 +1,262 @@
+"""What a new manager finds at work, and what of it goes on. Pure.
+
+Agents keep what the earlier manager told them last. Of a migration that it left half
+done they know both sides; `counting` says which of them counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from msgspec import Struct, structs
+
+from poise.manage.deploy.deployment_plan import DeploymentPlan, Incarnation
+from poise.model.check.allowed_computers import allowed_computers
+from poise.model.robot import Robot
+from poise.wire.records.deployment import ComponentSpec, Deployment
+
+
+class Found(Struct, frozen=True, kw_only=True):
+    """An incarnation that an agent works towards, as it was told.
+
+    Parameters
+    ----------
+    folder
+        Where its implementation is imported from.
+    """
+
+    spec: ComponentSpec
+    computer: str
+    container: str
+    folder: str
+
+    @property
+    def name(self) -> str:
+        """The component's name."""
+        return self.spec.name
+
+    @property
+    def incarnation(self) -> Incarnation:
+        """The same, to be active."""
+        spec = self.spec
+        return Incarnation(
+            component=spec.name,
+            computer=self.computer,
+            epoch=spec.epoch,
+            implementation=spec.implementation if spec.instead_of else "",
+            adapt=spec.adapt,
+            fresh=spec.fresh,
+            gently=spec.gently,
+            turn=spec.turn,
+            action=spec.action,
+        )
+
+
+class Adoption(Struct, frozen=True, kw_only=True):
+    """What becomes of what was found.
+
+    Parameters
+    ----------
+    kept
+        Component -> its incarnation, which goes on.
+    restarts
+        Component -> what differs from the robot file.
+    ends
+        Components that the task does not need.
+    starts
+        Component -> computer, of all that does not go on as it is.
+    half_done
+        What was done about a migration that was half done, in words.
+    """
+
+    kept: Mapping[str, Incarnation]
+    restarts: Mapping[str, str]
+    ends: tuple[str, ...]
+    starts: Mapping[str, str]
+    half_done: tuple[str, ...] = ()
+
+
+def found_in(deployments: Mapping[str, Deployment]) -> list[Found]:
+    """Return all incarnations that agents work towards, by their deployments."""
+    return [
+        Found(
+            spec=spec,
+            computer=computer,
+            container=container.name,
+            folder=container.folder,
+        )
+        for computer, deployment in sorted(deployments.items())
+        for container in deployment.containers
+        for spec in container.components
+    ]
+
+
+def is_half_done(found: Sequence[Found], robot: Robot) -> bool:
+    """Return whether components have two incarnations, or functions two providers."""
+    names = {each.name for each in found}
+    providers = [
+        each.function
+        for each in robot.architectures
+        if not names.isdisjoint(c.name for c in each.components)
+    ]
+    return len(names) < len(found) or len(set(providers)) < len(providers)
+
+
+def adopt(
+    found: Sequence[Found],
+    robot: Robot,
+    layout: DeploymentPlan,
+    planned: Mapping[str, str],
+    *,
+    is_committed: bool = False,
+    keeps: bool = True,
+) -> Adoption:
+    """Return what of it goes on, and what starts.
+
+    Parameters
+    ----------
+    planned
+        Component -> computer, where nothing runs yet.
+    is_committed
+        Whether the migration that was half done had been committed.
+    keeps
+        Whether an architecture that runs stays, though another one is planned.
+    """
+    counts = counting(found, robot, is_committed=is_committed)
+    if keeps:
+        planned = _with_providers(robot, planned, counts)
+    restarts = dict(_differences(counts, robot, layout, planned))
+    kept = {n: each for n, each in counts.items() if n in planned and n not in restarts}
+    return Adoption(
+        kept={name: each.incarnation for name, each in kept.items()},
+        restarts=restarts,
+        ends=tuple(sorted({each.name for each in found} - planned.keys())),
+        starts={name: at for name, at in planned.items() if name not in kept},
+        half_done=tuple(_half_done(found, counts)),
+    )
+
+
+def counting(
+    found: Sequence[Found], robot: Robot, *, is_committed: bool
+) -> dict[str, Found]:
+    """Return the one incarnation of each component that counts.
+
+    The source of a migration counts until that is committed, and the target from then
+    on. A source is to `stay` or is active; a target is inactive, and active only when
+    its manager knew of the commit.
+    """
+    gone = _replaced(found, robot, is_committed=is_committed)
+    counts: dict[str, Found] = {}
+    for each in sorted(found, key=lambda f: f.spec.epoch):
+        before = counts.get(each.name)
+        is_target = before is not None and each.spec.goal == "inactive"
+        if each.name not in gone and (not is_target or is_committed):
+            counts[each.name] = each
+    return counts
+
+
+def _replaced(found: Sequence[Found], robot: Robot, *, is_committed: bool) -> set[str]:
+    """Return the components of architectures whose function another one provides."""
+    goals: dict[str, set[str]] = {}
+    for each in found:
+        goals.setdefault(each.name, set()).add(each.spec.goal)
+    best: dict[str, int] = {}
+    providers: dict[str, set[str]] = {}
+    gone: set[str] = set()
+    for architecture in robot.architectures:
+        names = {c.name for c in architecture.components if c.name in goals}
+        reached = set[str]().union(*(goals[name] for name in names))
+        # only sources stay, and only targets are inactive beside them
+        rank = 2 if "active" in reached else int(("stay" in reached) != is_committed)
+        function = architecture.function
+        if names and rank > best.get(function, -1):
+            gone |= providers.get(function, set())
+            best[function], providers[function] = rank, names
+        else:
+            gone |= names
+    return gone
+
+
+def _with_providers(
+    robot: Robot, planned: Mapping[str, str], counts: Mapping[str, Found]
+) -> dict[str, str]:
+    """Return the plan with the architectures that run in place of alternatives."""
+    chosen = dict(planned)
+    for running in robot.architectures:
+        names = [c.name for c in running.components]
+        here = [counts[name].computer for name in names if name in counts]
+        others = {
+            c.name
+            for other in robot.architectures
+            if other.function == running.function and other.name != running.name
+            for c in other.components
+        }
+        if here and not others.isdisjoint(chosen):
+            chosen = {n: at for n, at in chosen.items() if n not in others}
+            chosen |= {n: chosen.get(n, here[0]) for n in names}
+    return chosen
+
+
+def _differences(
+    counts: Mapping[str, Found],
+    robot: Robot,
+    layout: DeploymentPlan,
+    planned: Mapping[str, str],
+) -> Iterator[tuple[str, str]]:
+    """Yield the components that cannot go on as they run, and why."""
+    allowed = allowed_computers(robot)
+    reasons, stale = {}, {}
+    for name in counts.keys() & planned.keys():
+        each, now = counts[name], _spec_now(counts[name], layout)
+        if each.computer not in allowed[name]:
+            reasons[name] = f"it may not run on '{each.computer}' any more"
+            continue
+        has_other_code = _has_other_code(each, now, robot)
+        if has_other_code:
+            stale[each.computer, each.container] = name
+        reasons[name] = "; ".join(_changes(each, now, layout))
+        if has_other_code:
+            reasons[name] = reasons[name] or "its code has changed"
+    for name, reason in sorted(reasons.items()):
+        # what a process has imported stays as it is until that ends
+        first = stale.get((counts[name].computer, counts[name].container), "")
+        if reason or first:
+            yield name, reason or f"it shares a container with '{first}'"
+
+
+def _spec_now(found: Found, layout: DeploymentPlan) -> ComponentSpec:
+    """Return what the robot file says of it now, with a class that replaced another."""
+    now = layout.component_spec(found.incarnation)
+    if now.instead_of == found.spec.instead_of:
+        return now
+    return layout.component_spec(structs.replace(found.incarnation, implementation=""))
+
+
+def _has_other_code(found: Found, now: ComponentSpec, robot: Robot) -> bool:
+    before, after = (
+        each.implementation.partition(":")[0] for each in (found.spec, now)
+    )
+    is_changed = before == after and found.spec.code != now.code
+    return is_changed or found.folder != robot.folder
+
+
+def _changes(found: Found, now: ComponentSpec, layout: DeploymentPlan) -> Iterator[str]:
+    for what in ("implementation", "command", "parameters", "devices"):
+        before, after = getattr(found.spec, what), getattr(now, what)
+        if before != after:
+            yield f"its {what} was {before!r}, and is {after!r} now"
+    container = layout.container_of(found.name)
+    if found.container != container:
+        yield f"its container was '{found.container}', and is '{container}' now"
+
+
+def _half_done(found: Sequence[Found], counts: Mapping[str, Found]) -> Iterator[str]:
+    for name in sorted({each.name for each in found}):
+        incarnations = sorted(
+            (each for each in found if each.name == name), key=lambda f: f.spec.epoch
+        )
+        if len(incarnations) > 1 and name in counts:
+            source, target = incarnations[0], incarnations[-1]
+            way = f"'{name}' from '{source.computer}' to '{target.computer}'"
+            done = "finished" if counts[name] is target else "rolled back"
+            yield f"the migration of {way} was half done, and is {done}"

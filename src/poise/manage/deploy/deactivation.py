@@ -1,0 +1,135 @@
+"""Deactivates components in an order, so that calls and messages still arrive."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator
+from functools import partial
+from typing import TYPE_CHECKING
+
+from poise.manage.agent_connections.statuses import (
+    Statuses,
+    calling_ports,
+    components_of,
+    connectors_of,
+)
+from poise.manage.deploy.deployment_plan import Incarnation, name_of
+from poise.manage.deploy.topological_order import levels
+from poise.wire.records.status import ConnectorStatus
+
+if TYPE_CHECKING:
+    from poise.manage.deploy.running_components import Run
+
+Leads = list[tuple[str, str]]
+"""Pairs of components of which the first calls the second, or publishes to it."""
+
+REST_LIMIT = 2.0
+"""Components become inactive within this time [s], or are not waited for any longer.
+Containers are patient with a handler for half of it."""
+ARRIVAL_LIMIT = 2.5
+"""Messages of a source that was deactivated are processed within this time [s]:
+containers report their counts once a second, agents twice."""
+
+
+def deactivate_callers(run: Run) -> None:
+    """Make callers inactive before those whom they call: no call goes nowhere."""
+    calls = calling_ports(run.agents.statuses())
+    ends = [connector.between for connector in run.layout.connectors(run.placed)]
+    leads = [
+        (s.component, t.component) for s, t in ends if (s.component, s.port) in calls
+    ]
+    callees = {callee for _, callee in leads}
+    if callees:
+        next(inactive for inactive in _deactivate(run, leads) if callees <= inactive)
+
+
+def drain(run: Run) -> None:
+    """Deactivate all components, each when it has processed what was sent to it.
+
+    Afterwards the agents' statuses hold the final counts. A component whose handler
+    does not end, and a message that does not arrive, are not waited for any longer.
+
+    Raises
+    ------
+    RunError
+        A computer was lost.
+    """
+    ends = [connector.between for connector in run.layout.connectors(run.placed)]
+    leads = [(source.component, target.component) for source, target in ends]
+    for inactive in _deactivate(run, leads):
+        fed = {target for source, target in leads if source in inactive} - inactive
+        run.agents.wait_news(partial(_is_processed, run, fed), ARRIVAL_LIMIT)
+
+
+def _deactivate(run: Run, leads: Leads) -> Iterator[set[str]]:
+    """Make components inactive, each before those to which it leads; yield which are.
+
+    A component whose handler does not end is not waited for any longer.
+    """
+    inactive: set[str] = set()
+    for level in levels(run.placed, leads):
+        inactive |= set(level)
+        run.tell(
+            each.with_goal("inactive") if each.component in inactive else each
+            for each in run.placed.values()
+        )
+        run.agents.wait_news(partial(_are_inactive, run, inactive), REST_LIMIT)
+        yield inactive
+
+
+def _are_inactive(run: Run, names: Collection[str]) -> bool:
+    run.raise_on_lost()
+    places = [each for each in run.placed.values() if each.component in names]
+    return not maybe_active(places, run.computers(), run.current())
+
+
+def maybe_active(
+    places: Iterable[Incarnation], reached: Collection[str], current: Statuses
+) -> list[str]:
+    """Return the components that are active, or may be: nothing newer is known.
+
+    Parameters
+    ----------
+    reached
+        Computers; what is on others is not waited for.
+    current
+        The statuses that speak of what the agents were told last.
+    """
+    active = {c.name for c in components_of(current) if c.state == "active"}
+    return [
+        each.component
+        for each in places
+        if each.computer in reached
+        and (each.computer not in current or each.component in active)
+    ]
+
+
+def _is_processed(run: Run, targets: Collection[str]) -> bool:
+    run.raise_on_lost()
+    return not unprocessed(run, targets)
+
+
+def unprocessed(run: Run, targets: Collection[str]) -> dict[str, int]:
+    """Return connector -> messages sent to `targets` that they have not processed."""
+    ends: dict[str, list[ConnectorStatus]] = {}
+    for end in connectors_of(run.agents.statuses()):
+        ends.setdefault(end.name, []).append(end)
+    wanted = {
+        name_of(connector): connector.between[1].component
+        for connector in run.layout.connectors(run.placed)
+    }
+    left = {name: _left(same) for name, same in ends.items()}
+    return {
+        name: count
+        for name, count in left.items()
+        if count > 0 and wanted.get(name) in targets
+    }
+
+
+def _left(ends: Iterable[ConnectorStatus]) -> int:
+    """Return how many messages a connector's target has neither processed nor refused.
+
+    Errors of a target that waits for messages are refusals.
+    """
+    sent = max((e.messages - e.drops for e in ends if e.end != "target"), default=0)
+    taken = sum(e.wait.count + e.drops + e.errors for e in ends if e.end != "source")
+    return sent - taken

@@ -1,0 +1,400 @@
+"""From a placement to the deployment of each computer. Pure."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import pairwise
+from pathlib import PurePath
+
+from msgspec import Struct, structs
+
+from poise.manage.deploy.cpu_weights import cpu_weights
+from poise.model.pinned import leased_components
+from poise.model.robot import (
+    Action,
+    Architecture,
+    ComponentEntry,
+    Connector,
+    ConnectorEnd,
+    Robot,
+)
+from poise.model.tasks.steps import walk
+from poise.wire.records.deployment import (
+    ChainPart,
+    ComponentSpec,
+    ConnectorKind,
+    ConnectorSpec,
+    ContainerSpec,
+    Deployment,
+    Goal,
+)
+
+FILLS_INTERPRETER = 0.5
+"""A component with a larger CPU demand [cores] gets a container of its own: threads of
+one Python process share one core."""
+
+_STRANGERS = {"stay", "inactive"}
+"""The source and the target of a migration are not connected with each other."""
+
+_NOT_KNOWN = "0.0.0.0:1"
+"""The gateway of a computer that was never reached: nobody is there."""
+
+Placement = Mapping[str, str]
+
+
+class Incarnation(Struct, frozen=True, kw_only=True):
+    """A component on a computer. While it moves or is replaced there are two.
+
+    Parameters
+    ----------
+    epoch
+        Tells the incarnations of a component apart; the later one has the higher.
+    implementation
+        Instead of the robot file's; empty: that one.
+    adapt
+        ``package.module:function`` that turns the state of the implementation before
+        into one for this; empty: it is the same.
+    fresh
+        Whether it begins without state.
+    gently
+        Whether it is prepared with the CPU time that others leave.
+    unjoined
+        Whether no connector ends at it: it waits, and others do not reach it.
+    turn, action
+        The number of the action that it is to end, which grows, and its name.
+    """
+
+    component: str
+    computer: str
+    epoch: int = 0
+    goal: Goal = "active"
+    implementation: str = ""
+    adapt: str = ""
+    fresh: bool = False
+    gently: bool = False
+    unjoined: bool = False
+    turn: int = 0
+    action: str = ""
+
+    def with_goal(self, goal: Goal) -> Incarnation:
+        """Return the same with another goal."""
+        return structs.replace(self, goal=goal)
+
+
+class DeploymentPlan:
+    """Which containers and connectors a robot's components have.
+
+    Parameters
+    ----------
+    folder
+        The run's folder, to which devices' paths are relative.
+    weigh
+        Whether the sizes of snapshots are taken as components are deactivated.
+    code_version
+        Returns a fingerprint of a component's code, in the robot's folder.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        folder: str,
+        *,
+        weigh: bool = False,
+        code_version: Callable[..., str] = lambda *_: "",
+    ) -> None:
+        self._robot = robot
+        self._code_version = code_version
+        self._code: dict[tuple[str, int], str] = {}
+        self._weigh = weigh
+        self._folder = folder
+        weights = cpu_weights(robot)
+        self._weights = {
+            _container(a, c): weights[a.name]
+            for a in robot.architectures
+            for c in a.components
+        }
+        self._containers = {
+            component.name: _container(architecture, component)
+            for architecture in robot.architectures
+            for component in architecture.components
+        }
+        self._components = {c.name: c for c in robot.components()}
+        self._leased = leased_components(robot)
+        # command-line components speak by their own means: nothing is joined to them
+        commands = {c.name for c in robot.components() if c.command}
+        self._joinable = [
+            connector
+            for connector in robot.all_connectors()
+            if commands.isdisjoint(end.component for end in connector.between)
+        ]
+
+        self._ends = _ends(robot)
+        self._slots = _slots(robot)
+        self._parts = _chain_parts(robot)
+        self._carries, self._answers = _chains_over(robot, self._slots)
+
+    def container_of(self, component: str) -> str:
+        """Return the name of a component's container, the same on every computer."""
+        return self._containers[component]
+
+    def address(
+        self, target: Incarnation, computer: str, gateways: Mapping[str, str]
+    ) -> str:
+        """Return where a component's container is reached from a computer.
+
+        Parameters
+        ----------
+        gateways
+            Computer -> IP address and port of its gateway.
+        """
+        container = self._containers[target.component]
+        if target.computer == computer:
+            return container
+        return f"{gateways.get(target.computer, _NOT_KNOWN)}/{container}"
+
+    def specs(
+        self,
+        incarnations: Iterable[Incarnation],
+        generation: int,
+        gateways: Mapping[str, str],
+        spare: Mapping[str, float] = {},
+    ) -> dict[str, Deployment]:
+        """Return what should run on each computer, by its name.
+
+        Parameters
+        ----------
+        gateways
+            Computer -> IP address and port of its gateway.
+        spare
+            Computer -> CPU for what is being prepared there [cores].
+        """
+        placed = tuple(incarnations)
+        containers: dict[str, list[ContainerSpec]] = {
+            computer.name: [] for computer in self._robot.computers
+        }
+        for (computer, container), inside in self._by_container(placed).items():
+            containers[computer].append(
+                ContainerSpec(
+                    name=container,
+                    folder=self._robot.folder,
+                    weight=self._weights[container].weight,
+                    nice=self._weights[container].nice,
+                    spare=spare.get(computer, 0.0)
+                    if all(each.unjoined and each.gently for each in inside)
+                    else 0.0,
+                    repository=self._robot.repository,
+                    components=tuple(map(self.component_spec, inside)),
+                    connectors=tuple(self._connectors(inside, placed, gateways)),
+                )
+            )
+        return {
+            computer: Deployment(generation=generation, containers=tuple(specs))
+            for computer, specs in containers.items()
+        }
+
+    def connectors(self, placed: Iterable[str]) -> list[Connector]:
+        """Return the connectors between placed components that Poise joins."""
+        there = set(placed)
+        return [
+            connector
+            for connector in self._joinable
+            if there.issuperset(end.component for end in connector.between)
+        ]
+
+    def slot_of(self, connector: Connector) -> str:
+        """Return what the source calls its end: alike for an alternative's connector.
+
+        The nth connector from a port to an architecture has the slot of the nth from
+        there to its alternatives.
+        """
+        return self._slots[name_of(connector)]
+
+    def joined(
+        self,
+        connector: Connector,
+        source: Incarnation,
+        target: Incarnation,
+        gateways: Mapping[str, str],
+    ) -> ConnectorSpec:
+        """Return a connector between two incarnations."""
+        kind: ConnectorKind = "direct"
+        if source.computer != target.computer:
+            kind = "remote"
+        elif self._containers[source.component] != self._containers[target.component]:
+            kind = "local"
+        is_direct = kind == "direct"
+        first, second = connector.between
+        slot = self.slot_of(connector)
+        return ConnectorSpec(
+            name=name_of(connector),
+            slot=slot,
+            kind=kind,
+            source=source.component,
+            source_epoch=source.epoch,
+            source_port=first.port,
+            source_computer=source.computer,
+            target=target.component,
+            target_epoch=target.epoch,
+            target_port=second.port,
+            target_computer=target.computer,
+            address=""
+            if is_direct
+            else self.address(target, source.computer, gateways),
+            limit=connector.limit,
+            record=connector.record,
+            # what is recorded is replayed without stamps
+            carries=() if connector.record else self._carries.get(slot, ()),
+            answers=() if connector.record else self._answers.get(slot, ()),
+        )
+
+    def _by_container(
+        self, placed: tuple[Incarnation, ...]
+    ) -> dict[tuple[str, str], list[Incarnation]]:
+        groups: dict[tuple[str, str], list[Incarnation]] = {}
+        for each in placed:
+            key = (each.computer, self._containers[each.component])
+            groups.setdefault(key, []).append(each)
+        return groups
+
+    def component_spec(self, incarnation: Incarnation) -> ComponentSpec:
+        """Return what an agent is told of an incarnation."""
+        component = self._components[incarnation.component]
+        implementation = incarnation.implementation or component.implementation
+        is_other = implementation != component.implementation
+        key = incarnation.component, incarnation.epoch
+        if key not in self._code:  # later it may be edited
+            # parameters are compared by themselves
+            code = structs.replace(
+                component, implementation=implementation, parameters={}
+            )
+            self._code[key] = self._code_version(
+                code, self._robot.folder, *self._robot.repository
+            )
+        return ComponentSpec(
+            name=component.name,
+            epoch=incarnation.epoch,
+            goal=incarnation.goal,
+            implementation=implementation,
+            instead_of=component.implementation if is_other else "",
+            code=self._code[key],
+            command=component.command,
+            adapt=incarnation.adapt,
+            fresh=incarnation.fresh,
+            parameters=component.parameters,
+            devices={
+                name: self._path(self._robot.device(name).path)
+                for name in component.devices
+            },
+            weigh=self._weigh,
+            checkpoint=component.checkpoint,
+            restart_when_hung=component.restart_when_hung,
+            gently=incarnation.gently,
+            chains=self._parts.get(component.name, ()),
+            leased=component.name in self._leased,
+            ends=self._ends.get(component.name, ()),
+            turn=incarnation.turn,
+            action=incarnation.action,
+        )
+
+    def _path(self, device: str) -> str:
+        """Return where a device is; it has no path: empty."""
+        return str(PurePath(self._folder) / device) if device else ""
+
+    def _connectors(
+        self,
+        inside: list[Incarnation],
+        placed: tuple[Incarnation, ...],
+        gateways: Mapping[str, str],
+    ) -> Iterator[ConnectorSpec]:
+        """Yield the connectors with an end at one of `inside`."""
+        by_name: dict[str, list[Incarnation]] = {}
+        for each in placed:
+            if not each.unjoined:
+                by_name.setdefault(each.component, []).append(each)
+        for connector in self._joinable:
+            first, second = connector.between
+            for source in by_name.get(first.component, ()):
+                for target in by_name.get(second.component, ()):
+                    if {source.goal, target.goal} == _STRANGERS:
+                        continue
+                    if source in inside or target in inside:
+                        yield self.joined(connector, source, target, gateways)
+
+
+def name_of(connector: Connector) -> str:
+    """Return the name that a connector has at run time."""
+    source, target = connector.between
+    return f"{source}-{target}"
+
+
+def _ends(robot: Robot) -> dict[str, tuple[str, ...]]:
+    """Return the ports of each component that end actions."""
+    ends: dict[str, tuple[str, ...]] = {}
+    for task in robot.tasks:
+        for _, step in walk(task):
+            if isinstance(step, Action) and step.ends is not None:
+                before = ends.get(step.ends.component, ())
+                ports = dict.fromkeys([*before, step.ends.port])
+                ends[step.ends.component] = tuple(ports)
+    return ends
+
+
+def _chain_parts(robot: Robot) -> dict[str, tuple[ChainPart, ...]]:
+    """Return the chains that each component is part of."""
+    parts: dict[str, tuple[ChainPart, ...]] = {}
+    for chain in robot.chains:
+        first, last = chain.through[0], chain.through[-1]
+        for name in chain.through:
+            part = ChainPart(
+                name=chain.name,
+                is_first=name == first,
+                deadline=chain.deadline if name == last else None,
+            )
+            parts[name] = (*parts.get(name, ()), part)
+    return parts
+
+
+def _chains_over(
+    robot: Robot, slots: Mapping[str, str]
+) -> tuple[dict[str, tuple[str, ...]], dict[str, tuple[str, ...]]]:
+    """Return the chains over each slot: from source to target, and with answers."""
+    carries: dict[str, dict[str, None]] = {}
+    answers: dict[str, dict[str, None]] = {}
+    for connector in robot.all_connectors():
+        source, target = (end.component for end in connector.between)
+        slot = slots[name_of(connector)]
+        for chain in robot.chains:
+            hops = set(pairwise(chain.through))
+            if (source, target) in hops:
+                carries.setdefault(slot, {})[chain.name] = None
+            if (target, source) in hops:
+                answers.setdefault(slot, {})[chain.name] = None
+    return (
+        {slot: tuple(names) for slot, names in carries.items()},
+        {slot: tuple(names) for slot, names in answers.items()},
+    )
+
+
+def _slots(robot: Robot) -> dict[str, str]:
+    """Return the slots of all connectors, by name."""
+    homes = {c.name: a for a in robot.architectures for c in a.components}
+    counts: Counter[tuple[ConnectorEnd, str]] = Counter()
+    first: dict[tuple[ConnectorEnd, str, int], str] = {}
+    slots = {}
+    for connector in robot.all_connectors():
+        source, target = connector.between
+        there = homes[target.component]
+        rank = counts[source, there.name]
+        counts[source, there.name] += 1
+        name = name_of(connector)
+        slots[name] = first.setdefault((source, there.function, rank), name)
+    return slots
+
+
+def _container(architecture: Architecture, component: ComponentEntry) -> str:
+    alone = component.isolated or component.command
+    if alone or component.demand.get("cpu", 0.0) > FILLS_INTERPRETER:
+        # no name has a dot in it, so no two containers have the same name
+        return f"{architecture.name}.{component.name}"
+    return architecture.name

@@ -1,0 +1,1 @@
+"""The metrics of a running robot, for Prometheus and OpenTelemetry."""

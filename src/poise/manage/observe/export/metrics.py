@@ -1,0 +1,115 @@
+"""The metrics of a running robot: one table, and their values. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+from poise.manage.agent_connections.statuses import Statuses
+from poise.manage.observe.estimates import Estimates
+from poise.wire.records.status import ComponentStatus, ConnectorStatus, Summary
+
+Sample = tuple[str, Mapping[str, str], float]
+"""A metric's name, its labels and its value."""
+
+METRICS = {
+    "poise_component_cpu_cores": "Mean CPU that a component needs, of the reference "
+    "computer's cores",
+    "poise_component_cpu_expected_cores": "What its profile says",
+    "poise_component_cpu_p95_cores": "95th percentile over sampling windows",
+    "poise_component_starved_share": "Share of its jobs that went undone",
+    "poise_chain_age_seconds": "How old the data of a chain was when a component used "
+    "it",
+    "poise_chain_missed_total": "Uses of data that was older than the chain's deadline",
+    "poise_connector_calls_per_second": "Calls over a connector",
+    "poise_connector_messages_per_second": "Messages over a connector",
+    "poise_connector_bytes_per_second": "Traffic over a connector",
+    "poise_connector_calls_total": "Calls over a connector, as its end counts",
+    "poise_connector_messages_total": "Messages over a connector, as its end counts",
+    "poise_connector_bytes_total": "What left an end of a connector, or came to it",
+    "poise_connector_errors_total": "Calls that failed, and what was refused",
+    "poise_connector_drops_total": "Messages that an end of a connector gave up",
+    "poise_connector_delay_seconds": "Calls: there and back, or until the answer",
+    "poise_connector_wait_seconds": "Messages: until they went out, or were taken",
+    "poise_connector_latency_seconds": "From the other end to this one",
+    "poise_connector_size_bytes": "Calls, both ways, and messages over a wire",
+    "poise_connector_latency_error_seconds": "How far latencies are off at most, in "
+    "the mean: so much is not known of the other computer's clock",
+}
+"""Name -> meaning. Kinds and units are at the end of names, as Prometheus has them."""
+_AGE = "poise_chain_age_seconds"
+_SUMMARIES = {
+    "poise_connector_delay_seconds": "delay",
+    "poise_connector_wait_seconds": "wait",
+    "poise_connector_latency_seconds": "latency",
+    "poise_connector_size_bytes": "size",
+}
+"""Name -> field of `ConnectorStatus`."""
+
+
+def kind_of(name: str) -> Literal["counter", "gauge", "summary"]:
+    """Return what kind of metric one is, in Prometheus' words."""
+    if name.endswith("_total"):
+        return "counter"
+    return "summary" if name in {*_SUMMARIES, _AGE} else "gauge"
+
+
+def samples(estimates: Estimates, statuses: Statuses) -> Iterator[Sample]:
+    """Yield the present values; while a component moves, one may come twice."""
+    for each in estimates.demand_estimates():
+        labels = {"component": each.component, "computer": each.computer}
+        now = each.estimate
+        yield "poise_component_cpu_cores", labels, now.mean
+        yield "poise_component_cpu_p95_cores", labels, now.p95
+        yield "poise_component_starved_share", labels, now.starved
+        if each.expected is not None:
+            yield "poise_component_cpu_expected_cores", labels, each.expected
+    for name, flow in estimates.traffic().items():
+        labels = {"connector": name}
+        yield "poise_connector_calls_per_second", labels, flow.calls
+        yield "poise_connector_messages_per_second", labels, flow.messages
+        yield "poise_connector_bytes_per_second", labels, flow.traffic
+    for computer, status in sorted(statuses.items()):
+        for container in status.containers:
+            for component in container.components:
+                yield from _chain_samples(component, computer)
+            for end in container.connectors:
+                labels = {"connector": end.name, "end": end.end, "computer": computer}
+                yield from _end_samples(labels, end)
+
+
+def _end_samples(labels: dict[str, str], end: ConnectorStatus) -> Iterator[Sample]:
+    """Yield what an end of a connector counted, and how long things took there."""
+    for what in ("calls", "messages", "errors", "drops"):
+        yield f"poise_connector_{what}_total", labels, getattr(end, what)
+    for direction, size in (("out", end.bytes_out), ("in", end.bytes_in)):
+        more = {**labels, "direction": direction}
+        yield "poise_connector_bytes_total", more, size
+    for name, field in _SUMMARIES.items():
+        yield from _summary_samples(name, labels, getattr(end, field))
+    if end.latency.count:
+        yield "poise_connector_latency_error_seconds", labels, end.latency_error
+
+
+def _chain_samples(component: ComponentStatus, computer: str) -> Iterator[Sample]:
+    """Yield how old the data of chains was when a component used it."""
+    for chain in component.chains:
+        labels = {
+            "chain": chain.name,
+            "component": component.name,
+            "computer": computer,
+        }
+        yield from _summary_samples(_AGE, labels, chain.age)
+        if chain.deadline is not None:
+            yield "poise_chain_missed_total", labels, chain.missed
+
+
+def _summary_samples(
+    name: str, labels: Mapping[str, str], summary: Summary
+) -> Iterator[Sample]:
+    if summary.count:
+        yield name, {**labels, "quantile": "0.5"}, summary.median
+        yield name, {**labels, "quantile": "0.99"}, summary.p99
+        yield name, {**labels, "quantile": "1"}, summary.maximum
+        yield f"{name}_sum", labels, summary.mean * summary.count
+        yield f"{name}_count", labels, summary.count

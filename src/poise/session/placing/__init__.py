@@ -1,0 +1,1 @@
+"""Decides where components run, before a robot starts."""

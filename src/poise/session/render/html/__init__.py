@@ -1,0 +1,1 @@
+"""Pages and pictures of runs and placements as HTML and SVG."""

@@ -1,0 +1,169 @@
+"""A run's report as one HTML page, which needs no other file and no network."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from html import escape
+from typing import TYPE_CHECKING, NamedTuple
+
+from poise.manage.journal import Entry
+from poise.session.render.html.time_line import time_line
+from poise.units import counted, format_seconds
+
+if TYPE_CHECKING:
+    from poise.session.reports.history import Moment
+    from poise.session.reports.run_report import RunReport
+
+_AROUND = 2.0
+"""What happened so long before and after is shown [s]."""
+_MOST_DEADLINES = 8
+_ABOUT_TIME = (
+    "<p>CPU as a share of each computer's; the share of deadlines that the worst timer "
+    "or chain missed. Dashed lines are entries of the journal, by number.</p>"
+)
+
+_PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>{title}</title>
+<meta name="viewport" content="width=device-width">
+<style>
+:root {{ color-scheme: light dark }}
+body {{ font: 15px/1.45 system-ui, sans-serif; max-width: 66em; margin: 1.5em auto;
+  padding: 0 1em }}
+h2 {{ margin-top: 1.6em; border-bottom: 1px solid #8888 }}
+table {{ border-collapse: collapse }}
+th, td {{ text-align: left; vertical-align: top; padding: .25em 1em .25em 0;
+  border-bottom: 1px solid #8884 }}
+td:first-child, td:nth-child(2) {{ white-space: nowrap }}
+svg {{ width: 100%; height: auto; fill: currentColor }}
+pre {{ overflow-x: auto }}
+.verdict {{ font-weight: bold }}
+</style></head><body>
+{body}
+</body></html>
+"""
+
+
+def page(report: RunReport) -> str:
+    """Return the page: the verdict, where and when what happened, then all figures."""
+    entries = dict(enumerate(report.journal, 1))
+    title = f"{report.robot}: {report.task}"
+    parts = [
+        f"<h1>{escape(title)}</h1>",
+        f"<p>{escape(report.method)} placement, active for {report.seconds:.1f} s</p>",
+        f'<p class="verdict">{escape(_verdict(report))}</p>',
+        "<h2>What ran where</h2>",
+        report.picture(),
+        "<h2>Over time</h2>",
+        _ABOUT_TIME,
+        time_line(report.history, entries, report.began, report.seconds),
+        "<h2>Worst deadlines</h2>",
+        *_worst(report, entries),
+        "<h2>Journal</h2>",
+        _journal(entries, report.began),
+        "<h2>All figures</h2>",
+        report.html(),
+    ]
+    return _PAGE.format(title=escape(title), body="\n".join(parts))
+
+
+def _verdict(report: RunReport) -> str:
+    if report.invalid:
+        return f"✗ invalid run: {report.invalid}"
+    if report.failed:
+        return "✗ failed: errors, faults or what was put aside are at the end"
+    missed = sum(each.missed for each in _deadlines(report))
+    return f"✓ ran without a fault; {counted(missed, 'deadline')} missed"
+
+
+class _Deadline(NamedTuple):
+    """How a timer or chain kept its deadline [s] in the whole run."""
+
+    name: str
+    deadline: float
+    times: int
+    missed: int
+    p99: float
+    where: str
+
+    @property
+    def share(self) -> float:
+        return self.missed / self.times if self.times else 0.0
+
+
+def _deadlines(report: RunReport) -> Iterator[_Deadline]:
+    for component in report.components:
+        for timer in component.timers:
+            if timer.deadline is not None:
+                p99 = timer.lateness.p99 + timer.duration.p99
+                counts = timer.releases, timer.missed, p99, component.computer
+                yield _Deadline(
+                    f"{component.name}.{timer.name}", timer.deadline, *counts
+                )
+    for chain in report.chains:
+        where = " → ".join(hop.computer for hop in chain.hops)
+        counts = chain.age.count, chain.missed, chain.age.p99, where
+        yield _Deadline(chain.name, chain.deadline, *counts)
+
+
+def _worst(report: RunReport, entries: Mapping[int, Entry]) -> Iterator[str]:
+    """Yield the deadlines that were missed most, and what happened around them."""
+    missed = sorted(
+        (each for each in _deadlines(report) if each.missed),
+        key=lambda each: -each.share,
+    )
+    if not missed:
+        yield "<p>None was missed.</p>"
+        return
+    rows = []
+    for each in missed[:_MOST_DEADLINES]:
+        moments = [m for m in report.history if each.name in m.missed]
+        worst = max(moments, key=lambda m: m.missed[each.name], default=None)
+        around = _around(each.name, worst, entries, report.began) if worst else ""
+        rows.append(
+            (
+                escape(f"{each.name}, {each.where}"),
+                f"{each.missed} of {each.times} ({each.share:.1%})",
+                f"{format_seconds(each.p99)} of {format_seconds(each.deadline)}",
+                around,
+            )
+        )
+    head = "timer or chain, computer", "missed", "p99, deadline", "at its worst"
+    yield _table(head, rows)
+    if more := missed[_MOST_DEADLINES:]:
+        names = ", ".join(each.name for each in more)
+        yield f"<p>{len(more)} more missed some: {escape(names)}</p>"
+
+
+def _around(
+    name: str, moment: Moment, entries: Mapping[int, Entry], began: float
+) -> str:
+    """Return what else there was when a timer or chain missed most."""
+    cpu = ", ".join(f"{c} {share:.0%}" for c, share in moment.cpu_share.items())
+    others = [each for each in moment.missed if each != name]
+    lines = [
+        f"{moment.at - began:.0f} s: {moment.missed[name]:.0%} in a second",
+        f"CPU: {cpu}" if cpu else "",
+        f"late as well: {', '.join(others[:5])}" if others else "",
+        *(
+            f"#{number} {entry.what}"
+            for number, entry in entries.items()
+            if abs(entry.at - moment.at) <= _AROUND
+        ),
+    ]
+    return "<br>".join(escape(line) for line in lines if line)
+
+
+def _journal(entries: Mapping[int, Entry], began: float) -> str:
+    rows = [
+        (str(n), f"{entry.at - began:.1f} s", entry.kind, escape(entry.what))
+        for n, entry in entries.items()
+    ]
+    return _table(("#", "at", "kind", "what"), rows)
+
+
+def _table(head: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table of cells that are HTML."""
+    heads = "".join(f"<th>{name}</th>" for name in head)
+    lines = ("".join(f"<td>{cell}</td>" for cell in row) for row in rows)
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    return f"<table><tr>{heads}</tr>{body}</table>"

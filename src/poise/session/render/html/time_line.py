@@ -1,0 +1,110 @@
+"""A run from second to second, as SVG that stands alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from html import escape
+from typing import TYPE_CHECKING
+
+from poise.manage.journal import Entry
+
+if TYPE_CHECKING:
+    from poise.session.reports.history import Moment
+
+_WIDTH, _LEFT, _HEIGHT, _GAP = 960, 130, 56, 14
+"""Of the picture, of the names on its left, of a strip, and between strips [pixels]."""
+_MOST_NUMBERS = 40
+"""Entries that are numbered; of more, there are lines without numbers."""
+_STEPS = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 3600, 7200, 21600, 86400)
+_MISSED = "worst missed"
+
+
+def time_line(
+    moments: Sequence[Moment],
+    entries: Mapping[int, Entry],
+    began: float,
+    seconds: float,
+) -> str:
+    """Return a strip for each computer's CPU, and one for missed deadlines.
+
+    Entries of the journal are lines through all of them, with their numbers.
+    """
+    end = max(seconds, 1.0)
+    names = list(dict.fromkeys(n for each in moments for n in each.cpu_share))
+    strips = {
+        f"CPU {name}": [
+            (m.at - began, m.cpu_share[name]) for m in moments if name in m.cpu_share
+        ]
+        for name in names
+    }
+    strips[_MISSED] = [
+        (m.at - began, max(m.missed.values(), default=0.0)) for m in moments
+    ]
+    height = len(strips) * (_HEIGHT + _GAP) + 2 * _GAP + 10
+    parts = [*_axis(end, height), *_marks(entries, began, end, height)]
+    for row, (name, points) in enumerate(strips.items()):
+        parts += _strip(name, points, _GAP + row * (_HEIGHT + _GAP), end)
+    return (
+        f'<svg viewBox="0 0 {_WIDTH} {height}" role="img" font-size="12" '
+        f'aria-label="CPU and missed deadlines over time">{"".join(parts)}</svg>'
+    )
+
+
+def _x(seconds: float, end: float) -> float:
+    share = min(1.0, max(0.0, seconds / end))
+    return _LEFT + share * (_WIDTH - _LEFT - 20)
+
+
+def _axis(end: float, height: int) -> Iterator[str]:
+    step = next((s for s in _STEPS if end / s <= 10), _STEPS[-1])  # noqa: PLR2004
+    for second in range(0, int(end) + 1, step):
+        x = _x(second, end)
+        yield (
+            f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{_GAP}" y2="{height - 22}" '
+            'stroke="#8884"/>'
+            f'<text x="{x:.1f}" y="{height - 6}" text-anchor="middle">{second} s</text>'
+        )
+
+
+def _marks(
+    entries: Mapping[int, Entry], began: float, end: float, height: int
+) -> Iterator[str]:
+    for number, entry in entries.items():
+        if entry.at < began:
+            continue
+        x = _x(entry.at - began, end)
+        text = f'<text x="{x + 2:.1f}" y="11" font-size="10">{number}</text>'
+        yield (
+            f"<g><title>{escape(str(entry))}</title>"
+            f'<line x1="{x:.1f}" x2="{x:.1f}" y1="0" y2="{height - 22}" '
+            'stroke="#d98c00" stroke-dasharray="3 2" stroke-width="1.5"/>'
+            f"{text if len(entries) <= _MOST_NUMBERS else ''}</g>"
+        )
+
+
+def _strip(
+    name: str, points: Sequence[tuple[float, float]], top: float, end: float
+) -> Iterator[str]:
+    """Yield shares over time; the top is 1, or the most if that is more."""
+    most = max([1.0, *(share for _, share in points)])
+    bottom = top + _HEIGHT
+    colour = "#c0392b" if name == _MISSED else "#3b7dd8"
+    left = f'<text x="{_LEFT - 8}" text-anchor="end"'
+    yield (
+        f'{left} y="{top + 12}">{escape(name)}</text>'
+        f'{left} y="{bottom}" font-size="10">0 to {most:.0%}</text>'
+        f'<line x1="{_LEFT}" x2="{_WIDTH - 20}" y1="{bottom}" y2="{bottom}" '
+        'stroke="#888"/>'
+    )
+    if not points:
+        return
+    began = max(0.0, points[0][0] - 1)
+    steps = [f"M{_x(began, end):.1f} {bottom}"]
+    for at, share in points:  # which is of the time before it
+        steps.append(f"V{bottom - share / most * _HEIGHT:.1f}H{_x(at, end):.1f}")
+    path = "".join(steps)
+    closed = f"{path}V{bottom}H{_x(began, end):.1f}Z"
+    yield (
+        f'<path d="{closed}" fill="{colour}33"/>'
+        f'<path d="{path}" fill="none" stroke="{colour}" stroke-width="1.5"/>'
+    )

@@ -1,0 +1,1 @@
+"""Tables that reports and statuses share, and how tables look."""

@@ -1,0 +1,1 @@
+"""What a run showed, as records for people and machines."""

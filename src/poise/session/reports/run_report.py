@@ -1,0 +1,319 @@
+"""What a run showed, as records for people and machines."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal
+
+import msgspec
+from msgspec import Struct
+from rich.console import RenderableType
+
+from poise.errors import RunError
+from poise.manage.agent_connections.statuses import Statuses
+from poise.manage.deploy.deactivation import unprocessed
+from poise.manage.journal import Entry
+from poise.manage.observe.chains import ChainReport, chain_reports
+from poise.manage.observe.faults import faults_after
+from poise.manage.tasks.report import TaskReport
+from poise.session.launch.start import Started
+from poise.session.placing.placement import Placement
+from poise.session.render.html.page import page
+from poise.session.render.html.picture import Hosted, picture
+from poise.session.render.printable import Shown
+from poise.session.render.report import report_parts
+from poise.session.reports.history import Moment, cpu_shares
+from poise.session.reports.run_errors import (
+    ComponentError,
+    HungHandler,
+    SilentPort,
+    component_errors,
+    hung_handlers,
+    refused_messages,
+    silent_ports,
+)
+from poise.wire.records.clocks import ClockStatus
+from poise.wire.records.status import (
+    AgentStatus,
+    ComponentStatus,
+    ConnectorStatus,
+    Fault,
+    Summary,
+    TimerStatus,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Table = Literal["components", "timers", "connectors", "chains"]
+
+
+class ComponentReport(Struct, frozen=True, kw_only=True):
+    """How a component did, from its activation to the end of the run.
+
+    `cpu` is the CPU time of its own thread per second of the run [cores].
+    """
+
+    name: str
+    computer: str
+    cpu: float
+    errors: int
+    timers: tuple[TimerStatus, ...]
+    measures: Mapping[str, Summary]
+
+
+class RunReport(Shown, Struct, frozen=True, kw_only=True):
+    """One run of a task. It prints itself as tables, in a terminal and in a notebook.
+
+    Parameters
+    ----------
+    method
+        What decided the placement, such as ``auto`` or ``static``.
+    placement
+        Component -> computer.
+    decision_seconds
+        How long the placement took to decide [s].
+    seconds
+        How long everything was active [s].
+    cpu_share
+        Computer -> CPU that its agent and containers used, as a share of what it has.
+    began
+        When everything was active [s since 1970].
+    history
+        How it was every second.
+    journal
+        What the manager saw and decided.
+    chains
+        How old the data of the robot's chains was when it was used.
+    tasks
+        How the tasks went, the first one that which was asked for.
+    put_aside
+        Architectures that did not run, because not all fits.
+    errors
+        All that the components' code raised, by line and type.
+    hung
+        Handlers that had not ended when the run was over.
+    refused
+        Connector -> messages that its target refused.
+    lost
+        Connector -> messages that were sent and not processed in the end.
+    silent
+        Subscribed ports that got no message, and why.
+    faults
+        Containers that ended though they should have run.
+    interrupted
+        Whether the run was ended early, as by Ctrl-C.
+    invalid
+        Why the figures say nothing about the robot; empty when they do.
+    clocks
+        Computer -> other computer -> how far the other's clock was ahead at the end.
+    without
+        What the emulation did without.
+    simulation
+        What the simulated world said last.
+    """
+
+    robot: str
+    task: str
+    method: str
+    placement: Mapping[str, str]
+    decision_seconds: float
+    seconds: float
+    cpu_share: Mapping[str, float]
+    components: tuple[ComponentReport, ...]
+    connectors: tuple[ConnectorStatus, ...]
+    began: float = 0.0
+    history: tuple[Moment, ...] = ()
+    journal: tuple[Entry, ...] = ()
+    chains: tuple[ChainReport, ...] = ()
+    tasks: tuple[TaskReport, ...] = ()
+    put_aside: tuple[str, ...] = ()
+    errors: tuple[ComponentError, ...] = ()
+    hung: tuple[HungHandler, ...] = ()
+    refused: Mapping[str, int] = {}
+    lost: Mapping[str, int] = {}
+    silent: tuple[SilentPort, ...] = ()
+    faults: tuple[Fault, ...] = ()
+    interrupted: bool = False
+    clocks: Mapping[str, Mapping[str, ClockStatus]] = {}
+    invalid: str = ""
+    without: tuple[str, ...] = ()
+    simulation: Mapping[str, Any] = {}
+
+    def component(self, name: str) -> ComponentReport:
+        """Return the report of one component; KeyError when it did not run."""
+        for component in self.components:
+            if component.name == name:
+                return component
+        raise KeyError(name)
+
+    @property
+    def failed(self) -> bool:
+        """Whether code raised or hung, a message was refused, or not all ran."""
+        return bool(
+            self.errors
+            or self.hung
+            or self.refused
+            or self.faults
+            or self.put_aside
+            or any(each.state == "failed" for each in self.tasks)
+        )
+
+    def rows(self, of: Table = "components") -> list[dict[str, Any]]:
+        """Return components, their timers, connectors' ends or chains as flat values.
+
+        Statistics have the name of what they are of, as in ``duration_p99``.
+        """
+        if of == "connectors":
+            return [_flat(each) for each in self.connectors]
+        if of == "chains":
+            return [_flat(each) for each in self.chains]
+        if of == "components":
+            return [_flat(each) for each in self.components]
+        return [
+            {"component": component.name, "timer": timer.name, **_flat(timer, "name")}
+            for component in self.components
+            for timer in component.timers
+        ]
+
+    def to_pandas(self, of: Table = "components") -> pd.DataFrame:
+        """Return `rows` as a data frame; pandas must be installed."""
+        import pandas as pd
+
+        return pd.DataFrame(self.rows(of))
+
+    def parts(self) -> tuple[RenderableType, ...]:
+        """Return what is printed."""
+        return tuple(report_parts(self))
+
+    def picture(self) -> str:
+        """Return where the components ran, as HTML."""
+        hosted = [Hosted(c.name, c.computer, c.cpu) for c in self.components]
+        return picture(self.cpu_share, hosted)
+
+    def page(self) -> str:
+        """Return an HTML page that needs no other file, and no network."""
+        return page(self)
+
+
+def _flat(record: Struct, *without: str) -> dict[str, Any]:
+    """Return a record's plain values, and its summaries' ones under joined names."""
+    found: dict[str, Any] = {}
+    for name, value in msgspec.structs.asdict(record).items():
+        if isinstance(value, Summary):
+            parts = msgspec.structs.asdict(value).items()
+            found |= {f"{name}_{part}": number for part, number in parts}
+        elif name not in without and not isinstance(value, tuple | Mapping):
+            found[name] = value
+    return found
+
+
+class MeasuredRun(Struct, frozen=True, kw_only=True):
+    """What was seen between the moments when all had begun and when all was to end.
+
+    `seconds` is the time between, and `began` the first of them [s since 1970].
+    """
+
+    begin: Statuses
+    end: Statuses
+    began: float
+    seconds: float
+    history: tuple[Moment, ...]
+    invalid: str
+    interrupted: bool
+
+
+def reported(
+    up: Started,
+    placed: Placement,
+    tasks: tuple[TaskReport, ...],
+    seen: MeasuredRun,
+    journal: tuple[Entry, ...],
+) -> RunReport:
+    """Return the report of a run whose components are inactive by now."""
+    final = up.run.agents.statuses()
+    robot = up.run.robot
+    invalid, simulation = seen.invalid, {}
+    try:
+        simulation = dict(up.world.result()) if up.world else {}
+    except RunError as error:
+        invalid = "; ".join(filter(None, [invalid, str(error)]))
+    return RunReport(
+        robot=robot.name,
+        task=tasks[0].name,
+        tasks=tasks,
+        method=placed.method,
+        placement=placed.where,
+        decision_seconds=placed.result.seconds,
+        seconds=seen.seconds,
+        cpu_share=cpu_shares(robot, seen.begin, seen.end, up.computers.faster),
+        components=component_reports(seen.begin, final),
+        connectors=connector_reports(final),
+        began=seen.began,
+        history=seen.history,
+        journal=journal,
+        chains=chain_reports(robot, final),
+        put_aside=placed.result.aside,
+        errors=component_errors(final),
+        hung=hung_handlers(final),
+        refused=refused_messages(final),
+        lost=unprocessed(up.run, placed.where.keys()),
+        silent=silent_ports(robot, final),
+        faults=tuple(fault for _, fault in faults_after(up.run.faults_before, final)),
+        clocks=clocks_of(seen.end),
+        interrupted=seen.interrupted,
+        invalid=invalid,
+        without=up.computers.without,
+        simulation=simulation,
+    )
+
+
+def component_reports(begin: Statuses, end: Statuses) -> tuple[ComponentReport, ...]:
+    """Return a report for every component in the last statuses."""
+    return tuple(
+        _component(component, computer, status, begin.get(computer))
+        for computer, status in end.items()
+        for container in status.containers
+        for component in container.components
+    )
+
+
+def connector_reports(end: Statuses) -> tuple[ConnectorStatus, ...]:
+    """Return what every end of every connector counted."""
+    return tuple(
+        connector
+        for status in end.values()
+        for container in status.containers
+        for connector in container.connectors
+    )
+
+
+def clocks_of(statuses: Statuses) -> dict[str, Mapping[str, ClockStatus]]:
+    """Return what each computer knows of the others' clocks, by name."""
+    return {name: status.clocks for name, status in sorted(statuses.items())}
+
+
+def _component(
+    component: ComponentStatus,
+    computer: str,
+    last: AgentStatus,
+    first: AgentStatus | None,
+) -> ComponentReport:
+    before = _cpu_before(component.name, first)
+    seconds = last.uptime - (first.uptime if first else 0.0)
+    return ComponentReport(
+        name=component.name,
+        computer=computer,
+        cpu=max(0.0, component.cpu - before) / seconds if seconds > 0 else 0.0,
+        errors=component.errors,
+        timers=component.timers,
+        measures=component.measures,
+    )
+
+
+def _cpu_before(name: str, first: AgentStatus | None) -> float:
+    for container in first.containers if first else ():
+        for component in container.components:
+            if component.name == name:
+                return component.cpu
+    return 0.0

@@ -1,0 +1,266 @@
+"""A running robot, to observe and to command: from this process or another."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Iterator
+from typing import TypeVar
+
+from msgspec.structs import asdict
+from rich.console import RenderableType
+
+from poise.errors import RunError, UsageError
+from poise.manage.adaptation.what_if import WhatIf
+from poise.manage.control_socket.client import send_command
+from poise.manage.control_socket.records import (
+    Command,
+    JournalCommand,
+    JournalEntries,
+    LogCommand,
+    LogReading,
+    MoveCommand,
+    Moved,
+    RebalanceCommand,
+    Rebalanced,
+    ReplaceCommand,
+    Replaced,
+    Result,
+    RobotStatus,
+    StatusCommand,
+    StopCommand,
+    StopReport,
+    TapCommand,
+)
+from poise.manage.journal import Entry
+from poise.manage.migration.move import MoveReport
+from poise.manage.migration.replacement import ReplaceReport
+from poise.session.render.moves import Outcome, outcome_sentence
+from poise.session.render.printable import Shown
+from poise.session.render.status import status_parts
+from poise.session.running_robots.tasks import RunningTasks
+from poise.wire.records.taps import TapReading
+
+_LOOK_EVERY = 0.25
+"""What goes out over a connector is fetched after this time [s]."""
+__all__ = ["Entry", "RolledBack", "Running", "Status", "WhatIf", "connect"]
+
+R = TypeVar("R", bound=Result)
+M = TypeVar("M", bound=MoveReport | ReplaceReport)
+
+
+class RolledBack(RunError):
+    """A move, a replacement or a new balance failed, and all goes on as before.
+
+    Parameters
+    ----------
+    outcome
+        How it went.
+    """
+
+    def __init__(self, message: str, outcome: Outcome) -> None:
+        super().__init__(message)
+        self.outcome = outcome
+
+
+class Status(Shown, RobotStatus, frozen=True, tag="RobotStatus", kw_only=True):
+    """A status that prints itself as tables, in a terminal and in a notebook."""
+
+    def parts(self) -> tuple[RenderableType, ...]:
+        """Return what is printed."""
+        return tuple(status_parts(self))
+
+
+class Running:
+    """A robot that is up.
+
+    Every method raises `UsageError` when the robot's manager refuses, and `RunError`
+    when it gives no answer.
+
+    Parameters
+    ----------
+    name
+        The robot's name; None: the only one that runs here.
+    """
+
+    def __init__(self, name: str | None = None) -> None:
+        self.name = name
+
+    @property
+    def tasks(self) -> RunningTasks:
+        """Its tasks: ``running.tasks.start("fetch")``."""
+        return RunningTasks(lambda command: send_command(self.name, command))
+
+    def status(self) -> Status:
+        """Return where components run, and how they and their computers are."""
+        status = self._send(StatusCommand(), RobotStatus)
+        return Status(**asdict(status))
+
+    def move(self, component: str, computer: str, *, force: bool = False) -> MoveReport:
+        """Move a component to another computer, with its state.
+
+        Parameters
+        ----------
+        force
+            Whether to move it even where it does not fit beside what runs.
+
+        Raises
+        ------
+        RolledBack
+            It failed; the component goes on where it was.
+        """
+        report = self._send(MoveCommand(component, computer, force), Moved).report
+        return _committed(report)
+
+    def what_if(self, component: str, computer: str) -> WhatIf:
+        """Return what a move would change; nothing happens."""
+        return self._send(MoveCommand(component, computer, dry=True), WhatIf)
+
+    def journal(self, after: int = 0) -> tuple[Entry, ...]:
+        """Return the last entries of its journal, oldest first: 500 at most.
+
+        Parameters
+        ----------
+        after
+            Only entries with a higher number.
+        """
+        return self._send(JournalCommand(after), JournalEntries).entries
+
+    def replace(
+        self, what: str, by: str, *, adapt: str = "", fresh: bool = False
+    ) -> MoveReport | ReplaceReport:
+        """Swap a component's implementation, or an architecture for another.
+
+        Parameters
+        ----------
+        what
+            A component, or an architecture.
+        by
+            ``package.module:Class``, or another architecture of the same function.
+        adapt
+            ``package.module:function`` that maps the old state to the new one.
+        fresh
+            Whether the old state is dropped.
+
+        Raises
+        ------
+        RolledBack
+            It failed; all goes on as before.
+        """
+        command = ReplaceCommand(what, by, adapt, fresh)
+        report: MoveReport | ReplaceReport
+        if ":" in by:
+            report = self._send(command, Moved).report
+        else:
+            report = self._send(command, Replaced).report
+        return _committed(report)
+
+    def balance(self, *, cost: float = 0.01, dry_run: bool = False) -> Rebalanced:
+        """Place the robot again, from what its components need now.
+
+        Parameters
+        ----------
+        cost
+            What F grows by for a move, and for each MB of its state.
+        dry_run
+            Whether to return the proposal only.
+
+        Raises
+        ------
+        RolledBack
+            A move failed; everything is where it was.
+        """
+        answer = self._send(RebalanceCommand(cost, dry_run), Rebalanced)
+        if answer.report is not None and not answer.report.committed:
+            raise RolledBack(f"rolled back: {answer.report.reason}", answer)
+        return answer
+
+    def echo(self, connector: str, *, rate: float = 10.0) -> Iterator[TapReading]:
+        """Yield what goes out over a connector, some times a second, without end.
+
+        Nothing is slowed down for it, and nobody else gets less.
+
+        Parameters
+        ----------
+        connector
+            Its name, or ``component.port`` of one of its ends.
+        rate
+            So many messages or calls a second come with their content; of the others
+            it is told when they went out.
+        """
+        command = TapCommand(connector, secrets.token_hex(8), rate)
+        while True:
+            yield self._send(command, TapReading)
+            time.sleep(_LOOK_EVERY)
+
+    def log(
+        self, component: str = "", *, last: int = 100, follow: bool = False
+    ) -> Iterator[LogReading]:
+        """Yield what components wrote to standard output and error, or logged.
+
+        Parameters
+        ----------
+        component
+            Only its lines; empty: all.
+        last
+            At most so many lines at first.
+        follow
+            Whether to yield what comes later, some times a second, without end.
+
+        Raises
+        ------
+        UsageError
+            There is no such component.
+        """
+        known = self.status().placement
+        if component and component not in known:
+            listed = ", ".join(sorted(known))
+            raise UsageError(f"no component '{component}' (there are: {listed})")
+        reading = self._send(LogCommand(component, most=last), LogReading)
+        yield reading
+        while follow:
+            time.sleep(_LOOK_EVERY)
+            reading = self._send(LogCommand(component, reading.after), LogReading)
+            yield reading
+
+    def stop(self) -> None:
+        """Stop the robot, and wait until it has stopped.
+
+        Raises
+        ------
+        RunError
+            Something still runs on a computer that is out of reach.
+        """
+        remaining = self._send(StopCommand(), StopReport).remaining
+        if remaining:
+            raise RunError("\n".join(remaining))
+
+    def _send(self, command: Command, type_: type[R]) -> R:
+        result = send_command(self.name, command)
+        if not isinstance(result, type_):
+            raise RunError(f"the manager answered {result!r} to {command!r}")
+        return result
+
+
+def _committed(report: M) -> M:
+    if not report.committed:
+        raise RolledBack(outcome_sentence(report), report)
+    return report
+
+
+def connect(name: str | None = None) -> Running:
+    """Return a robot that another process of this user keeps up, on this computer.
+
+    Parameters
+    ----------
+    name
+        The robot's name; None: the only one that runs here.
+
+    Raises
+    ------
+    UsageError
+        No such robot runs, or several do and none is named.
+    """
+    running = Running(name)
+    running.name = running.status().robot
+    return running

@@ -1,0 +1,149 @@
+"""What makes the loop act, and what does not."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import msgspec
+import pytest
+
+from poise.estimate.online import Drift, Estimate
+from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.policy.evaluation import Policies, Symptom
+from poise.manage.adaptation.policy.subjects import values_of
+from poise.manage.observe.chains import ChainAge
+from poise.model.policy.policy import Policy
+from poise.model.policy.shipped import shipped
+from poise.model.policy.values import SUBJECTS, Subject
+from tests.manage.adaptation.conftest import Make
+
+
+def seen(facts: Facts, *names: str) -> list[str]:
+    """Return what the shipped policies of these names say at once."""
+    policies = [
+        msgspec.structs.replace(policy, lasts=0.0)
+        for policy in shipped()
+        if policy.name in names
+    ]
+    found = Policies(policies).look(partial(values_of, facts), 0.0)
+    return [symptom.what for symptom in found]
+
+
+def test_a_full_computer_whose_components_are_late_is_overloaded(facts: Make) -> None:
+    loaded = facts(background={"left": 0.2}, missed=("a",))
+    (found,) = seen(loaded, "overload")
+    assert found == (
+        "computer 'left' is overloaded: 0.5 cores of 0.5 cores are used, 0.2 cores of "
+        "them by other programs"
+    )
+
+
+def test_a_full_computer_that_keeps_its_deadlines_is_not(facts: Make) -> None:
+    assert not seen(facts(background={"left": 0.2}), "overload")
+
+
+def test_a_late_component_on_an_idle_computer_is_no_overload(facts: Make) -> None:
+    assert not seen(facts(missed=("a",)), "overload")
+
+
+def test_a_timer_that_misses_deadlines_is_named(facts: Make) -> None:
+    assert seen(facts(missed=("b",)), "deadlines") == [
+        "timer 'tick' of component 'b' on 'left' missed 5 of 10 deadlines within 1 s"
+    ]
+
+
+def test_a_drift_is_named_when_it_takes_a_reserve(facts: Make) -> None:
+    """Both components on `left` drift to 0.3 of its 0.5 cores."""
+    grown = tuple(
+        msgspec.structs.replace(
+            each,
+            estimate=Estimate(
+                mean=0.3,
+                p95=0.3,
+                error=0.0,
+                drift=Drift(before=0.2, after=0.3, at=0.0),
+            ),
+        )
+        for each in facts().demand_estimates
+    )
+    drifted = msgspec.structs.replace(facts(), demand_estimates=grown)
+    (found,) = seen(drifted, "drift")
+    assert found == (
+        "the components on 'left' need 0.13 cores more than it has beside other "
+        "programs and its reserve: 2 of them need other than they were placed by"
+    )
+    alone = msgspec.structs.replace(drifted, placement={"a": "left", "b": "right"})
+    assert not seen(alone, "drift")
+
+
+OLD = ChainAge(
+    chain="c",
+    deadline=0.1,
+    used=10,
+    missed=8,
+    seconds=1.0,
+    ages={"eye": 0.0, "a": 0.01, "b": 0.3},
+    wires={"eye": 0.0, "a": 0.0, "b": 0.25},
+    computers={"eye": "left", "a": "left", "b": "right"},
+)
+
+
+def test_a_chain_says_which_step_takes_how_long(facts: Make) -> None:
+    late = msgspec.structs.replace(facts(), chains=(OLD,))
+    (found,) = seen(late, "chains")
+    assert found == (
+        "the data of chain 'c' was older than 100 ms at 8 of 10 uses by 'b' within 1 "
+        "s: eye -> a 10 ms, a -> b 290 ms"
+    )
+
+
+def test_a_chain_that_was_late_once_is_not_named(facts: Make) -> None:
+    once = msgspec.structs.replace(OLD, missed=1)
+    assert not seen(msgspec.structs.replace(facts(), chains=(once,)), "chains")
+
+
+def test_a_lost_computer_is_named(facts: Make) -> None:
+    lost = msgspec.structs.replace(facts(), lost=frozenset({"right"}))
+    assert seen(lost, "lost-computer") == ["computer 'right' is out of reach"]
+
+
+LATE = Policy(name="p", for_each="timer", when="late", do="replan", say="{name}")
+
+
+def look(policies: Policies, facts: Facts, now: float) -> tuple[Symptom, ...]:
+    """Look once."""
+    return policies.look(partial(values_of, facts), now)
+
+
+def test_only_what_lasts_counts(facts: Make) -> None:
+    policies, late, well = Policies([LATE]), facts(missed=("a",)), facts()
+    assert not look(policies, late, 10.0)
+    assert not look(policies, late, 10.4)
+    (found,) = look(policies, late, 10.5)
+    assert found.computer == "left"
+    assert not look(policies, well, 10.6)
+    assert not policies.since
+    assert not look(policies, late, 10.7)  # it begins again
+
+
+def test_nothing_is_done_again_until_it_has_cooled_down(facts: Make) -> None:
+    policy = msgspec.structs.replace(LATE, lasts=0.0, cool_down=60.0)
+    policies, late = Policies([policy]), facts(missed=("a", "b"))
+    first, second = look(policies, late, 0.0)
+    assert policies.due((first, second), 0.0) == (first, second)
+    policies.note_acted([first], 0.0)
+    assert policies.due((first, second), 59.0) == (second,)
+    assert policies.due((first, second), 60.0) == (first, second)
+
+
+def test_what_is_off_says_nothing(facts: Make) -> None:
+    off = msgspec.structs.replace(LATE, lasts=0.0, off=True)
+    assert not look(Policies([off]), facts(missed=("a",)), 0.0)
+
+
+@pytest.mark.parametrize("subject", SUBJECTS)
+def test_every_subject_has_values_of_its_record(facts: Make, subject: Subject) -> None:
+    late = msgspec.structs.replace(facts(missed=("a",)), chains=(OLD,))
+    for values in values_of(late, subject):
+        assert isinstance(values, SUBJECTS[subject])
+        assert msgspec.convert(msgspec.to_builtins(values), SUBJECTS[subject]) == values

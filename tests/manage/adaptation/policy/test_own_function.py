@@ -1,0 +1,120 @@
+"""A policy's own function decides, and can hold up nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from poise.manage.adaptation.policy.evaluation import Policies
+from poise.manage.adaptation.policy.own_function import OwnFunction
+from poise.model.policy.policy import Policy
+from poise.model.policy.seen import PolicyAction, Seen
+from poise.model.policy.values import ComputerValues
+
+pytestmark = pytest.mark.slow
+
+CODE = """
+import time
+from poise import PolicyAction
+
+def careful(seen):
+    return [
+        PolicyAction(do="notify", about=c.name, why=f"{c.name} is busy")
+        for c in seen.computers
+        if c.used > 0.5
+    ]
+
+def broken(seen):
+    raise ValueError("no idea")
+
+def odd(seen):
+    return ["restart"]
+
+def stranger(seen):
+    return [PolicyAction(do="restart", about="nobody", why="so")]
+
+def hangs(seen):
+    while True:
+        pass
+
+def quiet(seen):
+    pass
+"""
+SEEN = Seen(at=0.0, computers=(ComputerValues(name="left", used=0.9),))
+
+
+@pytest.fixture
+def function(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[OwnFunction]:
+    (tmp_path / "mine.py").write_text(CODE, encoding="utf-8")
+    made = OwnFunction(f"mine:{request.param}", str(tmp_path))
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize("function", ["careful"], indirect=True)
+def test_it_sees_the_values_and_says_what_to_do(function: OwnFunction) -> None:
+    action = PolicyAction(do="notify", about="left", why="left is busy")
+    assert function.answer(SEEN) == (action,)
+    assert function.answer(Seen(at=1.0)) == ()
+    assert not function.trouble
+
+
+@pytest.mark.parametrize("function", ["careful"], indirect=True)
+def test_the_manager_does_not_wait_for_it(function: OwnFunction) -> None:
+    assert function.ask(SEEN) == ()  # its process only begins
+
+
+@pytest.mark.parametrize("function", ["broken"], indirect=True)
+def test_its_error_is_said_and_it_is_asked_again(function: OwnFunction) -> None:
+    assert function.answer(SEEN) == ()
+    assert function.trouble.endswith("ValueError: no idea\n")
+    process = function._process
+    function.answer(SEEN)
+    assert function._process is process
+
+
+@pytest.mark.parametrize("function", ["odd"], indirect=True)
+def test_what_is_no_action_is_said(function: OwnFunction) -> None:
+    function.answer(SEEN)
+    assert function.trouble.endswith("it returned 'restart', not a PolicyAction")
+
+
+@pytest.mark.parametrize("function", ["missing"], indirect=True)
+def test_a_function_that_there_is_not_is_said(function: OwnFunction) -> None:
+    function.answer(SEEN)
+    assert "has no attribute 'missing'" in function.trouble
+
+
+@pytest.mark.parametrize("function", ["quiet"], indirect=True)
+def test_it_may_return_nothing(function: OwnFunction) -> None:
+    assert function.answer(SEEN) == ()
+    assert not function.trouble
+
+
+@pytest.mark.parametrize("function", ["hangs"], indirect=True)
+def test_one_that_hangs_is_ended_and_started_again_later(function: OwnFunction) -> None:
+    function.answer(SEEN)
+    assert function.trouble == (
+        "'mine:hangs' took too long and was ended: its limit is 1 s, and 20 s for its "
+        "import; it is asked again in 10 s"
+    )
+    assert function._process is None
+    function.ask(Seen(at=9.0))
+    assert function._process is None
+    function.ask(Seen(at=10.0))
+    assert function._process is not None
+
+
+def test_an_action_about_nobody_is_said(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(CODE, encoding="utf-8")
+    policies = Policies([Policy(name="own", call="mine:stranger")], str(tmp_path))
+    try:
+        assert policies.look(SEEN.of, 0.0, waits=True) == ()
+        (trouble,) = policies.troubles()
+        assert trouble == (
+            "policy 'own': 'mine:stranger' names no subject 'nobody' for 'restart'"
+        )
+    finally:
+        policies.close()

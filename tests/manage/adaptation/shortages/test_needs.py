@@ -1,0 +1,170 @@
+"""What a task does when a function that it needs, or only uses, is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import pytest
+from msgspec.structs import replace
+
+from poise.manage.adaptation.loop import Adaptation
+from poise.manage.adaptation.shortages.needs import Needs, missing_functions
+from poise.manage.adaptation.shortages.put_aside import FIRST
+from poise.model.robot import Computer, Robot
+from tests.manage.adaptation.shortages.test_put_aside import (
+    BOTH,
+    HIGH,
+    Robbed,
+    robot_with,
+)
+
+APART = {"high": "left", "low": "right"}
+
+
+def needing(*functions: str) -> Robot:
+    """Return a robot of two computers; `low` may run on `right` only."""
+    robot = robot_with()
+    high, low = robot.architectures
+    (part,) = low.components
+    low = replace(low, components=(replace(part, only=("right",)),))
+    right = Computer(name="right", capacity={"cpu": 1.0, "memory": 1e9})
+    (task,) = robot.tasks
+    return replace(
+        robot,
+        computers=(*robot.computers, right),
+        architectures=(high, low),
+        tasks=(replace(task, needs=functions),),
+    )
+
+
+class Loop:
+    """The loop of such a robot, and computers that are lost when a test says so."""
+
+    def __init__(self, *needs: str, acts: bool = True) -> None:
+        self.robbed = Robbed(needing(*needs), APART)
+        self.lost: frozenset[str] = frozenset()
+        self.now = 0.0
+        self._loop = Adaptation(
+            self.robbed.run,
+            lambda: replace(self.robbed.facts(), lost=self.lost),
+            self.robbed.aside,
+            acts=acts,
+            clock=lambda: self.now,
+        )
+
+    def look(self, until: float, *lost: str) -> dict[str, str]:
+        """Look five times a second; return the placement then."""
+        self.lost = frozenset(lost)
+        while self.now < until:
+            self._loop.look()
+            self.now += 0.2
+        return dict(self.robbed.run.placement())
+
+    def troubles(self) -> list[str]:
+        """Return what status says of tasks."""
+        found = [each.what for each in self._loop.deviations]
+        return [what for what in found if what.startswith("task")]
+
+    def sentences(self, *words: str) -> list[str]:
+        """Return what the journal says with one of these words."""
+        entries = (e.what for e in self.robbed.journal.entries())
+        return [what for what in entries if any(word in what for word in words)]
+
+
+def test_a_task_stops_without_what_it_needs_until_it_is_back() -> None:
+    loop = Loop("low")
+    assert loop.look(2.0) == APART
+    assert loop.look(3.0, "right") == {"low": "right"}  # it is there once that is back
+    why = "task 'work' needs function 'low', which is missing"
+    assert loop.troubles() == [why]
+    assert loop.robbed.sentences() == [f"architecture 'high-task' is put aside: {why}"]
+    assert loop.look(60.0, "right") == {"low": "right"}
+    assert loop.look(62.0) == APART
+    assert loop.troubles() == []
+    assert loop.sentences("is back", "runs again") == [
+        "function 'low' of task 'work' is back",
+        "architecture 'high-task' runs again",
+    ]
+
+
+def test_a_task_goes_on_without_what_it_only_uses() -> None:
+    loop = Loop("high")
+    assert loop.look(10.0, "right") == APART
+    assert loop.troubles() == ["task 'work' goes on without function 'low'"]
+    assert not loop.robbed.sentences()
+
+
+def test_a_moment_without_a_function_stops_nothing() -> None:
+    loop = Loop("low")
+    loop.look(2.0)
+    loop.look(2.4, "right")
+    assert loop.look(4.0) == APART
+    assert not loop.sentences("task 'work'")
+
+
+def test_nothing_stops_when_nobody_wants_adaptation() -> None:
+    loop = Loop("low", acts=False)
+    assert loop.look(10.0, "right") == APART
+    assert loop.troubles() == ["task 'work' needs function 'low', which is missing"]
+
+
+def test_a_computer_that_comes_and_goes_restarts_the_task_less_and_less() -> None:
+    """Two minutes: 5 s without it, 5 s with it."""
+    loop = Loop("low")
+    for at in range(0, 120, 10):
+        loop.look(at + 5.0)
+        loop.look(at + 10.0, "right")
+    assert 2 <= len(loop.sentences("architecture 'high-task' runs again")) <= 4
+
+
+def test_a_task_stops_when_what_it_needs_is_put_aside_and_all_of_that_comes_back() -> (
+    None
+):
+    loop = Loop("high", "low")
+    loop.look(1.0)
+    loop.robbed.aside.put(["low-task"], "it crashes", loop.now)
+    assert loop.look(3.0) == {}
+    assert loop.look(FIRST) == {}
+    assert loop.look(FIRST + 9.0) == APART
+
+
+def test_needed_functions_come_back_together_or_not_at_all() -> None:
+    robot = robot_with()
+    (task,) = robot.tasks
+    robot = replace(robot, tasks=(replace(task, needs=("high", "low")),))
+    robbed = Robbed(robot, {})
+    for now in range(100):  # 0.4 are left, but for both 0.8 would have to be
+        facts = robbed.facts(0.4)
+        missing = missing_functions(facts)
+        robbed.aside.take_back(facts, float(now), is_calm=True, missing=missing)
+    assert robbed.run.placement() == {}
+    for now in range(100, 900):
+        facts = robbed.facts()
+        missing = missing_functions(facts)
+        robbed.aside.take_back(facts, float(now), is_calm=True, missing=missing)
+    assert robbed.run.placement() == BOTH
+
+
+@pytest.mark.parametrize(
+    ("placement", "lost", "missing"),
+    [
+        (BOTH, [], set()),
+        (HIGH, [], {"low"}),
+        (BOTH, ["left"], {"high", "low"}),
+        ({}, [], {"high", "low"}),
+    ],
+)
+def test_a_function_is_there_when_all_of_an_architecture_is(
+    placement: dict[str, str], lost: Iterable[str], missing: set[str]
+) -> None:
+    facts = replace(Robbed(robot_with(), placement).facts(), lost=frozenset(lost))
+    assert missing_functions(facts) == missing
+
+
+def test_what_is_missing_is_said_once() -> None:
+    robbed = Robbed(robot_with(), HIGH)
+    needs = Needs(robbed.journal)
+    for now in range(10):
+        assert not needs.look(robbed.facts(), float(now))
+    entries = [e.what for e in robbed.journal.entries()]
+    assert entries.count("task 'work' goes on without function 'low'") == 1

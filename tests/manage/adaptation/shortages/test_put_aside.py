@@ -1,0 +1,275 @@
+"""Architectures are put aside by priority, and taken back when there is room."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import cast
+
+import pytest
+from msgspec.structs import replace
+
+from poise.errors import UsageError
+from poise.manage.adaptation.decision import decide
+from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.shortages.failover import fail_over
+from poise.manage.adaptation.shortages.put_aside import (
+    CALM,
+    FIRST,
+    PutAside,
+    not_running,
+)
+from poise.manage.agent_connections.agents import Agents
+from poise.manage.deploy.running_components import Run
+from poise.manage.journal import Journal
+from poise.manage.observe.deadline_misses import Misses
+from poise.manage.observe.loads import Load
+from poise.model.robot import (
+    Action,
+    Architecture,
+    ComponentEntry,
+    Computer,
+    Robot,
+    Task,
+)
+from tests.manage.conftest import FakeAgents
+
+HIGH = {"high": "left"}
+BOTH = {"high": "left", "low": "left"}
+
+
+def robot_with(high: int = 10, low: int = 1, layer: str = "sequencing") -> Robot:
+    """Return two architectures of 0.4 cores each, and a computer of one core."""
+    return Robot(
+        name="two",
+        computers=(Computer(name="left", capacity={"cpu": 1.0, "memory": 1e9}),),
+        architectures=tuple(
+            Architecture(
+                name=f"{name}-task",
+                function=name,
+                priority=priority,
+                layer=layer,  # type: ignore[arg-type] # of a test's parameter
+                home="left",
+                components=(
+                    ComponentEntry(
+                        name=name, implementation="a:B", demand={"cpu": 0.4}
+                    ),
+                ),
+            )
+            for name, priority in (("high", high), ("low", low))
+        ),
+        tasks=(
+            Task(
+                name="work",
+                actions=(Action(name="w", functions=("high", "low")),),
+            ),
+        ),
+    )
+
+
+class Robbed:
+    """A robot that runs, and what is put aside of it."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        placement: Mapping[str, str] = BOTH,
+        computers: tuple[str, ...] = ("left",),
+    ) -> None:
+        self.agents = FakeAgents(*computers)
+        self.journal = Journal(":memory:")
+        agents = cast("Agents", self.agents)
+        self.run = Run(robot, placement, agents, self.journal, "/run")
+        self.run.start()
+        self.aside = PutAside(self.run, lambda: robot.task("work"), "not all fits")
+
+    def facts(self, background: float = 0.0, *late: str) -> Facts:
+        """Return facts with a load of other programs, and late components."""
+        load = Load(capacity=1.0, used=min(1.0, background), background=background)
+        return Facts(
+            robot=self.run.robot,
+            task="work",
+            placement=self.run.placement(),
+            loads={"left": load},
+            misses=tuple(
+                Misses(component=name, computer="left", timer="t", released=9, missed=9)
+                for name in late
+            ),
+        )
+
+    def take_back(self, now: float, background: float = 0.0) -> bool:
+        """Look, and take back what fits."""
+        self.aside.look()
+        return self.aside.take_back(self.facts(background), now, is_calm=True)
+
+    def sentences(self) -> list[str]:
+        """Return what the journal says of architectures."""
+        entries = self.journal.entries()
+        return [e.what for e in entries if "architecture" in e.what]
+
+
+def test_what_is_put_aside_stops_and_is_said() -> None:
+    robbed = Robbed(robot_with())
+    assert robbed.aside.put(["low-task"], "it crashes", 0.0)
+    assert robbed.run.placement() == HIGH
+    (deviation,) = robbed.aside.deviations()
+    assert deviation.what == "architecture 'low-task' is put aside: it crashes"
+    assert robbed.sentences() == [deviation.what]
+
+
+def test_it_is_taken_back_when_there_is_room_and_nothing_is_wrong() -> None:
+    robbed = Robbed(robot_with())
+    robbed.aside.put(["low-task"], "it crashes", 0.0)
+    assert not robbed.take_back(FIRST - CALM)  # since now nothing is wrong
+    assert not robbed.take_back(FIRST - 0.1)
+    assert robbed.take_back(FIRST)
+    assert robbed.run.placement() == BOTH
+    robbed.aside.look()
+    assert not robbed.aside.deviations()
+    assert robbed.sentences()[-1] == "architecture 'low-task' runs again"
+
+
+def test_what_runs_is_not_disturbed_when_it_is_taken_back() -> None:
+    robbed = Robbed(robot_with(), HIGH)
+    before = robbed.run.placed["high"]
+    assert not robbed.take_back(0.0)
+    assert robbed.take_back(CALM)
+    assert robbed.run.placed["high"] is before
+
+
+def test_other_programs_count_for_more_before_it_is_taken_back() -> None:
+    # 1 - 0.4 - 0.4 = 0.2 are left; other programs that take 0.15 may want 0.225
+    robbed = Robbed(robot_with(), HIGH)
+    robbed.take_back(0.0, 0.15)
+    assert not robbed.take_back(100.0, 0.15)
+    assert robbed.take_back(200.0, 0.13)
+
+
+def test_nothing_is_taken_back_while_something_is_wrong() -> None:
+    robbed = Robbed(robot_with(), HIGH)
+    robbed.aside.look()
+    for now in range(100):
+        assert not robbed.aside.take_back(robbed.facts(), now, is_calm=False)
+    assert not robbed.take_back(100.0)  # it is calm since now
+    assert robbed.take_back(100.0 + CALM)
+
+
+def test_what_is_put_aside_again_stays_aside_for_longer() -> None:
+    robbed = Robbed(robot_with())
+    robbed.aside.put(["low-task"], "it crashes", 0.0)
+    robbed.take_back(1.0)
+    assert robbed.take_back(FIRST)
+    robbed.aside.put(["low-task"], "it crashes", 20.0)
+    assert not robbed.take_back(20.0 + FIRST)
+    assert robbed.take_back(20.0 + 2 * FIRST)
+
+
+def test_what_is_aside_from_the_start_is_said() -> None:
+    robbed = Robbed(robot_with(), HIGH)
+    robbed.aside.look()
+    assert robbed.sentences() == ["architecture 'low-task' is put aside: not all fits"]
+
+
+@pytest.mark.parametrize("layer", ["reactive", "deliberative"])
+def test_other_layers_are_never_put_aside(layer: str) -> None:
+    robbed = Robbed(robot_with(layer=layer))
+    with pytest.raises(
+        UsageError, match=f"{layer} layer, which Poise never puts aside"
+    ):
+        robbed.aside.put(["low-task"], "it crashes", 0.0)
+    assert robbed.run.placement() == BOTH
+    assert not_running(robbed.run.robot, "work", HIGH) == []
+
+
+def test_an_unknown_architecture_is_refused() -> None:
+    robbed = Robbed(robot_with())
+    with pytest.raises(UsageError, match="has no architecture 'lo'"):
+        robbed.aside.put(["lo"], "it crashes", 0.0)
+
+
+def test_an_overload_that_no_placement_helps_puts_the_lowest_aside() -> None:
+    decision = decide(Robbed(robot_with()).facts(0.3, "high", "low"), {}, {})
+    assert decision.acts
+    assert decision.why == "not all fits without 'low-task' (priority 1)"
+    assert decision.proposal is not None
+    assert decision.proposal.placement == HIGH
+    assert [str(step) for step in decision.proposal.steps] == ["stop low on left"]
+
+
+def test_nothing_is_put_aside_while_the_higher_keep_their_deadlines() -> None:
+    decision = decide(Robbed(robot_with()).facts(0.3, "low"), {}, {})
+    assert not decision.acts
+    assert decision.why.startswith("no placement can help")
+
+
+def test_of_equal_priorities_none_is_put_aside() -> None:
+    decision = decide(Robbed(robot_with(1, 1)).facts(0.3, "high", "low"), {}, {})
+    assert not decision.acts
+    assert decision.why.startswith("no placement can help")
+
+
+@pytest.mark.parametrize("layer", ["reactive", "deliberative"])
+def test_an_overload_puts_no_other_layer_aside(layer: str) -> None:
+    decision = decide(Robbed(robot_with(layer=layer)).facts(0.3, "high", "low"), {}, {})
+    assert not decision.acts
+
+
+def test_of_alternatives_the_best_that_fits_is_taken_back() -> None:
+    robot = robot_with()
+    high, low = robot.architectures
+    big = ComponentEntry(name="big", implementation="a:B", demand={"cpu": 0.7})
+    better = replace(low, name="big-task", components=(big,))
+    low = replace(low, quality=0.5)
+    robbed = Robbed(replace(robot, architectures=(high, low, better)), HIGH)
+    robbed.take_back(0.0)
+    assert robbed.take_back(CALM)
+    assert robbed.run.placement() == BOTH
+    robbed.aside.look()
+    assert not robbed.aside.deviations()
+
+
+def test_a_lost_computer_puts_lower_priorities_aside_for_higher_ones() -> None:
+    robot = robot_with()
+    high, low = robot.architectures
+    middle = replace(
+        low,
+        name="middle-task",
+        function="middle",
+        priority=5,
+        components=(replace(low.components[0], name="middle"),),
+    )
+    right = Computer(name="right", capacity={"cpu": 1.0, "memory": 1e9})
+    robot = replace(
+        robot,
+        computers=(*robot.computers, right),
+        architectures=(high, low, middle),
+    )
+    facts = Facts(
+        robot=robot,
+        task="work",
+        placement={"high": "right", "middle": "left", "low": "left"},
+        lost=frozenset({"right"}),
+    )
+    found = fail_over(facts, {"right"})
+    assert (found.placement, found.aside) == ({"high": "left"}, ("low-task",))
+    assert not found.missing
+    # the lowest itself gets only what is left
+    swapped = replace(
+        facts, placement={"low": "right", "middle": "left", "high": "left"}
+    )
+    found = fail_over(swapped, {"right"})
+    assert (found.placement, found.aside) == ({}, ())
+    assert found.missing["low"].startswith("it fits nowhere beside what runs")
+
+
+def test_of_what_was_lost_the_higher_is_restarted_when_not_all_fits() -> None:
+    robot = robot_with()
+    left = Computer(name="small", capacity={"cpu": 0.5, "memory": 1e9})
+    facts = Facts(
+        robot=replace(robot, computers=(*robot.computers, left)),
+        task="work",
+        placement=BOTH,
+        lost=frozenset({"left"}),
+    )
+    found = fail_over(facts, {"left"})
+    assert found.placement == {"high": "small"}
+    assert set(found.missing) == {"low"}

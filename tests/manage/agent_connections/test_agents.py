@@ -1,0 +1,53 @@
+"""What comes from agents, or from whoever says that it is one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import pytest
+
+from poise.clock import SystemClock
+from poise.manage.agent_connections.messages import reading
+from poise.manage.agent_connections.reports import MOST_REFUSED, AgentReports
+from poise.wire.records.status import AgentStatus
+
+
+class Payload:
+    """What zenoh hands over."""
+
+    key_expr = "poise/robot/status/left"
+
+    def __init__(self, body: bytes) -> None:
+        self.payload = self
+        self._body = body
+
+    def to_bytes(self) -> bytes:
+        return self._body
+
+
+@pytest.fixture
+def reports() -> AgentReports:
+    return AgentReports("robot", {"left": "tcp/127.0.0.1:1"}, SystemClock())
+
+
+def test_why_a_record_is_refused_is_told_once_and_the_next_one_taken(
+    reports: AgentReports, caplog: pytest.LogCaptureFixture
+) -> None:
+    hear: Any = reading(AgentStatus, reports.on_status, reports.on_refused)
+    for _ in range(3):
+        hear(Payload(b"\xc1 nonsense"))
+    assert caplog.text == ""  # whoever logs may have to wait for what shows it
+    (why,) = reports.take_refused()
+    assert why.startswith("a record at poise/robot/status/left was refused: ")
+    hear(Payload(b"\xc1 nonsense"))
+    assert reports.take_refused() == []
+    status = AgentStatus(computer="left", generation=1, uptime=0.0, cpu=0.0)
+    hear(Payload(msgspec.msgpack.encode(status)))
+    assert reports.statuses() == {"left": status}
+
+
+def test_keeps_a_bounded_number_of_reasons(reports: AgentReports) -> None:
+    for number in range(2 * MOST_REFUSED):
+        reports.on_refused(f"reason {number}")
+    assert len(reports.take_refused()) == MOST_REFUSED

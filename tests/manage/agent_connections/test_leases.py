@@ -1,0 +1,230 @@
+"""Heartbeats of a manager and three agents: who is lost, and whose lease has ended.
+
+All on a virtual clock, over links that a test cuts. Each side reads a clock of its own.
+"""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from poise.manage.agent_connections.reachability import Reachability
+from poise.runtime.agent.lease import Lease
+from poise.wire.contacts import DETECTED, EVERY, LEASE, SURELY_ENDED, Contacts
+from poise.wire.records.heartbeats import MANAGER, Heartbeat
+
+AGENTS = ("left", "right", "third")
+AHEAD = {MANAGER: 0.0, "left": 1e3, "right": -70.0, "third": 5e5}
+"""How far each clock is ahead of the test's [s]."""
+STEP = 0.025
+DELAY = 0.01
+JITTER = 0.06
+
+
+class World:
+    """A manager and agents that exchange heartbeats."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.contacts = {n: Contacts("robot", n, f"key of {n}") for n in AHEAD}
+        self.leases = {name: Lease(self.contacts[name]) for name in AGENTS}
+        for name, lease in self.leases.items():
+            lease.begin([other for other in AGENTS if other != name])
+        self.manager = Reachability(self.contacts[MANAGER])
+        self.cut: set[tuple[str, str]] = set()
+        self.stalled: set[str] = set()
+        self.jitter = 0.0
+        self._chance = random.Random(1)
+        self._on_way: list[tuple[float, str, Heartbeat]] = []
+        self._due = {name: 0.011 * i for i, name in enumerate(AHEAD)}
+
+    def sever(self, one: str, other: str) -> None:
+        self.cut |= {(one, other), (other, one)}
+
+    def isolate(self, name: str) -> None:
+        for other in AHEAD.keys() - {name}:
+            self.sever(name, other)
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds / STEP)):
+            self.step()
+
+    def step(self) -> None:
+        self.now += STEP
+        waiting = []
+        for at, to, beat in self._on_way:
+            if at > self.now or to in self.stalled:
+                waiting.append((at, to, beat))
+                continue
+            is_news = self.contacts[to].note(beat, self.now + AHEAD[to])
+            if is_news and beat.sender == MANAGER:
+                self._due[to] = self.now  # it answers
+        self._on_way = waiting
+        for name in AHEAD.keys() - self.stalled:
+            if self.now >= self._due[name]:
+                pause = self.contacts[name].pause(self.now + AHEAD[name])
+                self._due[name] = self.now + pause
+                self._send(name)
+
+    def _send(self, name: str) -> None:
+        at = self.now + AHEAD[name]
+        if name == MANAGER:
+            self.manager.look(AGENTS, at)
+        managed = 0.0 if name == MANAGER else self.leases[name].managed(at)
+        beat = self.contacts[name].next_beat(at, managed=managed)
+        arrives = self.now + DELAY + self.jitter * self._chance.random()
+        self._on_way += [
+            (arrives, other, beat)
+            for other in AHEAD.keys() - {name}
+            if (name, other) not in self.cut
+        ]
+
+    def is_held(self, name: str) -> bool:
+        return self.leases[name].is_held(self.now + AHEAD[name])
+
+    def lost(self) -> set[str]:
+        return {n for n in self.manager.silent() if not self.heard_by(n)}
+
+    def heard_by(self, name: str) -> str:
+        return self.manager.heard_by(name, self.now)
+
+
+@pytest.fixture
+def world() -> World:
+    world = World()
+    world.run(1.0)
+    return world
+
+
+def test_nobody_is_lost_while_all_hear_each_other(world: World) -> None:
+    for _ in range(100):
+        world.run(0.1)
+        assert not world.manager.silent()
+        assert all(map(world.is_held, AGENTS))
+
+
+def test_a_computer_that_is_cut_off_is_lost_and_its_lease_ends_first(
+    world: World,
+) -> None:
+    world.isolate("left")
+    world.run(DETECTED + 2 * EVERY)
+    assert world.lost() == {"left"}
+    assert not world.manager.have_leases_ended(["left"])
+    world.run(LEASE - DETECTED)
+    assert not world.is_held("left")
+    assert world.is_held("right")
+    assert world.is_held("third")
+    world.run(SURELY_ENDED - LEASE + EVERY)
+    assert world.manager.have_leases_ended(["left"])
+
+
+def test_a_lease_ends_as_soon_when_others_tell_of_the_silence_late(
+    world: World,
+) -> None:
+    """When another heard it last then seems a bit later now and then: no new sign."""
+    world.jitter = JITTER
+    world.run(2.0)
+    world.isolate("left")
+    world.run(SURELY_ENDED + JITTER + 2 * EVERY)
+    assert world.manager.have_leases_ended(["left"])
+
+
+def test_who_is_cut_off_from_the_manager_only_goes_on(world: World) -> None:
+    world.sever("left", MANAGER)
+    world.run(5.0)
+    assert world.manager.silent() == {"left"}
+    assert not world.lost()
+    assert world.heard_by("left") in {"right", "third"}
+    assert world.is_held("left")
+    assert not world.manager.have_leases_ended(["left"])
+
+
+def test_a_manager_that_cannot_be_heard_stops_nothing(world: World) -> None:
+    """It reaches no agent, so it can have started nothing elsewhere."""
+    world.isolate(MANAGER)
+    world.run(5.0)
+    assert all(map(world.is_held, AGENTS))
+
+
+def test_the_side_without_the_manager_stops(world: World) -> None:
+    for name in ("left", "right"):
+        world.sever(name, MANAGER)
+        world.sever(name, "third")
+    world.run(SURELY_ENDED + 0.2)
+    assert world.lost() == {"left", "right"}
+    assert world.manager.have_leases_ended(["left", "right"])
+    assert [world.is_held(name) for name in AGENTS] == [False, False, True]
+
+
+def test_an_agent_answers_the_manager_and_sends_by_itself_without_it(
+    world: World,
+) -> None:
+    contacts = world.contacts["left"]
+    assert contacts.pause(world.now + AHEAD["left"]) > EVERY
+    world.sever("left", MANAGER)
+    world.run(2 * EVERY)
+    assert contacts.pause(world.now + AHEAD["left"]) == EVERY
+
+
+def test_who_is_heard_but_hears_nobody_is_lost(world: World) -> None:
+    world.cut |= {(other, "left") for other in AHEAD if other != "left"}
+    world.run(2.0)
+    assert "left" in world.manager.silent()
+    assert not world.is_held("left")
+
+
+def test_a_stalled_manager_declares_nobody_lost(world: World) -> None:
+    world.stalled = {MANAGER}
+    world.run(5.0)
+    world.stalled = set()
+    for _ in range(40):
+        world.step()
+        assert not world.manager.silent()
+
+
+def test_a_stalled_machine_loses_nobody(world: World) -> None:
+    world.stalled = set(AHEAD)
+    world.run(5.0)
+    world.stalled = set()
+    for _ in range(40):
+        world.step()
+        assert not world.manager.silent()
+
+
+def test_one_lost_datagram_in_three_is_no_loss_of_a_computer() -> None:
+    world, chance = World(), random.Random(7)
+    others = [(a, b) for a in AHEAD for b in AHEAD if a != b]
+    for _ in range(2400):
+        world.cut = {pair for pair in others if chance.random() < 0.1}
+        world.step()
+        assert not world.lost()
+
+
+@pytest.mark.parametrize("jitter", [0.0, JITTER])
+@pytest.mark.parametrize("seed", range(6))
+def test_what_may_be_started_elsewhere_is_active_nowhere(
+    seed: int, jitter: float
+) -> None:
+    """Whatever is cut, one way or both, and whoever is stalled."""
+    world, chance = World(), random.Random(seed)
+    world.jitter = jitter
+    world.run(1.0)
+    pairs = [(a, b) for a in AHEAD for b in AHEAD if a != b]
+    cut_off: set[str] = set()
+    num_started = 0
+    for _ in range(120):
+        share = chance.choice((0, 0.3, 0.8))
+        world.cut = {pair for pair in pairs if chance.random() < share}
+        world.stalled = {name for name in AHEAD if chance.random() < 0.1}
+        for _ in range(chance.randrange(2, 60)):
+            world.step()
+            cut_off |= {name for name in AGENTS if not world.is_held(name)}
+            cut_off &= world.manager.silent() | world.stalled  # else they are told
+            if world.manager.silent() == set(AGENTS):
+                continue  # there is nowhere to start anything
+            for name in world.lost():
+                if world.manager.have_leases_ended([name]):
+                    num_started += 1
+                    assert name in cut_off, (seed, world.now, name)
+    assert num_started > 0

@@ -1,0 +1,59 @@
+"""Which connector somebody means who wants to look at it."""
+
+from __future__ import annotations
+
+import pytest
+
+from poise.errors import UsageError
+from poise.manage.agent_connections.taps import begin_of
+from poise.wire.records.status import (
+    AgentStatus,
+    ConnectorStatus,
+    ContainerStatus,
+    Side,
+)
+
+NAMES = ("eye.image-mind.image", "eye.image-screen.image", "ear.sound-mind.sound")
+
+
+def end(name: str, side: Side) -> ConnectorStatus:
+    return ConnectorStatus(name=name, kind="remote", end=side, ready=True)
+
+
+def computer(name: str, container: str, *ends: ConnectorStatus) -> AgentStatus:
+    inside = ContainerStatus(name=container, pid=1, connectors=ends)
+    return AgentStatus(
+        computer=name, generation=1, uptime=1.0, cpu=0.0, containers=(inside,)
+    )
+
+
+STATUSES = {
+    "left": computer("left", "senses", *(end(name, "source") for name in NAMES)),
+    "right": computer("right", "mind", *(end(name, "target") for name in NAMES)),
+}
+
+
+@pytest.mark.parametrize(
+    ("asked", "meant"),
+    [
+        (NAMES[2], NAMES[2]),
+        ("ear.sound", NAMES[2]),
+        ("mind.sound", NAMES[2]),
+        ("eye.image", NAMES[0]),  # the same messages go to both
+    ],
+)
+def test_a_connector_is_meant_by_its_name_or_an_end(asked: str, meant: str) -> None:
+    assert begin_of(STATUSES, asked) == (meant, "left", "senses")
+
+
+def test_an_end_where_different_messages_come_is_ambiguous() -> None:
+    both = {
+        "left": computer("left", "c", end("a.x-m.in", "both"), end("b-m.in", "both"))
+    }
+    with pytest.raises(UsageError, match=r"several .* 'm\.in': a\.x-m\.in; b-m\.in"):
+        begin_of(both, "m.in")
+
+
+def test_one_that_is_not_there_is_answered_with_those_that_are() -> None:
+    with pytest.raises(UsageError, match=r"no connector 'nose' \(there are: ear"):
+        begin_of(STATUSES, "nose")

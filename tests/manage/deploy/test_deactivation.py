@@ -1,0 +1,62 @@
+"""What was sent and neither processed nor refused."""
+
+from __future__ import annotations
+
+from poise.manage.deploy.deactivation import _left, maybe_active
+from poise.manage.deploy.deployment_plan import Incarnation
+from poise.wire.records.status import (
+    AgentStatus,
+    ComponentStatus,
+    ConnectorStatus,
+    ContainerStatus,
+    State,
+    Summary,
+)
+
+
+def ends(processed: int, errors: int) -> list[ConnectorStatus]:
+    """Return both ends of a connector over which five messages were sent."""
+    source = ConnectorStatus(
+        name="a.out-b.in", kind="local", end="source", ready=True, messages=5
+    )
+    target = ConnectorStatus(
+        name="a.out-b.in",
+        kind="local",
+        end="target",
+        ready=True,
+        messages=5,
+        errors=errors,
+        wait=Summary(count=processed),
+    )
+    return [source, target]
+
+
+def test_a_refused_message_is_not_lost() -> None:
+    assert _left(ends(processed=3, errors=2)) == 0
+
+
+def test_what_was_not_processed_is_left() -> None:
+    assert _left(ends(processed=3, errors=0)) == 2
+
+
+PLACES = [Incarnation(component="eye", computer="left")]
+
+
+def said(state: State) -> dict[str, AgentStatus]:
+    """Return what the agent of `left` says of its only component."""
+    eye = ComponentStatus(name="eye", epoch=0, state=state)
+    container = ContainerStatus(name="all", pid=1, components=(eye,))
+    agent = AgentStatus(
+        computer="left", generation=1, uptime=1.0, cpu=0.0, containers=(container,)
+    )
+    return {"left": agent}
+
+
+def test_a_component_may_be_active_until_its_agent_says_otherwise() -> None:
+    assert maybe_active(PLACES, {"left"}, {}) == ["eye"]
+    assert maybe_active(PLACES, {"left"}, said("active")) == ["eye"]
+    assert maybe_active(PLACES, {"left"}, said("inactive")) == []
+
+
+def test_a_component_out_of_reach_is_not_waited_for() -> None:
+    assert maybe_active(PLACES, {"right"}, {}) == []

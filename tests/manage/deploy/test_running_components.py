@@ -1,0 +1,210 @@
+"""A run against agents that do what the test says."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import pytest
+
+from poise.errors import RunError
+from poise.manage.agent_connections.agents import Agents
+from poise.manage.deploy.running_components import Run
+from poise.manage.journal import Journal
+from poise.model.robot import Robot
+from poise.wire.records.status import ComponentStatus, Fault
+from tests.manage.conftest import FakeAgents
+
+PLACEMENT = {"grabber": "left", "thinker": "right"}
+
+
+def run_of(robot: Robot, agents: FakeAgents) -> tuple[Run, Journal]:
+    journal = Journal(":memory:")
+    return Run(robot, PLACEMENT, cast("Agents", agents), journal, "/run"), journal
+
+
+@pytest.fixture
+def agents() -> FakeAgents:
+    return FakeAgents("left", "right")
+
+
+def goals(agents: FakeAgents) -> list[tuple[str, list[Any]]]:
+    return [
+        (computer, [c.goal for spec in told.containers for c in spec.components])
+        for computer, told in agents.deployed
+    ]
+
+
+def test_starts_everything_inactive_first(robot: Robot, agents: FakeAgents) -> None:
+    run, journal = run_of(robot, agents)
+    run.start()
+    assert sorted(goals(agents)[:2]) == [
+        ("left", ["inactive"]),
+        ("right", ["inactive"]),
+    ]
+    assert sorted(goals(agents)[2:]) == [("left", ["active"]), ("right", ["active"])]
+    assert journal.entries()[-1].facts == {"placement": PLACEMENT}
+
+
+def test_stops_everything(robot: Robot, agents: FakeAgents) -> None:
+    run, _ = run_of(robot, agents)
+    run.start()
+    run.stop()
+    assert all(not status.containers for status in agents.statuses().values())
+
+
+def test_begins_after_what_the_agents_saw_from_another_manager(robot: Robot) -> None:
+    agents = FakeAgents("left", "right", generation=41)
+    run, _ = run_of(robot, agents)
+    run.start()
+    assert min(told.generation for _, told in agents.deployed) == 42
+
+
+def test_a_component_that_fails_ends_the_start_with_its_traceback(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    agents.states["grabber"] = ComponentStatus(
+        name="grabber", state="failed", error="Traceback: no camera"
+    )
+    run, journal = run_of(robot, agents)
+    with pytest.raises(
+        RunError, match="component 'grabber' on 'left' failed:\nTraceback: no"
+    ):
+        run.start()
+    assert journal.entries()[-1].what == "component 'grabber' on 'left' failed"
+
+
+def test_what_is_not_there_in_time_is_named(robot: Robot, agents: FakeAgents) -> None:
+    agents.states["thinker"] = ComponentStatus(name="thinker", state="unconfigured")
+    known = Fault(container="eye", message="was killed long ago", number=3)
+    agents.note_faults(known)
+    run, _ = run_of(robot, agents)
+    new = Fault(container="mind", message="was killed by SIGSEGV", number=4)
+    agents.faults = (known, new)
+    with pytest.raises(RunError) as caught:
+        run.start()
+    says = "component 'thinker' on 'right' is unconfigured, not yet inactive (do its"
+    assert says in str(caught.value)
+    assert "container 'mind' on 'right' was killed by SIGSEGV" in str(caught.value)
+    assert "long ago" not in str(caught.value)
+
+
+def test_a_silent_agent_is_named(robot: Robot, agents: FakeAgents) -> None:
+    agents.deaf.add("right")
+    run, _ = run_of(robot, agents)
+    with pytest.raises(RunError, match="computer 'right' is silent"):
+        run.start()
+
+
+def test_an_agent_that_refuses_ends_the_start(robot: Robot, agents: FakeAgents) -> None:
+    agents.refusing.add("right")
+    run, _ = run_of(robot, agents)
+    with pytest.raises(RunError, match="'right' refused: not today"):
+        run.start()
+
+
+def test_a_lost_computer_is_said_at_once(robot: Robot, agents: FakeAgents) -> None:
+    run, _ = run_of(robot, agents)
+    run.start()
+    agents.gone.add("right")
+    with pytest.raises(
+        RunError, match=r"'right' is out of reach since .*thinker may run"
+    ):
+        run.watch(100.0)
+
+
+def test_stops_the_others_when_one_refuses(robot: Robot, agents: FakeAgents) -> None:
+    run, _ = run_of(robot, agents)
+    run.start()
+    agents.refusing.add("left")
+    with pytest.raises(RunError, match="'left' refused"):
+        run.stop()
+    assert not agents.statuses()["right"].containers
+
+
+def test_what_does_not_stop_is_named(robot: Robot, agents: FakeAgents) -> None:
+    run, _ = run_of(robot, agents)
+    run.start()
+    agents.deaf.add("left")
+    with pytest.raises(RunError, match="everything on 'left' still ran 5 s"):
+        run.stop()
+
+
+def test_a_stop_says_what_still_runs_out_of_reach(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    run, journal = run_of(robot, agents)
+    run.start()
+    agents.gone.add("right")
+    agents.refusing.add("right")
+    with pytest.raises(RunError, match=r"'right' is out of reach since .* thinker may"):
+        run.stop()
+    assert not agents.statuses()["left"].containers
+    assert journal.entries()[-1].kind == "failed"
+
+
+def test_a_stop_reaches_a_computer_that_comes_back_meanwhile(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    run, _ = run_of(robot, agents)
+    run.start()
+    agents.gone.add("right")
+    agents.returns = True
+    run.stop()
+    assert not agents.statuses()["right"].containers
+
+
+def test_claims_all_agents_before_it_starts_anything(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    run, _ = run_of(robot, agents)
+    run.start()
+    assert agents.claimed == ["left", "right"]
+
+
+def test_a_computer_that_may_be_out_of_reach_is_not_waited_for(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    run, _ = run_of(robot, agents)
+    run.start()
+    agents.gone.add("right")
+    run.excused.add("right")
+    run.raise_on_lost()
+    agents.deaf.add("right")
+    run.tell(run.placed.values())
+    run.wait([run.placed["grabber"]], 1.0)
+
+
+def test_a_cancelled_wait_ends(robot: Robot, agents: FakeAgents) -> None:
+    run, _ = run_of(robot, agents)
+    run.start()
+    run.cancel()
+    with pytest.raises(RunError, match="the robot is being stopped"):
+        run.wait([run.placed["grabber"]], 1.0)
+    run.stop()
+    assert not agents.statuses()["left"].containers
+
+
+def test_a_computer_that_came_back_is_told_again(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    run, _ = run_of(robot, agents)
+    run.start()
+    told = len(agents.deployed)
+    agents.strangers.add("right")
+    run.synchronise("right")
+    assert [computer for computer, _ in agents.deployed[told:]] == ["right"]
+    assert agents.claimed == ["left", "right", "right"]
+
+
+def test_a_computer_that_has_not_reported_again_keeps_its_address(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    """Else what is told meanwhile breaks the components whose connectors lead there."""
+    placement = {"filter": "left", "thinker": "right"}
+    journal = Journal(":memory:")
+    run = Run(robot, placement, cast("Agents", agents), journal, "/run")
+    run.start()
+    agents.forget("right")
+    run.tell([each.with_goal("inactive") for each in run.placed.values()], {"left"})
+    (container,) = agents.deployed[-1][1].containers
+    assert [c.address for c in container.connectors] == ["right:7000/mind"]

@@ -1,0 +1,115 @@
+"""A manager starts a robot, or goes on with what an earlier one left."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import pytest
+from msgspec import structs
+
+from poise.errors import TakenOver
+from poise.estimate.profile.code_version import version_of
+from poise.manage.agent_connections.agents import Agents
+from poise.manage.deploy.deployment_plan import DeploymentPlan, Incarnation
+from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.takeover import start_or_take_over
+from poise.manage.journal import Journal
+from poise.manage.manager import Manager
+from poise.manage.observe.estimates import Estimates
+from poise.manage.observe.recording import Recording
+from poise.manage.tasks.tasks import Saved
+from poise.model.robot import Robot
+from poise.wire.records.requests import ManagerId
+from tests.manage.conftest import FakeAgents
+
+PLACEMENT = {"grabber": "left", "thinker": "right"}
+LEFT = (
+    Incarnation(component="grabber", computer="left"),
+    Incarnation(component="thinker", computer="left", epoch=4),
+)
+LATER = ManagerId(key="l", user="bob", host="desk", pid=8, since=0.0)
+
+
+def run_of(robot: Robot, *left: Incarnation) -> tuple[Run, FakeAgents, Journal]:
+    """Return a run whose agents do what an earlier manager told them."""
+    agents, journal = FakeAgents("left", "right"), Journal(":memory:")
+    gateways = {"left": "left:7000", "right": "right:7000"}
+    if left:
+        layout = DeploymentPlan(robot, "/run", code_version=version_of)
+        agents.deploy(layout.specs(left, 5, gateways))
+    run = Run(robot, PLACEMENT, cast("Agents", agents), journal, "/run")
+    return run, agents, journal
+
+
+def sentences(journal: Journal) -> list[str]:
+    return [entry.what for entry in journal.entries()]
+
+
+def test_starts_everything_where_nothing_runs(robot: Robot) -> None:
+    run, agents, journal = run_of(robot)
+    start_or_take_over(run, by_force=False)
+    assert run.placement() == PLACEMENT
+    assert not agents.is_forced
+    assert sentences(journal)[-1] == "everything runs"
+
+
+def test_goes_on_with_what_runs_and_says_so(robot: Robot) -> None:
+    run, agents, journal = run_of(robot, *LEFT)
+    start_or_take_over(run, by_force=True)
+    assert run.placement() == {"grabber": "left", "thinker": "left"}
+    assert agents.is_forced
+    assert sentences(journal)[-1] == "took over"
+    containers = [each for _, told in agents.deployed for each in told.containers]
+    assert {c.goal for each in containers for c in each.components} == {"active"}
+
+
+def test_new_incarnations_differ_from_any_that_another_computer_may_run(
+    robot: Robot,
+) -> None:
+    run, *_ = run_of(robot, LEFT[0])
+    start_or_take_over(run, by_force=False)
+    assert run.placement() == PLACEMENT
+    assert run.placed["thinker"].epoch > 5  # as high as the generation, at least
+    assert run.next_epoch("grabber") == 1
+
+
+def serving_tasks(robot: Robot) -> Run:
+    """Return a run of tasks that goes on, of which only `grabber` was found."""
+    run, agents, _ = run_of(robot)
+    layout = DeploymentPlan(robot, "/run", code_version=version_of)
+    agents.deploy(
+        {
+            computer: structs.replace(told, tasks=b"some")
+            for computer, told in layout.specs(LEFT[:1], 5, {}).items()
+        }
+    )
+    start_or_take_over(run, by_force=False)
+    return run
+
+
+def test_starts_what_an_architecture_lacks_that_serves_a_task(robot: Robot) -> None:
+    eye, *_ = robot.architectures
+    names = {component.name for component in eye.components}
+    assert serving_tasks(robot).placement().keys() == names > {"grabber"}
+
+
+def test_starts_layers_that_never_stop(robot: Robot) -> None:
+    eye, *others = robot.architectures
+    fixed = tuple(structs.replace(each, layer="reactive") for each in others)
+    run = serving_tasks(structs.replace(robot, architectures=(eye, *fixed)))
+    assert run.placement()["thinker"] == "right"
+
+
+def test_a_manager_that_has_a_successor_leaves_the_robot_as_it_is(
+    robot: Robot,
+) -> None:
+    run, agents, journal = run_of(robot)
+    run.start()
+    estimates = Estimates(robot, None, emulated=True)
+    manager = Manager(run, Saved(), estimates, Recording(), lambda _: None)
+    agents.later = LATER
+    with pytest.raises(TakenOver, match=r"user bob on desk \(process 8\) since"):
+        manager.work(0.0)
+    manager.stop()
+    assert all(status.containers for status in agents.statuses().values())
+    assert "has taken the robot over" in sentences(journal)[-1]

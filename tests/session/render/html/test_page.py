@@ -1,0 +1,190 @@
+"""A run's report as a page, and the pictures that notebooks show."""
+
+from __future__ import annotations
+
+import re
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+
+import poise
+from poise.manage.journal import Entry
+from poise.model import load
+from poise.model.robot import Computer, Robot
+from poise.session.reports.history import MOST, History, Moment
+from poise.session.reports.run_report import ComponentReport, RunReport
+from poise.wire.records.status import (
+    AgentStatus,
+    ComponentStatus,
+    ContainerStatus,
+    Summary,
+    TimerStatus,
+)
+
+HELLO = Path(__file__).parents[4] / "examples/hello/robot.yaml"
+LEFT = Computer(name="left", capacity={"cpu": 1.0, "memory": 2**30})
+ROBOT = Robot(name="r", computers=(LEFT,))
+
+
+def timer(releases: int, missed: int) -> TimerStatus:
+    return TimerStatus(
+        name="tick",
+        period=0.1,
+        deadline=0.1,
+        releases=releases,
+        missed=missed,
+        lateness=Summary(),
+        duration=Summary(p99=0.3),
+    )
+
+
+def status(uptime: float, cpu: float, releases: int, missed: int) -> AgentStatus:
+    eye = ComponentStatus(name="eye", state="active", timers=(timer(releases, missed),))
+    container = ContainerStatus(name="see", pid=1, components=(eye,))
+    return AgentStatus(
+        computer="left", generation=1, uptime=uptime, cpu=cpu, containers=(container,)
+    )
+
+
+REPORT = RunReport(
+    robot="r",
+    task="work",
+    method="auto",
+    placement={"eye": "left"},
+    decision_seconds=0.0,
+    seconds=20.0,
+    cpu_share={"left": 1.25},
+    components=(
+        ComponentReport(
+            name="eye",
+            computer="left",
+            cpu=0.5,
+            errors=0,
+            timers=(timer(100, 30),),
+            measures={},
+        ),
+    ),
+    connectors=(),
+    began=1000.0,
+    history=(
+        Moment(at=1005.0, cpu_share={"left": 0.5}, missed={"eye.tick": 0.1}),
+        Moment(at=1006.0, cpu_share={"left": 0.9}, missed={"eye.tick": 0.4, "z": 0.2}),
+    ),
+    journal=(
+        Entry(999.0, "decided", "before <it> began", {}),
+        Entry(1005.5, "wrong", "a load came", {}),
+        Entry(1019.0, "seen", "much later", {}),
+    ),
+)
+
+
+def worst(page: str) -> str:
+    """Return the part of the page on missed deadlines."""
+    return page.partition("Worst deadlines")[2].partition("<h2>")[0]
+
+
+def test_the_page_says_what_happened_around_the_worst_second() -> None:
+    found = worst(REPORT.page())
+    for words in ("eye.tick, left", "30 of 100 (30.0%)", "300 ms of 100 ms"):
+        assert words in found
+    assert "6 s: 40% in a second" in found
+    assert "CPU: left 90%" in found
+    assert "late as well: z" in found
+    assert "#2 a load came" in found
+    assert "much later" not in found
+    quick = replace(REPORT.components[0], timers=(timer(100, 0),))
+    assert "None was missed" in worst(replace(REPORT, components=(quick,)).page())
+
+
+class Tags(HTMLParser):
+    """Collects what a page loads, and the tags that are not closed."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.loads: list[str] = []
+        self.open: list[str] = []
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.loads += [n for n, _ in attrs if n in {"src", "href", "xlink:href"}]
+        self.loads += [tag] if tag in {"script", "link", "iframe"} else []
+        self.open += [tag] if tag != "meta" else []
+
+    def handle_startendtag(self, tag: str, attrs: object) -> None:
+        """Take a tag that closes itself."""
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_the_page_stands_alone_and_takes_no_text_for_tags() -> None:
+    page = REPORT.page()
+    tags = Tags(page.replace("<br>", ""))
+    assert tags.loads == []
+    assert tags.open == []
+    assert "url(" not in page
+    assert "before &lt;it&gt; began" in page
+
+
+def test_entries_from_before_the_run_are_not_on_the_time_line() -> None:
+    (drawing,) = re.findall(r"<svg.*?</svg>", REPORT.page(), re.DOTALL)
+    titles = re.findall(r"<title>(.*?)</title>", drawing)
+    assert [title.split(" ", 1)[1] for title in titles] == ["a load came", "much later"]
+
+
+@pytest.mark.parametrize(
+    ("change", "verdict"),
+    [
+        ({}, "30 deadlines missed"),
+        ({"refused": {"x": 1}}, "failed"),
+        ({"invalid": "too busy"}, "invalid run: too busy"),
+    ],
+)
+def test_the_verdict_comes_first(change: dict[str, object], verdict: str) -> None:
+    page = replace(REPORT, **change).page()
+    assert verdict in page.partition("<h2>")[0]
+
+
+def test_a_moment_is_taken_every_second() -> None:
+    history = History(ROBOT, {})
+    for step in range(16):
+        now = step / 5
+        statuses = {"left": status(10 + now, now / 2, step, step // 2)}
+        history.look(statuses, 1000 + now, now)
+    assert [m.at for m in history.moments] == [1000.0, 1001.0, 1002.0, 1003.0]
+    assert [m.cpu_share for m in history.moments[1:]] == [{"left": 0.5}] * 3
+    assert history.moments[0].missed == {}
+    assert history.moments[2].missed == {"eye.tick": pytest.approx(0.6, abs=0.15)}
+
+
+def test_a_long_run_has_fewer_moments_per_second() -> None:
+    history = History(ROBOT, {})
+    for second in range(3 * MOST):
+        history.look({}, 1000.0 + second, float(second))
+    assert MOST / 2 <= len(history.moments) <= MOST
+    assert history.moments[-1].at >= 1000 + 3 * MOST - 4
+
+
+def test_notebooks_show_pictures() -> None:
+    robot = load(HELLO)
+    placed = poise.place(robot, "greet")
+    for shown in (placed._repr_html_(), REPORT._repr_html_()):
+        assert shown.startswith("<div>")
+        assert "<pre" in shown
+    assert "counter" in placed.picture()
+    assert "▲" in REPORT.picture()  # not by colour alone
+
+
+def test_a_notebook_shows_a_robot_as_a_diagram(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pytest.importorskip("pygraphviz")
+    robot = load(HELLO)
+    assert callable(poise.load)  # where robots of notebooks come from
+    show = vars(Robot)["_repr_html_"]  # as Jupyter finds it
+    assert "<svg" in show(robot)
+    monkeypatch.setitem(sys.modules, "pygraphviz", None)
+    assert "poise[draw]" in show(robot)

@@ -1,0 +1,26 @@
+"""How often something came, from hand-made moments."""
+
+from __future__ import annotations
+
+import pytest
+
+from poise.session.running_robots.rates import Rate
+
+
+def test_a_rate_is_that_of_the_gaps_between() -> None:
+    rate = Rate.of([0.0, 0.1, 0.2, 0.4])
+    # gaps 0.1, 0.1, 0.2: mean 0.4 / 3, variance (2 x (1/30)^2 + (2/30)^2) / 3
+    assert rate.mean == pytest.approx(7.5)
+    assert (rate.shortest, rate.longest) == pytest.approx((0.1, 0.2))
+    assert rate.jitter == pytest.approx(0.0471, abs=1e-4)
+    (said,) = rate.lines()
+    assert said == "7.5 Hz, 100 ms to 200 ms apart, jitter 47.1 ms (4 times)"
+
+
+def test_what_came_once_has_no_rate() -> None:
+    assert list(Rate.of([1.0]).lines()) == ["1 in this time: no rate"]
+
+
+def test_what_is_missing_is_said() -> None:
+    said = list(Rate.of([0.0, 1.0], missing=5).lines())
+    assert said[1] == "5 more had no room to be noted: the rate is higher"
