@@ -40,6 +40,7 @@ COMMANDS = {
     "list": ("run_time.look", "List robots that run, and what they consist of."),
     "echo": ("run_time.look", "Show messages as they go out over a connector."),
     "hz": ("run_time.look", "Show how often something goes out over a connector."),
+    "record": ("run_time.record", "Record a running robot for Foxglove."),
     "log": ("run_time.look", "Show what components wrote."),
     "task": ("run_time.task", "Start, pause, resume and cancel tasks."),
     "task start": ("run_time.task", "Start a task of a running robot."),

@@ -99,6 +99,17 @@ class ConnectorRow(Struct, frozen=True):
     errors: int
 
 
+class TimerRow(Struct, frozen=True):
+    """A timer with a deadline [s]: releases and missed deadlines [1/s]."""
+
+    name: str
+    component: str
+    computer: str
+    deadline: float
+    rate: float
+    missed: float
+
+
 class RobotView(Struct, frozen=True):
     """A running robot at one moment."""
 
@@ -107,6 +118,7 @@ class RobotView(Struct, frozen=True):
     computers: tuple[ComputerRow, ...]
     components: tuple[ComponentRow, ...]
     connectors: tuple[ConnectorRow, ...]
+    timers: tuple[TimerRow, ...]
     deviations: tuple[Said, ...]
     recent: tuple[Decision, ...]
 
@@ -129,6 +141,7 @@ class Reader:
             computers=tuple(_computers(status)),
             components=tuple(_components(before, status)),
             connectors=tuple(_connectors(before, status)),
+            timers=tuple(_timers(before, status)),
             deviations=tuple(status.deviations),
             recent=tuple(status.recent),
         )
@@ -149,23 +162,17 @@ def _computers(status: Status) -> Iterator[ComputerRow]:
 
 
 def _components(before: Status, now: Status) -> Iterator[ComponentRow]:
-    past = dict(_containers(before))
     seen = set()
-    for key, container in _containers(now):
-        first, seconds = _since(past.get(key), container)
-        earlier = {(each.name, each.epoch): each for each in first.components}
-        for each in container.components:
-            seen.add(each.name)
-            was = earlier.get((each.name, each.epoch), each)
-            is_known = key.computer not in now.out_of_reach
-            yield ComponentRow(
-                each.name,
-                key.computer,
-                each.state if is_known else "unknown",
-                max(0.0, each.cpu - was.cpu) / seconds,
-                max(0, _missed(each) - _missed(was)) / seconds,
-                each.errors,
-            )
+    for computer, each, was, seconds in _components_since(before, now):
+        seen.add(each.name)
+        yield ComponentRow(
+            each.name,
+            computer,
+            each.state if computer not in now.out_of_reach else "unknown",
+            max(0.0, each.cpu - was.cpu) / seconds,
+            max(0, _missed(each) - _missed(was)) / seconds,
+            each.errors,
+        )
     for name in sorted(now.placement.keys() - seen):
         yield ComponentRow(name, now.placement[name], "not there", 0.0, 0.0, 0)
 
@@ -190,6 +197,36 @@ def _connectors(before: Status, now: Status) -> Iterator[ConnectorRow]:
             sum(end.drops for end, _, _ in found),
             sum(end.errors for end, _, _ in found),
         )
+
+
+def _timers(before: Status, now: Status) -> Iterator[TimerRow]:
+    for computer, each, was, seconds in _components_since(before, now):
+        earlier = {timer.name: timer for timer in was.timers}
+        for timer in each.timers:
+            if timer.deadline is None:
+                continue
+            first = earlier.get(timer.name, timer)
+            yield TimerRow(
+                f"{each.name}.{timer.name}",
+                each.name,
+                computer,
+                timer.deadline,
+                max(0, timer.releases - first.releases) / seconds,
+                max(0, timer.missed - first.missed) / seconds,
+            )
+
+
+def _components_since(
+    before: Status, now: Status
+) -> Iterator[tuple[str, ComponentStatus, ComponentStatus, float]]:
+    """Yield each component, where it is, how it was earlier, and the time since [s]."""
+    past = dict(_containers(before))
+    for key, container in _containers(now):
+        first, seconds = _since(past.get(key), container)
+        earlier = {(each.name, each.epoch): each for each in first.components}
+        for each in container.components:
+            was = earlier.get((each.name, each.epoch), each)
+            yield key.computer, each, was, seconds
 
 
 class _Key(NamedTuple):

@@ -34,6 +34,7 @@ def read_tap(agents: Agents, command: TapCommand) -> TapReading:
         connector=connector,
         viewer=command.viewer,
         rate=command.rate,
+        items=command.items,
         limit=_LIMIT,
     )
     answer = agents.ask(computer, asked, _LIMIT)

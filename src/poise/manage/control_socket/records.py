@@ -24,7 +24,7 @@ from poise.manage.tasks.report import TaskReport
 from poise.wire.records.output import OutputLine
 from poise.wire.records.requests import ManagerId
 from poise.wire.records.status import AgentStatus
-from poise.wire.records.taps import TapReading
+from poise.wire.records.taps import SHOWN_ITEMS, TapReading
 
 
 class StatusCommand(Struct, frozen=True, tag=True):
@@ -86,6 +86,7 @@ class TapCommand(Struct, frozen=True, tag=True):
     connector: str
     viewer: str
     rate: float = 0.0
+    items: int = SHOWN_ITEMS
 
 
 class LogCommand(Struct, frozen=True, tag=True):

@@ -17,12 +17,12 @@ from typing import Any
 
 import msgspec
 
-from poise.wire.records.taps import Passed, TapReading
+from poise.wire.records.taps import SHOWN_ITEMS, Passed, TapReading
 
 MOST_TIMES = 10_000
 MOST_PASSED = 100
 """So much waits for the viewer."""
-_MOST_ITEMS, _MOST_LETTERS, _DEEPEST = 16, 200, 5
+_MOST_LETTERS, _DEEPEST = 200, 5
 _LARGEST = 1 << 63
 
 
@@ -37,12 +37,17 @@ class Observer:
         The declared type of its messages, or its interface.
     rate
         So many messages a second are noted with their content.
+    items
+        Of longer lists, arrays and mappings the rest is left out.
     """
 
-    def __init__(self, connector: str, type_: object, rate: float) -> None:
+    def __init__(
+        self, connector: str, type_: object, rate: float, items: int = SHOWN_ITEMS
+    ) -> None:
         self.connector = connector
         self.carries = getattr(type_, "__qualname__", str(type_))
         self.read_at = time.monotonic()
+        self._items = items
         self._every = 1 / rate if rate > 0 else float("inf")
         self._due = 0.0 if rate > 0 else float("inf")
         self._times: list[float] = []
@@ -62,7 +67,7 @@ class Observer:
                 return
             # half a gap early is in time, or a jitter would leave every second out
             self._due = max(self._due, now - self._every / 2) + self._every
-        passed = Passed(now, plain(value()))
+        passed = Passed(now, plain(value(), self._items))
         with self._lock:
             self._passed.append(passed)
 
@@ -124,7 +129,7 @@ def observed_call(
     return run
 
 
-def plain(value: object, depth: int = _DEEPEST) -> Any:  # noqa: ANN401, JSON's values
+def plain(value: object, items: int = SHOWN_ITEMS, depth: int = _DEEPEST) -> Any:  # noqa: ANN401, JSON's values
     """Return a value as JSON has them: short, whatever it is."""
     if value is None or isinstance(value, bool | float):
         return value
@@ -133,14 +138,14 @@ def plain(value: object, depth: int = _DEEPEST) -> Any:  # noqa: ANN401, JSON's 
     if isinstance(value, bytes | bytearray | memoryview):
         return f"<{len(value)} bytes>"
     if hasattr(value, "dtype") and hasattr(value, "tolist"):  # an array of NumPy
-        is_short = getattr(value, "size", 0) <= _MOST_ITEMS
-        return plain(value.tolist(), depth) if is_short else _array(value)
+        is_short = getattr(value, "size", 0) <= items
+        return plain(value.tolist(), items, depth) if is_short else _array(value)
     if isinstance(value, str) or not (parts := _parts(value)):
         return _cut(str(value))
-    return parts(depth - 1) if depth else "..."
+    return parts(items, depth - 1) if depth else "..."
 
 
-def _parts(value: object) -> Callable[[int], Any] | None:
+def _parts(value: object) -> Callable[[int, int], Any] | None:
     """Return a function that makes the parts of a value plain; None: it has none."""
     if isinstance(value, msgspec.Struct):
         return partial(_fields, value, value.__struct_fields__)
@@ -157,23 +162,24 @@ def _array(value: Any) -> str:  # noqa: ANN401, NumPy need not be there
     return f"<{value.dtype} array of {' x '.join(map(str, value.shape))}>"
 
 
-def _entries(value: Mapping[Any, object], depth: int) -> dict[str, Any]:
-    items = islice(value.items(), _MOST_ITEMS)
-    named = {_cut(str(key)): plain(each, depth) for key, each in items}
-    return named | dict.fromkeys(_more(len(value)), "")
+def _entries(value: Mapping[Any, object], items: int, depth: int) -> dict[str, Any]:
+    first = islice(value.items(), items)
+    named = {_cut(str(key)): plain(each, items, depth) for key, each in first}
+    return named | dict.fromkeys(_more(len(value) - items), "")
 
 
-def _items(value: Collection[object], depth: int) -> list[Any]:
-    items = [plain(each, depth) for each in islice(value, _MOST_ITEMS)]
-    return [*items, *_more(len(value))]
+def _items(value: Collection[object], items: int, depth: int) -> list[Any]:
+    first = [plain(each, items, depth) for each in islice(value, items)]
+    return [*first, *_more(len(value) - items)]
 
 
-def _fields(value: object, names: Iterable[str], depth: int) -> dict[str, Any]:
-    return {name: plain(getattr(value, name), depth) for name in names}
+def _fields(
+    value: object, names: Iterable[str], items: int, depth: int
+) -> dict[str, Any]:
+    return {name: plain(getattr(value, name), items, depth) for name in names}
 
 
-def _more(count: int) -> list[str]:
-    more = count - _MOST_ITEMS
+def _more(more: int) -> list[str]:
     return [f"... and {more} more"] if more > 0 else []
 
 

@@ -35,7 +35,7 @@ class Taps:
                 text = f"{MOST_VIEWERS} viewers look at this container already"
                 return StepsFailed(asked.number, text)
             self._observed[key] = Observer(
-                asked.connector, sender.port.type, asked.rate
+                asked.connector, sender.port.type, asked.rate, asked.items
             )
             self._show(sender)
         return self._observed[key].take(asked.number)

@@ -39,7 +39,7 @@ from poise.session.render.moves import Outcome, outcome_sentence
 from poise.session.render.printable import Shown
 from poise.session.render.status import status_parts
 from poise.session.running_robots.tasks import RunningTasks
-from poise.wire.records.taps import TapReading
+from poise.wire.records.taps import SHOWN_ITEMS, TapReading
 
 _LOOK_EVERY = 0.25
 """What goes out over a connector is fetched after this time [s]."""
@@ -188,10 +188,27 @@ class Running:
             So many messages or calls a second come with their content; of the others
             it is told when they went out.
         """
-        command = TapCommand(connector, secrets.token_hex(8), rate)
+        viewer = secrets.token_hex(8)
         while True:
-            yield self._send(command, TapReading)
+            yield self.look_at(connector, viewer, rate=rate)
             time.sleep(_LOOK_EVERY)
+
+    def look_at(
+        self, connector: str, viewer: str, *, rate: float, items: int = SHOWN_ITEMS
+    ) -> TapReading:
+        """Return what went out over a connector since this viewer looked last.
+
+        Parameters
+        ----------
+        viewer
+            Tells it from others that look at the same. Three seconds after its last
+            look, nothing is noted for it any more.
+        rate
+            So many messages or calls a second come with their content.
+        items
+            Of longer lists, arrays and mappings the rest is left out.
+        """
+        return self._send(TapCommand(connector, viewer, rate, items), TapReading)
 
     def log(
         self, component: str = "", *, last: int = 100, follow: bool = False

@@ -6,6 +6,9 @@ from typing import Any
 
 from msgspec import Struct
 
+SHOWN_ITEMS = 16
+"""So many items of a list, an array or a mapping are shown to people."""
+
 
 class Tap(Struct, frozen=True, tag=True, kw_only=True):
     """Tell what has gone out over a connector since the last time.
@@ -22,6 +25,8 @@ class Tap(Struct, frozen=True, tag=True, kw_only=True):
         Who looks: each gets all for itself.
     rate
         So many messages a second are told with their content; 0: none is.
+    items
+        Of longer lists, arrays and mappings the rest is left out.
     """
 
     number: int
@@ -29,6 +34,7 @@ class Tap(Struct, frozen=True, tag=True, kw_only=True):
     connector: str
     viewer: str
     rate: float = 0.0
+    items: int = SHOWN_ITEMS
     limit: float = 1.0
 
 

@@ -1,0 +1,218 @@
+"""Records a running robot: what it needs, decides and says, for Foxglove."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable
+from typing import Any, get_args
+
+from msgspec import Struct
+
+from poise.errors import PoiseError, RunError
+from poise.session.callbacks import Check, Say
+from poise.session.running_robots.running import Entry, Status
+from poise.view.live import LiveReader
+from poise.view.mcap_file import McapFile, schema_like, schema_of
+from poise.view.robot_view import (
+    ComponentRow,
+    ComputerRow,
+    ConnectorRow,
+    Reader,
+    TimerRow,
+)
+from poise.wire.records.taps import TapReading
+
+_LOOK_EVERY = 0.25
+"""Messages are fetched, and the robot is read, after these times [s]."""
+_READ_EVERY = 1.0
+_PATIENCE = 10.0
+"""A robot that gives no answer for so long has ended [s]."""
+_MOST_ITEMS = 1_000
+"""Of longer lists and arrays in messages the rest is left out."""
+_LEVELS = {"wrong": 3, "failed": 4}
+_INFO = 2
+_TIME = {
+    "type": "object",
+    "title": "time",
+    "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
+}
+_LOG = {
+    "title": "foxglove.Log",
+    "type": "object",
+    "properties": {
+        "timestamp": _TIME,
+        "level": {"type": "integer"},
+        "message": {"type": "string"},
+        "name": {"type": "string"},
+        "file": {"type": "string"},
+        "line": {"type": "integer"},
+        "facts": {"type": "object"},
+    },
+}
+"""Foxglove's own schema of log messages, and what the manager knew when it decided."""
+
+
+class ChainAge(Struct, frozen=True):
+    """How old the data of a chain was when it was used [s], and how often too old."""
+
+    name: str
+    median: float
+    p99: float
+    deadline: float
+    missed: int
+
+
+_Row = ComputerRow | ComponentRow | ConnectorRow | TimerRow | ChainAge
+_SCHEMAS = {type_: schema_of(type_) for type_ in get_args(_Row)}
+
+
+class Recorder:
+    """Writes what is seen of a robot into a file.
+
+    There is no queue: what the robot notes between two looks is bounded, and what it
+    has no room for is counted in `missing`.
+
+    Parameters
+    ----------
+    connectors
+        Whose messages and calls are recorded: names, or ``component.port`` of an end.
+    rate
+        So many messages of each a second at most.
+
+    Raises
+    ------
+    PoiseError
+        There is no such robot or connector.
+    """
+
+    def __init__(self, robot: str, connectors: Iterable[str], rate: float) -> None:
+        self.missing: Counter[str] = Counter()
+        """Connector -> messages that went out and are not in the file."""
+        self.robot = robot
+        self._live = LiveReader(robot)
+        self._reader = Reader()
+        self._rate = rate
+        self._viewer = secrets.token_hex(8)
+        self._last_entry = time.time(), 0
+        self._silent_since: float | None = None
+        self._connectors: dict[str, str] = {}
+        """Connector -> why there is no answer; empty: there is."""
+        for connector in connectors:
+            self._connectors[self._look_at(connector).connector] = ""
+
+    def record(
+        self,
+        file: McapFile,
+        seconds: float,
+        check: Check,
+        say: Say,
+        tell: Callable[[float], object],
+    ) -> None:
+        """Record for some time, or until `check` raises.
+
+        Parameters
+        ----------
+        say
+            Takes a sentence when the robot gives no answer, and when it does again.
+        tell
+            Called now and then with the time so far [s].
+
+        Raises
+        ------
+        RunError
+            The disk is full, or the robot has ended.
+        """
+        began = time.monotonic()
+        next_read = began
+        while (now := time.monotonic()) - began < seconds:
+            check()
+            if now >= next_read:
+                next_read = now + _READ_EVERY
+                self._read(file, now, say)
+            if self._silent_since is None:
+                for connector in self._connectors:
+                    self._take_messages(file, connector, say)
+            tell(now - began)
+            time.sleep(min(_LOOK_EVERY, max(0.0, began + seconds - time.monotonic())))
+
+    def _read(self, file: McapFile, now: float, say: Say) -> None:
+        look = self._live.look()
+        if look.trouble:
+            if self._silent_since is None:
+                self._silent_since = now
+                say(f"no answer, waiting up to {_PATIENCE:g} s: {look.trouble}")
+            elif now - self._silent_since > _PATIENCE:
+                raise RunError(f"robot '{self.robot}' has ended: {look.trouble}")
+            return
+        if self._silent_since is not None:
+            self._silent_since = None
+            say(f"robot '{self.robot}' answers again")
+        assert look.status is not None  # noqa: S101, without trouble there is one
+        self._write_rows(file, look.status, now)
+        for entry in look.entries:
+            self._write_entry(file, entry)
+
+    def _write_rows(self, file: McapFile, status: Status, now: float) -> None:
+        view, at = self._reader.take(status, now), time.time()
+        ages = tuple(
+            ChainAge(
+                each.name, each.age.median, each.age.p99, each.deadline, each.missed
+            )
+            for each in status.chains
+        )
+        parts: dict[str, tuple[_Row, ...]] = {
+            "computers": view.computers,
+            "components": view.components,
+            "connectors": view.connectors,
+            "timers": view.timers,
+            "chains": ages,
+        }
+        for part, rows in parts.items():
+            for row in rows:
+                file.add(f"{part}/{row.name}", _SCHEMAS[type(row)], at, row)
+
+    def _write_entry(self, file: McapFile, entry: Entry) -> None:
+        if (entry.at, entry.number) <= self._last_entry:
+            return
+        self._last_entry = entry.at, entry.number
+        seconds = int(entry.at)
+        log = {
+            "timestamp": {"sec": seconds, "nsec": int((entry.at - seconds) * 1e9)},
+            "level": _LEVELS.get(entry.kind, _INFO),
+            "message": entry.what,
+            "name": entry.kind,
+            "file": "",
+            "line": 0,
+            "facts": entry.facts if isinstance(entry.facts, dict) else {},
+        }
+        file.add("decisions", _LOG, entry.at, log)
+
+    def _take_messages(self, file: McapFile, connector: str, say: Say) -> None:
+        """Write its messages; say why there are none, and that there are some again."""
+        why = ""
+        try:
+            reading = self._look_at(connector)
+        except PoiseError as error:
+            why = str(error)
+        else:
+            self._write_messages(file, reading)
+        if why != self._connectors[connector]:
+            self._connectors[connector] = why
+            say(why or f"connector '{connector}' is recorded again")
+
+    def _look_at(self, connector: str) -> TapReading:
+        return self._live.running.look_at(
+            connector, self._viewer, rate=self._rate, items=_MOST_ITEMS
+        )
+
+    def _write_messages(self, file: McapFile, reading: TapReading) -> None:
+        for each in reading.passed:
+            value: Any = each.value
+            message = value if isinstance(value, dict) else {"value": value}
+            schema = schema_like(message, reading.carries)
+            file.add(f"messages/{reading.connector}", schema, each.at, message)
+        more = len(reading.times) + reading.missing - len(reading.passed)
+        if more:
+            self.missing[reading.connector] += more

@@ -1,0 +1,86 @@
+"""`poise record` of a robot that runs, read back with the library of the format."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from poise.errors import RunError
+from tests.command import POISE, Poise, robot_up
+from tests.view.test_mcap_file import read
+from tests.waiting import LONG, wait_long
+
+pytest.importorskip("mcap", reason="mcap is not installed")
+record = pytest.importorskip("poise.view.record")
+mcap_file = pytest.importorskip("poise.view.mcap_file")
+
+pytestmark = pytest.mark.slow
+
+HELLO = Path(__file__).parents[2] / "examples" / "hello"
+NAME = f"recorded{os.getpid()}"
+MESSAGES = "/messages/counter/count-printer/count"
+
+
+def test_records_what_runs_until_it_ends(poise: Poise, tmp_path: Path) -> None:
+    shutil.copy(HELLO / "hello.py", tmp_path)
+    text = (HELLO / "robot.yaml").read_text().replace("robot: hello", f"robot: {NAME}")
+    (tmp_path / "robot.yaml").write_text(text)
+    path = tmp_path / "a.mcap"
+    with robot_up(tmp_path / "robot.yaml", "--placement", "round-robin") as manager:
+        argv = [*POISE, "record", "counter.count", "-o", str(path), "--robot", NAME]
+        with subprocess.Popen(argv, stdout=subprocess.PIPE, text=True) as recording:
+            assert recording.stdout is not None
+            assert "recording robot" in recording.stdout.readline()
+            moved = poise("move", "counter", "right", "--robot", NAME)
+            assert moved.returncode == 0, moved.stderr
+            # so that the decision and what came after it are in
+            echoed = poise("echo", "counter.count", "--robot", NAME, "--count", 20)
+            assert echoed.returncode == 0, echoed.stderr
+            recording.send_signal(signal.SIGINT)
+            said, _ = recording.communicate(timeout=LONG)
+        assert recording.returncode == 130
+        assert f" topics in {path}" in said
+        found = read(path)
+        topics = {topic for topic, *_ in found}
+        assert topics >= {
+            "/computers/left",
+            "/components/counter",
+            "/connectors/counter/count-printer/count",
+            "/timers/counter/tick",
+            "/decisions",
+            MESSAGES,
+        }
+        numbers = [value["value"] for topic, *_, value in found if topic == MESSAGES]
+        # counter has no snapshot: it begins again at 1 where it moved to
+        at = numbers.index(1, 1)
+        for run in (numbers[:at], numbers[at:]):
+            assert run == list(range(run[0], run[0] + len(run)))
+        decisions = [value for topic, *_, value in found if topic == "/decisions"]
+        assert any("counter" in each["message"] for each in decisions)
+
+        other = tmp_path / "b.mcap"
+        sentences: list[str] = []
+        recorder = record.Recorder(NAME, ["counter.count"], 400.0)
+
+        with mcap_file.McapFile(other) as file:
+            recorder.record(file, 1.0, _nothing, sentences.append, _nothing)
+            manager.kill()
+            wait_long(lambda: manager.poll() is not None)
+            with pytest.MonkeyPatch.context() as patched:
+                patched.setattr(record, "_PATIENCE", 0.5)
+                with pytest.raises(RunError, match=f"robot '{NAME}' has ended"):
+                    recorder.record(
+                        file, math.inf, _nothing, sentences.append, _nothing
+                    )
+        assert "no answer" in sentences[0]
+        assert read(other)
+
+
+def _nothing(*_: object) -> None:
+    pass

@@ -1,0 +1,87 @@
+"""A file for Foxglove, read back with the library of its format."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+from msgspec import Struct
+
+from poise.errors import RunError, UsageError
+
+reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
+mcap_file = pytest.importorskip("poise.view.mcap_file")
+
+
+class EyeRow(Struct, frozen=True):
+    name: str
+    cpu: float
+
+
+def read(path: Path) -> list[tuple[str, str, int, Any]]:
+    """Return topic, schema, time [ns] and value of all messages, which are valid."""
+    found = []
+    with path.open("rb") as file:
+        whole = reader.make_reader(file)
+        assert whole.get_summary() is not None
+        for schema, channel, message in whole.iter_messages():
+            rule, value = json.loads(schema.data), json.loads(message.data)
+            jsonschema.Draft202012Validator.check_schema(rule)
+            jsonschema.validate(value, rule)
+            assert rule["type"] == "object"
+            assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
+            found.append((channel.topic, schema.name, message.log_time, value))
+    return found
+
+
+def test_records_and_values_come_back(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    message = {"pose": [1.0, 2], "ok": True, "left": None, "name": "x", "more": []}
+    with mcap_file.McapFile(path) as file:
+        schema = mcap_file.schema_of(EyeRow)
+        file.add("eyes.left", schema, 1.5, EyeRow("left", 0.25))
+        file.add("said", mcap_file.schema_like(message, "Pose"), 2.0, message)
+    assert read(path) == [
+        ("/eyes/left", "poise.Eye", 1_500_000_000, {"name": "left", "cpu": 0.25}),
+        ("/said", "Pose", 2_000_000_000, message),
+    ]
+    assert file.summary() == "2 messages of 2 topics"
+
+
+def test_what_an_error_ends_is_whole(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+
+    def write() -> None:
+        with mcap_file.McapFile(path) as file:
+            file.add("eye", mcap_file.schema_of(EyeRow), 1.0, EyeRow("eye", 0.5))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write()
+    assert len(read(path)) == 1
+
+
+def test_a_full_disk_is_told_and_the_file_is_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.mcap"
+    with mcap_file.McapFile(path) as file:
+        file.add("eye", mcap_file.schema_of(EyeRow), 1.0, EyeRow("eye", 0.5))
+        full = os.statvfs_result((4096, 4096, 100, 0, 1000, 9, 9, 9, 0, 255))
+        monkeypatch.setattr(os, "fstatvfs", lambda _: full)
+        with pytest.raises(RunError, match=r"disk is full: 3\.91 MiB are left"):
+            file.add("eye", mcap_file.schema_of(EyeRow), 2.0, EyeRow("eye", 0.5))
+    assert len(read(path)) == 1
+    with pytest.raises(UsageError, match="disk is full"):
+        mcap_file.McapFile(tmp_path / "b.mcap")
+    assert not (tmp_path / "b.mcap").exists()
+
+
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_text("mine")
+    with pytest.raises(UsageError, match="cannot be created: File exists"):
+        mcap_file.McapFile(tmp_path / "a.mcap")
