@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from poise.errors import RunError
+from poise.manage.control_socket.location import path_of
 from tests.command import POISE, Poise, robot_up
 from tests.view.test_mcap_file import read
 from tests.waiting import LONG, wait_long
@@ -72,6 +73,7 @@ def test_records_what_runs_until_it_ends(poise: Poise, tmp_path: Path) -> None:
             recorder.record(file, 1.0, _nothing, sentences.append, _nothing)
             manager.kill()
             wait_long(lambda: manager.poll() is not None)
+            path_of(NAME).unlink()  # the next manager would
             with pytest.MonkeyPatch.context() as patched:
                 patched.setattr(record, "_PATIENCE", 0.5)
                 with pytest.raises(RunError, match=f"robot '{NAME}' has ended"):
