@@ -40,9 +40,12 @@ def pytest_configure(config: pytest.Config) -> None:
     """Add what all runs hold."""
     for plugin in (busy, order, quick):
         config.pluginmanager.register(plugin)
+    # a shell's background job ignores Ctrl-C, and `nohup` a hang-up; so would all that
+    # tests start
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        # a shell's background job ignores Ctrl-C, and so would all that tests start
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 @pytest.fixture

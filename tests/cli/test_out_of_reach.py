@@ -40,8 +40,9 @@ class Number(Message):
 
 def tell(what, number):
     path = os.path.join(os.path.dirname(__file__), what)
-    with open(path, "w") as file:
+    with open(path + ".new", "w") as file:
         file.write(str(number))
+    os.replace(path + ".new", path)
 
 class Source(Component):
     numbers: Published[Number]
@@ -244,6 +245,7 @@ def test_components_of_a_lost_computer_go_on_elsewhere(field: Field, up: Up) -> 
 def test_what_a_cut_loses_is_counted(field: Field, up: Up, *, ends_amid: bool) -> None:
     """Where it could not go out, did not come, or found no room; also at the end."""
     halt = field.folder / "halt"
+    wait_long((field.folder / "came").exists)
     field.set_cable("right", "down")
     up.wait_for("computer 'right' is out of reach since")
     wait_long(lambda: ends(field)["source"].drops > 0)

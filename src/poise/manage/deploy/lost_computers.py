@@ -38,7 +38,14 @@ class LostComputers:
     def note(self) -> None:
         """Journal which computers were lost, and go on without them."""
         run = self._run
-        obeying = {c for c in run.computers() if run.agents.obey(c)}
+        pids = _pids(run)
+        obeying = {
+            computer
+            for computer in run.computers()
+            # an agent that was restarted at once obeys whom the one before it obeyed
+            if run.agents.obey(computer)
+            and pids.get(computer) == self._pids.get(computer)
+        }
         for computer in self._reached - obeying:
             self._reached.discard(computer)
             run.excused.add(computer)
@@ -126,10 +133,11 @@ class LostComputers:
         self._reached.add(computer)
         self._restarting.pop(computer, None)
         run.excused.discard(computer)
-        pids_before, self._pids = self._pids, _pids(run)
+        status = run.agents.statuses()[computer]
+        pid_before, self._pids[computer] = self._pids.get(computer), status.pid
         what = f"computer '{computer}' is reached again"
-        if pids_before.get(computer) != self._pids[computer]:
-            adopted = run.agents.statuses()[computer].adopted
+        if pid_before != status.pid:
+            adopted = status.adopted
             went_on = counted(adopted, "container") if adopted else "no container"
             what = f"the agent of '{computer}' was restarted; {went_on} went on"
         elif not is_same:
