@@ -16,7 +16,7 @@ from typing import Literal
 from msgspec import Struct
 
 import poise
-from poise.emulate.background_load import background_load
+from poise.emulate.kept.background_load import background_load
 from poise.errors import PoiseError
 from poise.session.running_robots.running import Running, Status
 from poise.session.scenes.overload import Deadlines

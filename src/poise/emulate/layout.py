@@ -10,7 +10,7 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from poise.emulate.injected_fault import InjectedFault
+from poise.emulate.kept.injected_fault import InjectedFault
 from poise.emulate.limits import Limits, share_out
 from poise.emulate.network.plan import NetworkPlan, plan_network
 from poise.emulate.owner import Owner

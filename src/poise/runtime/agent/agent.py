@@ -27,21 +27,21 @@ from poise.endpoint import Endpoint
 from poise.errors import RunError, UsageError
 from poise.priority import ahead, go_first
 from poise.runtime._calls import PageSampler
-from poise.runtime.agent.adoption import Adoption, AgentFolder, AgentState
 from poise.runtime.agent.agent_setup import AgentSetup
 from poise.runtime.agent.checkpoint_files import CheckpointFiles
 from poise.runtime.agent.clock_synchronisation import ClockSynchronisation
-from poise.runtime.agent.container_processes import STOP_LIMIT
 from poise.runtime.agent.fence import Fence
-from poise.runtime.agent.health import Usage
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
 from poise.runtime.agent.inbox import AgentInbox, answer
 from poise.runtime.agent.managed import Managed
-from poise.runtime.agent.migration_relay import MigrationRelay
-from poise.runtime.agent.sampler import Sampler
+from poise.runtime.agent.sampling.sampler import Sampler
+from poise.runtime.agent.sampling.watchdog import Silence
 from poise.runtime.agent.status_reports import StatusReports
-from poise.runtime.agent.supervisor import Supervisor
-from poise.runtime.agent.watchdog import Silence
+from poise.runtime.agent.supervision.adoption import Adoption, AgentFolder, AgentState
+from poise.runtime.agent.supervision.container_processes import STOP_LIMIT
+from poise.runtime.agent.supervision.health import Usage
+from poise.runtime.agent.supervision.migration_relay import MigrationRelay
+from poise.runtime.agent.supervision.supervisor import Supervisor
 from poise.runtime.container import zygote
 from poise.runtime.container.descendants import kill_all
 from poise.runtime.hosting.output import forget_output, read_output

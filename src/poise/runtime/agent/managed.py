@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
-from poise.runtime.agent.supervisor import Supervisor
+from poise.runtime.agent.supervision.supervisor import Supervisor
 from poise.wire.records.requests import ManagerId
 
 

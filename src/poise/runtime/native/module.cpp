@@ -8,12 +8,12 @@
 
 #include <limits>
 
-#include "counters.h"
-#include "deadline.h"
-#include "direct_call.h"
-#include "page_sampler.h"
-#include "served_call.h"
-#include "exclusion.h"
+#include "counters/counters.h"
+#include "calls/deadline.h"
+#include "calls/direct_call.h"
+#include "counters/page_sampler.h"
+#include "calls/served_call.h"
+#include "calls/exclusion.h"
 
 namespace nb = nanobind;
 using namespace poise;

@@ -6,7 +6,7 @@ import time
 
 from msgspec import Struct
 
-from poise.emulate.background_load import background_load
+from poise.emulate.kept.background_load import background_load
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say
 from poise.session.placing.placement import place

@@ -71,7 +71,9 @@ def agent_command(
     )
     logging.getLogger("poise.component").setLevel("INFO")
     if lifeline is not None:  # its manager shows the faults already
-        logging.getLogger("poise.runtime.agent.supervisor").setLevel("ERROR")
+        logging.getLogger("poise.runtime.agent.supervision.supervisor").setLevel(
+            "ERROR"
+        )
     place = folder or agent_folder(f"{robot} {computer} {Endpoint(address, port)}")
     with Interrupts() as interrupts:
         agent = Agent(

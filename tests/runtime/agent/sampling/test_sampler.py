@@ -10,7 +10,11 @@ import pytest
 
 from poise.runtime import _calls
 from poise.runtime._calls import ComponentCounters, PageSampler
-from poise.runtime.agent.sampler import Sampler, proportional_memory, resident_memory
+from poise.runtime.agent.sampling.sampler import (
+    Sampler,
+    proportional_memory,
+    resident_memory,
+)
 from poise.runtime.hosting.stats_page import new_memory
 from poise.wire.records.samples import AgentSample
 
@@ -102,9 +106,11 @@ def test_memory_is_weighed_again_when_there_is_more_or_less_of_it(
         return held[0] // 2
 
     monkeypatch.setattr(
-        "poise.runtime.agent.sampler.resident_memory", lambda _: held[0]
+        "poise.runtime.agent.sampling.sampler.resident_memory", lambda _: held[0]
     )
-    monkeypatch.setattr("poise.runtime.agent.sampler.proportional_memory", weigh)
+    monkeypatch.setattr(
+        "poise.runtime.agent.sampling.sampler.proportional_memory", weigh
+    )
     memory, counters = new_memory(), ComponentCounters()
     counters.enter(_calls.StatsPage(memory), "eye", 0)
     here = [("see", 1, PageSampler(memory, os.getpid()))]

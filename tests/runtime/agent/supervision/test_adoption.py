@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.runtime.agent.adoption import AgentFolder, AgentState
+from poise.runtime.agent.supervision.adoption import AgentFolder, AgentState
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.requests import Claim, Refused
 from tests.runtime.agent.test_agent import (

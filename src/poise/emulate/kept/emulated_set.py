@@ -18,9 +18,9 @@ from contextlib import contextmanager
 from msgspec.structs import replace
 
 from poise.emulate import processes, registry
-from poise.emulate.background_load import background_load
 from poise.emulate.computer import EmulatedComputer
-from poise.emulate.injected_fault import FaultKind, InjectedFault
+from poise.emulate.kept.background_load import background_load
+from poise.emulate.kept.injected_fault import FaultKind, InjectedFault
 from poise.emulate.layout import EmulationLayout, KeptSet
 from poise.emulate.network import namespaces
 from poise.emulate.network.plan import NetworkPlan, Shape

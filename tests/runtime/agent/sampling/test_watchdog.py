@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from poise.runtime.agent.watchdog import LOOK_EVERY, Processes, Silence, Watchdog
+from poise.runtime.agent.sampling.watchdog import (
+    LOOK_EVERY,
+    Processes,
+    Silence,
+    Watchdog,
+)
 
 PID = 7
 

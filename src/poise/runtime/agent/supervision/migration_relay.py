@@ -10,8 +10,8 @@ from collections.abc import Iterator, Mapping
 import zenoh
 from msgspec import Struct
 
-from poise.runtime.agent.container_processes import ContainerProcess
 from poise.runtime.agent.inbox import answer
+from poise.runtime.agent.supervision.container_processes import ContainerProcess
 from poise.wire.records.container import Order, Outcome
 from poise.wire.records.migration import StepsFailed
 

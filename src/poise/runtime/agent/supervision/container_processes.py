@@ -16,7 +16,7 @@ from msgspec import Struct
 from poise.clock import Clock
 from poise.errors import Timeout, Unavailable
 from poise.runtime._calls import PageSampler
-from poise.runtime.agent.watchdog import Silence
+from poise.runtime.agent.sampling.watchdog import Silence
 from poise.wire import record_channel
 from poise.wire.codec import WireError
 from poise.wire.records.checkpoints import checkpoint_path

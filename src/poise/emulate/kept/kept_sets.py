@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from poise.emulate import registry
-from poise.emulate.emulated_set import EmulatedSet
+from poise.emulate.kept.emulated_set import EmulatedSet
 from poise.emulate.layout import KeptSet
 from poise.errors import UsageError
 from poise.model.robot import Robot

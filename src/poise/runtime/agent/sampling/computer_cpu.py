@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from poise.runtime.agent.kernel_file import KernelFile
+from poise.runtime.agent.sampling.kernel_file import KernelFile
 
 CPU_FILE = "POISE_CPU_FILE"
 """Environment variable of an emulated computer: its cgroup's CPU time; empty: nobody

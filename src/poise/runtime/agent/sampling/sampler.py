@@ -14,9 +14,9 @@ import msgspec
 from msgspec import Struct, structs
 
 from poise.runtime._calls import PageSampler
-from poise.runtime.agent.computer_cpu import ComputerCpu
-from poise.runtime.agent.health import Usage
-from poise.runtime.agent.watchdog import LOOK_EVERY, Silence, Watchdog
+from poise.runtime.agent.sampling.computer_cpu import ComputerCpu
+from poise.runtime.agent.sampling.watchdog import LOOK_EVERY, Silence, Watchdog
+from poise.runtime.agent.supervision.health import Usage
 
 log = logging.getLogger(__name__)
 

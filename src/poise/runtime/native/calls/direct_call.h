@@ -7,8 +7,8 @@
 #include <cmath>
 
 #include "exclusion.h"
-#include "histogram.h"
-#include "stats_page.h"
+#include "counters/histogram.h"
+#include "counters/stats_page.h"
 
 namespace poise {
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from pathlib import Path
 
-from poise.runtime.agent.kernel_file import KernelFile
+from poise.runtime.agent.sampling.kernel_file import KernelFile
 from poise.units import format_bytes
 
 _LATE = 10.0

@@ -8,9 +8,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from poise.runtime.agent.container_processes import REST_LIMIT, ContainerProcess
-from poise.runtime.agent.supervisor import Supervisor
-from poise.runtime.agent.watchdog import Silence
+from poise.runtime.agent.sampling.watchdog import Silence
+from poise.runtime.agent.supervision.container_processes import (
+    REST_LIMIT,
+    ContainerProcess,
+)
+from poise.runtime.agent.supervision.supervisor import Supervisor
 from poise.runtime.hosting.stats_page import new_memory
 from poise.runtime.hosting.wiring import Place
 from poise.wire import record_channel

@@ -19,15 +19,15 @@ from msgspec import structs
 
 from poise.clock import Clock
 from poise.errors import Unavailable
-from poise.runtime.agent.container_processes import (
+from poise.runtime.agent.sampling.watchdog import Silence
+from poise.runtime.agent.supervision.container_processes import (
     BackOff,
     ContainerProcess,
     ProcessEnd,
 )
-from poise.runtime.agent.cpu_weights import CpuWeights, own_group
-from poise.runtime.agent.health import HealthRecords, Usage
-from poise.runtime.agent.oom_kills import OomKills
-from poise.runtime.agent.watchdog import Silence
+from poise.runtime.agent.supervision.cpu_weights import CpuWeights, own_group
+from poise.runtime.agent.supervision.health import HealthRecords, Usage
+from poise.runtime.agent.supervision.oom_kills import OomKills
 from poise.runtime.container import zygote
 from poise.runtime.hosting.stats_page import new_memory
 from poise.runtime.hosting.wiring import Place

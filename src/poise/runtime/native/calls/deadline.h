@@ -7,7 +7,7 @@
 #include <algorithm>
 #include <cstdint>
 
-#include "cpu_share.h"
+#include "counters/cpu_share.h"
 
 namespace poise {
 

@@ -1,0 +1,1 @@
+"""Emulated computers that a process keeps for others, and faults to rehearse there."""

@@ -1,0 +1,1 @@
+"""Reads what the containers of a computer use, and whether they respond."""

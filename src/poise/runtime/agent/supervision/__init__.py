@@ -1,0 +1,1 @@
+"""Runs the containers of a computer, and says what becomes of them."""
