@@ -81,10 +81,10 @@ def test_a_container_is_told_what_is_new_while_it_responds() -> None:
     spec = ContainerSpec(name="one", folder="", components=(), connectors=())
     with agent, container:
         process = ContainerProcess(spec, agent, -1)
-        assert record_channel.receive(container, ToContainer).what == spec
+        assert record_channel.receive(container, ToContainer) == spec
         for known in ({}, {"vision": NOON}, {"vision": NOON}):
             process.tell_clocks(known)
-        assert record_channel.receive(container, ToContainer).what == Clocks(
+        assert record_channel.receive(container, ToContainer) == Clocks(
             {"vision": NOON}
         )
         process.silence = Silence(
@@ -94,9 +94,7 @@ def test_a_container_is_told_what_is_new_while_it_responds() -> None:
         assert not wait_readable([container.fileno()], 0.0)
         process.silence = None
         process.tell_clocks({"arm": NOON})
-        assert record_channel.receive(container, ToContainer).what == Clocks(
-            {"arm": NOON}
-        )
+        assert record_channel.receive(container, ToContainer) == Clocks({"arm": NOON})
 
 
 @pytest.mark.slow

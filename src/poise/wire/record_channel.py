@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import socket
 import time
-from typing import Any, TypeVar
+from typing import Any
 
 from msgspec import Struct
 
@@ -19,8 +19,6 @@ from poise.wire.address import LOST_AFTER
 from poise.wire.codec import Bytes, Unreadable, codec
 from poise.wire.connections.connection import HEAD
 from poise.wire.frame import LARGEST, Frame, Kind
-
-S = TypeVar("S", bound=Struct)
 
 LIMIT = 1.0
 """A record is sent within this time, and received within it once it begins [s]."""
@@ -43,8 +41,8 @@ def send(connection: socket.socket, record: Struct) -> None:
     _channel_of(connection).send(_pieces(record), time.monotonic() + LIMIT, LARGEST)
 
 
-def receive(connection: socket.socket, type_: type[S]) -> S:
-    """Return the next record from a stream socket.
+def receive(connection: socket.socket, type_: Any) -> Any:  # noqa: ANN401, as `unpack`
+    """Return the next record from a stream socket; it is of `type_`.
 
     Raises
     ------
@@ -59,8 +57,7 @@ def receive(connection: socket.socket, type_: type[S]) -> S:
     received = _channel_of(connection).receive(deadline, LARGEST, {})
     if not isinstance(received, Frame):
         raise Unreadable("a record never comes in shared memory")
-    record: S = _record(received, type_)
-    return record
+    return _record(received, type_)
 
 
 class FrameReader:
@@ -113,7 +110,7 @@ class FrameReader:
         self.since = None
         return frame.parse(data)
 
-    def next_record(self, type_: type[S]) -> S | None:
+    def next_record(self, type_: Any) -> Any:  # noqa: ANN401, as `unpack`
         """Return the next record; raises as `next`, also when it is none of `type_`."""
         received = self.next()
         return None if received is None else _record(received, type_)

@@ -8,7 +8,7 @@ from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.ports import Policy, Queue
 from poise.runtime.connectors.flow_control import Credit, CreditIssuer
 from poise.runtime.execution.connector_counters import Counts
-from poise.runtime.execution.mailbox import Feed, Inbox, Mailbox
+from poise.runtime.execution.mailbox import Mailbox
 from poise.wire import frame
 from poise.wire.codec import Codec
 from poise.wire.frame import Frame, Kind, Pieces
@@ -48,9 +48,10 @@ class Joined:
         self.way = Way()
 
     def start_target(self, policy: Policy = "block", size: int = 4) -> None:
-        self.inbox = Inbox("notes", Queue(policy, size))
         self.counts = Counts()
-        self.feed = Feed(Mailbox(ComponentCounters()), self.inbox, self.counts)
+        mailbox = Mailbox({"notes": Queue(policy, size)}, ComponentCounters())
+        self.feed = mailbox.feed("notes", self.counts)
+        self.mailbox = mailbox
         self.issuer = CreditIssuer("a.b", self.feed, self.counts)
 
     def ask(self) -> None:
@@ -83,7 +84,9 @@ class Joined:
 
     def take(self, count: int) -> None:
         for _ in range(count):
-            assert self.inbox.take() is not None
+            inbox = self.mailbox.next(0.0)
+            assert inbox is not None
+            assert inbox.take() is not None
 
 
 @pytest.fixture
@@ -93,7 +96,7 @@ def joined() -> Joined:
 
 def test_as_many_go_as_there_is_room_for(joined: Joined) -> None:
     assert joined.send_all() == 4
-    assert len(joined.inbox.waiting()) == 4
+    assert len(list(joined.mailbox.waiting())) == 4
 
 
 def test_gives_credit_when_half_of_the_queue_is_empty_again(joined: Joined) -> None:
@@ -116,7 +119,7 @@ def test_a_small_queue_is_filled_and_never_overfilled(size: int) -> None:
     joined = Joined(size=size)
     for _ in range(20):
         joined.send_all()
-        assert len(joined.inbox.waiting()) == size
+        assert len(list(joined.mailbox.waiting())) == size
         joined.take(size)
 
 

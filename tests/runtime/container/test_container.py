@@ -15,7 +15,7 @@ from poise.runtime.hosting.stats_page import new_memory
 from poise.runtime.hosting.wiring import Place
 from poise.runtime.waker import wait_readable
 from poise.wire import record_channel
-from poise.wire.records.container import ContainerFailure, FromContainer, ToContainer
+from poise.wire.records.container import ContainerFailure, FromContainer
 from poise.wire.records.deployment import ContainerSpec
 from tests.waiting import LIMIT
 
@@ -80,11 +80,11 @@ def test_says_that_it_ends_because_the_rest_of_a_record_did_not_come(
         spec = ContainerSpec(name="see", folder="", components=(), connectors=())
         reading, writing = socket.socketpair()
         with reading, writing:
-            record_channel.send(writing, ToContainer(spec))
+            record_channel.send(writing, spec)
             record = reading.recv(1 << 16)
         os.write(agent.fileno(), record[:-1])
         assert wait_readable([agent.fileno()], LIMIT)
-        told = record_channel.receive(agent, FromContainer).what
+        told = record_channel.receive(agent, FromContainer)
         _, said = process.communicate(timeout=LIMIT)
     assert isinstance(told, ContainerFailure)
     assert told.reason in said

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from queue import SimpleQueue
 
 import pytest
 
@@ -15,8 +16,12 @@ from poise.runtime.execution.mailbox import Feed, Inbox, Mailbox
 LIMIT = 20.0
 
 
-def feed(inbox: Inbox, mailbox: Mailbox | None = None) -> Feed:
-    return Feed(mailbox or Mailbox(ComponentCounters()), inbox, Counts())
+def inbox_of(queue: Queue) -> Inbox:
+    return Inbox("scan", queue, SimpleQueue(), ComponentCounters())
+
+
+def feed(inbox: Inbox) -> Feed:
+    return Feed(inbox, Counts())
 
 
 def put(feed: Feed, *numbers: int) -> None:
@@ -29,7 +34,7 @@ def waiting(inbox: Inbox) -> list[int]:
 
 
 def test_keeps_the_last_and_tells_each_connector_what_it_lost() -> None:
-    inbox = Inbox("scan", Queue("keep", 2))
+    inbox = inbox_of(Queue("keep", 2))
     one, other = feed(inbox), feed(inbox)
     put(one, 1)
     put(other, 2, 3, 4)  # 3 takes the place of 1, and 4 that of 2
@@ -39,7 +44,7 @@ def test_keeps_the_last_and_tells_each_connector_what_it_lost() -> None:
 
 
 def test_counts_how_long_what_is_taken_has_waited() -> None:
-    inbox = Inbox("scan", Queue("keep", 2))
+    inbox = inbox_of(Queue("keep", 2))
     one = feed(inbox)
     began = time.monotonic()
     put(one, 1, 2)
@@ -50,7 +55,7 @@ def test_counts_how_long_what_is_taken_has_waited() -> None:
 
 
 def test_has_room_of_its_own_for_every_connector() -> None:
-    inbox = Inbox("scan", Queue("block", 2))
+    inbox = inbox_of(Queue("block", 2))
     one, other = feed(inbox), feed(inbox)
     put(one, 1, 2)
     assert (one.room(), other.room()) == (0, 2)
@@ -60,7 +65,7 @@ def test_has_room_of_its_own_for_every_connector() -> None:
 
 
 def test_tells_whoever_waits_that_there_is_room() -> None:
-    inbox = Inbox("scan", Queue("block", 1))
+    inbox = inbox_of(Queue("block", 1))
     one = feed(inbox)
     told: list[int | None] = []
     one.on_room = lambda: told.append(one.room())
@@ -75,7 +80,7 @@ def test_takes_what_was_held_and_drops_what_nobody_may_send(
 ) -> None:
     """A source sends at once what it held during a move, whatever room there is."""
     monkeypatch.setattr(module, "MOST_AHEAD", 3)
-    inbox = Inbox("scan", Queue("block", 1))
+    inbox = inbox_of(Queue("block", 1))
     one = feed(inbox)
     put(one, 1, 2, 3, 4, 5)
     assert waiting(inbox) == [1, 2, 3, 4]
@@ -83,12 +88,12 @@ def test_takes_what_was_held_and_drops_what_nobody_may_send(
 
 
 def test_takes_nothing_from_an_empty_queue() -> None:
-    assert Inbox("scan", Queue()).take() is None
+    assert inbox_of(Queue()).take() is None
 
 
 def test_neither_drops_nor_lets_wait_at_rest() -> None:
     for policy in ("keep", "block"):
-        inbox = Inbox("scan", Queue(policy, 1))
+        inbox = inbox_of(Queue(policy, 1))
         one = feed(inbox)
         inbox.set_unbounded(unbounded=True)
         for number in (1, 2, 3):
@@ -99,7 +104,7 @@ def test_neither_drops_nor_lets_wait_at_rest() -> None:
 
 
 def test_tells_whoever_waits_when_it_comes_to_rest() -> None:
-    inbox = Inbox("scan", Queue("block", 1))
+    inbox = inbox_of(Queue("block", 1))
     one = feed(inbox)
     put(one, 1)
     told: list[int | None] = []
@@ -108,21 +113,26 @@ def test_tells_whoever_waits_when_it_comes_to_rest() -> None:
     assert told == [1]
 
 
+def ports_that_wake(mailbox: Mailbox, times: int) -> list[str | None]:
+    found = (mailbox.next(0.0) for _ in range(times))
+    return [inbox.port if inbox else None for inbox in found]
+
+
 def test_wakes_once_for_every_message_that_waits() -> None:
-    mailbox, inbox = Mailbox(ComponentCounters()), Inbox("scan", Queue("keep", 2))
-    put(feed(inbox, mailbox), 1, 2, 3)
-    assert [mailbox.next(0.0) for _ in range(3)] == [inbox, inbox, None]
+    mailbox = Mailbox({"scan": Queue("keep", 2)}, ComponentCounters())
+    put(mailbox.feed("scan", Counts()), 1, 2, 3)
+    assert ports_that_wake(mailbox, 3) == ["scan", "scan", None]
 
 
 def test_serves_ports_in_the_order_of_arrival() -> None:
-    mailbox = Mailbox(ComponentCounters())
-    one, two = (Inbox(name, Queue("keep", 5)) for name in ("one", "two"))
-    for inbox in (two, one, two):
-        put(feed(inbox, mailbox), 0)
-    assert [mailbox.next(0.0) for _ in range(3)] == [two, one, two]
+    queues = dict.fromkeys(("one", "two"), Queue("keep", 5))
+    mailbox = Mailbox(queues, ComponentCounters())
+    for port in ("two", "one", "two"):
+        put(mailbox.feed(port, Counts()), 0)
+    assert ports_that_wake(mailbox, 3) == ["two", "one", "two"]
 
 
 def test_a_wake_up_brings_nothing() -> None:
-    mailbox = Mailbox(ComponentCounters())
+    mailbox = Mailbox({}, ComponentCounters())
     mailbox.wake()
     assert mailbox.next(LIMIT) is None

@@ -111,7 +111,7 @@ def rest(runner: Runner, limit: float) -> None:
 
 
 def receive(runner: Runner, *texts: str) -> None:
-    feed = runner.endpoints.feed("note", Counts())
+    feed = runner.endpoints.mailbox.feed("note", Counts())
     for text in texts:
         feed.put((0, Note(text)))
 

@@ -187,11 +187,11 @@ def test_what_waits_goes_over_in_order(incarnations: Incarnations) -> None:
     old = incarnations.start(Book, active=True)
     new = incarnations.start(Book, active=False)
     channel = rest(old)
-    feed = old.endpoints.feed("notes", Counts())
+    feed = old.endpoints.mailbox.feed("notes", Counts())
     for number in range(5):  # more than there is room for while it works
         feed.put((0, Notes((str(number),))))
     restore(new, fetch(channel, Request.ALL, LIMIT))
-    assert [v.texts for _, v in new.endpoints.inboxes["notes"].waiting()] == [
+    assert [v.texts for _, (_, v) in new.endpoints.mailbox.waiting()] == [
         (str(number),) for number in range(5)
     ]
 
@@ -201,7 +201,7 @@ def test_one_way_calls_that_wait_go_over_in_order(incarnations: Incarnations) ->
     new = incarnations.start(Book, active=False)
     channel = rest(old)
     tag = next(iter(methods(Tells)))
-    feed = old.endpoints.feed("tells", Counts())
+    feed = old.endpoints.mailbox.feed("tells", Counts())
     for word in ("a", "b"):
         feed.put((tag, (word,)))
     restore(new, fetch(channel, Request.ALL, LIMIT))
@@ -299,9 +299,9 @@ def test_what_waits_goes_over_with_its_stamps(incarnations: Incarnations) -> Non
     old = incarnations.start(Book, active=True)
     new = incarnations.start(Book, active=False)
     channel = rest(old)
-    feed = old.endpoints.feed("notes", Counts())
+    feed = old.endpoints.mailbox.feed("notes", Counts())
     feed.put((0, Stamped(("c",), (5.0,), Notes(("a",)))))
     restore(new, fetch(channel, Request.ALL, LIMIT))
-    ((_, found),) = new.endpoints.inboxes["notes"].waiting()
+    ((_, (_, found)),) = new.endpoints.mailbox.waiting()
     assert (found.chains, found.value.texts) == (("c",), ("a",))
     assert found.stamps == pytest.approx((5.0,))

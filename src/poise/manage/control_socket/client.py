@@ -49,9 +49,9 @@ def send_command(robot: str | None, command: Command) -> Result:
                     f"it is busy since {ANSWER_LIMIT:g} s; what it has begun goes on, "
                     "and `poise status` shows the outcome"
                 )
-            result = record_channel.receive(connection, ControlResponse).result
+            told: ControlResponse = record_channel.receive(connection, ControlResponse)
     except (OSError, RunError, WireError) as error:
         raise RunError(f"robot '{path.stem}' gave no answer: {error}") from error
-    if isinstance(result, Refusal):
-        raise result.to_error()
-    return result
+    if isinstance(told.result, Refusal):
+        raise told.result.to_error()
+    return told.result

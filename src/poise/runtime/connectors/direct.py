@@ -35,7 +35,7 @@ class DirectRoute:
         self._connector = connector
         self._target = target
         self._limit = limit
-        self._feed = target.feed(port.name, sender.counts)
+        self._feed = target.mailbox.feed(port.name, sender.counts)
         self._feed.on_room = sender.room
         self._tag = message_tag(port.type)
 

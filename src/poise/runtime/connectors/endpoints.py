@@ -1,4 +1,4 @@
-"""A component's endpoints: senders for what it sends, inboxes for what it receives.
+"""A component's endpoints: senders for what it sends, a mailbox for what comes.
 
 They stay while routes change: connectors are joined to them, and a move reads them.
 """
@@ -6,8 +6,7 @@ They stay while routes change: connectors are joined to them, and a move reads t
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from functools import partial
 from types import MappingProxyType
 from typing import Any
@@ -19,10 +18,9 @@ from poise.runtime.component.ports import Port, Published, Queue, methods_of
 from poise.runtime.connectors.chain_stamps import SentChains
 from poise.runtime.connectors.facade import Facade, refusing
 from poise.runtime.connectors.sender import Sender
-from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.execution.data_age import DataAges
 from poise.runtime.execution.exclusion import Exclusion
-from poise.runtime.execution.mailbox import Entry, Feed, Inbox, Mailbox
+from poise.runtime.execution.mailbox import Mailbox
 
 _ONEWAY = Queue("block", 64)
 """One-way calls that may wait for a component; then their callers wait."""
@@ -60,18 +58,16 @@ class Endpoints:
         self.component = component
         self.ports = ports
         self.exclusion = exclusion
-        self.mailbox = Mailbox(counters)
-        self.inboxes = {
-            port.name: Inbox(port.name, port.queue or _ONEWAY)
+        queues = {
+            port.name: port.queue or _ONEWAY
             for port in ports.values()
             if port.kind in {"subscribes", "provides"}
         }
+        self.mailbox = Mailbox(queues, counters)
         self.senders: dict[str, Sender] = {}
         self._name = name
         self._markers: dict[str, int] = {}
         self._marker_came = threading.Condition()
-        self._bounding = threading.Lock()
-        self._is_unbounded = False
         for port in ports.values():
             self._disconnect(port)
 
@@ -96,20 +92,6 @@ class Endpoints:
         sender.close()
         self._rewire(sender.port)
 
-    def feed(self, port: str, counts: Counts, /) -> Feed:
-        """Return the way into a port's queue for the connector of `counts`."""
-        return Feed(self.mailbox, self.inboxes[port], counts)
-
-    def preload(self, port: str, entry: Entry) -> None:
-        """Queue what waited for the incarnation before; called before `activate`."""
-        inbox = self.inboxes[port]
-        inbox.set_unbounded(unbounded=True)
-        self.feed(port, Counts()).put(entry)
-
-    def is_empty(self) -> bool:
-        """Return whether no message and no one-way call waits."""
-        return not any(inbox.waiting() for inbox in self.inboxes.values())
-
     def note_marker(self, connector: str, number: int, /) -> None:
         """Note that all that was sent before this marker has come."""
         with self._marker_came:
@@ -133,18 +115,12 @@ class Endpoints:
                 c for c, marker in markers.items() if self._markers.get(c) != marker
             ]
 
-        with self._with_room(), self._marker_came:
+        with self.mailbox.with_room(), self._marker_came:
             if not self._marker_came.wait_for(lambda: not missing(), limit):
                 raise Timeout(
                     f"component '{self._name}': messages are still under way over "
                     f"{', '.join(missing())}"
                 )
-
-    def set_unbounded(self, *, unbounded: bool) -> None:
-        """Lift the bounds of all queues while nothing is taken out, or restore them."""
-        with self._bounding:
-            self._is_unbounded = unbounded
-            self._set_unbounded(unbounded=unbounded)
 
     def buffer_until_active(self) -> None:
         """Keep what it sends until `let_go`: it is not at work yet."""
@@ -155,20 +131,6 @@ class Endpoints:
         """Send what was buffered; harmless when repeated."""
         for sender in list(self.senders.values()):
             sender.send_buffered()
-
-    @contextmanager
-    def _with_room(self) -> Iterator[None]:
-        with self._bounding:
-            self._set_unbounded(unbounded=True)
-        try:
-            yield
-        finally:
-            with self._bounding:
-                self._set_unbounded(unbounded=self._is_unbounded)
-
-    def _set_unbounded(self, *, unbounded: bool) -> None:
-        for inbox in self.inboxes.values():
-            inbox.set_unbounded(unbounded=unbounded)
 
     def _disconnect(self, port: Port) -> None:
         if port.kind == "publishes":

@@ -101,12 +101,12 @@ class AgentLink:
         if self._connection is None:
             return None
         try:
-            record = record_channel.receive(self._connection, ToContainer)
+            told: ToContainer = record_channel.receive(self._connection, ToContainer)
         except Unavailable:
             self._lose()
             return None
         self._lost_at, self._pause = float("inf"), _FIRST_PAUSE
-        return record
+        return told
 
     def tell(self, record: FromContainer) -> None:
         """Tell the agent, if there is one; raises Timeout and WireError as `send`."""

@@ -42,9 +42,8 @@ from poise.wire.records.clocks import Clocks
 from poise.wire.records.container import (
     RESTART_LIMIT,
     ContainerFailure,
-    FromContainer,
-    Order,
     Outcome,
+    ToContainer,
 )
 from poise.wire.records.deployment import ComponentSpec, ContainerSpec
 from poise.wire.records.migration import MigrationSteps
@@ -136,7 +135,7 @@ class Container:
 
     def _tell_failure(self, error: PoiseError) -> None:
         with contextlib.suppress(Timeout):
-            self._tell(ContainerFailure(str(error)))
+            self._link.tell(ContainerFailure(str(error)))
 
     def _on_signal(self, _signal: int, _frame: FrameType | None) -> None:
         self._stopping = True
@@ -183,13 +182,12 @@ class Container:
                 if runner.reason_to_end:
                     raise RunError(runner.reason_to_end)
         if ready - {waker}:
-            record = self._link.receive()
-            if record is not None:
-                self._hear(record.what)
+            told = self._link.receive()
+            if told is not None:
+                self._hear(told)
             elif self._wanted is None:
                 raise Unavailable("the agent ended while it started")
-            is_spec = record is not None and isinstance(record.what, ContainerSpec)
-            return is_spec or waker in ready
+            return isinstance(told, ContainerSpec) or waker in ready
         return bool(ready)
 
     def _orphan_limit(self) -> float:
@@ -226,9 +224,9 @@ class Container:
         # an agent that is slow to listen gets the next status, not all of them; before
         # it has said what should run there is nothing to report
         if self._wanted is not None and self._link.has_room():
-            self._tell(status)
+            self._link.tell(status)
 
-    def _hear(self, what: ContainerSpec | Clocks | Order) -> None:
+    def _hear(self, what: ToContainer) -> None:
         if isinstance(what, Clocks):
             self._clock.others = what.known
         elif isinstance(what, Tap):
@@ -249,10 +247,7 @@ class Container:
     def _take_steps(self, take: Callable[[], Outcome]) -> None:
         outcome = take()
         with contextlib.suppress(Timeout):  # the agent gave up on us
-            self._tell(outcome)
-
-    def _tell(self, what: ContainerStatus | ContainerFailure | Outcome) -> None:
-        self._link.tell(FromContainer(what))
+            self._link.tell(outcome)
 
     def _apply(self, spec: ContainerSpec) -> None:
         search_also(spec.repository)

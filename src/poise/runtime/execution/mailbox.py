@@ -10,7 +10,8 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -38,17 +39,16 @@ class Feed:
         The connector's: they count what was dropped, and how long the rest waited.
     """
 
-    def __init__(self, mailbox: Mailbox, inbox: Inbox, counts: Counts) -> None:
+    def __init__(self, inbox: Inbox, counts: Counts) -> None:
         self.counts = counts
         self.waiting = 0
         self.on_room: Callable[[], None] = _do_nothing
-        self._mailbox = mailbox
         self._inbox = inbox
         self.half = max(1, inbox.queue.size // 2)
 
     def put(self, entry: Entry) -> None:
         """Queue a message for the component; one without room is counted."""
-        self._mailbox.add(self._inbox, entry, self)
+        self._inbox.add(entry, self)
 
     def has_room(self) -> bool:
         """Return whether a message would find room."""
@@ -60,31 +60,49 @@ class Feed:
 
 
 class Inbox:
-    """The queue of one port, filled by any thread, emptied by the component's."""
+    """The queue of one port, filled by any thread, emptied by the component's.
 
-    def __init__(self, port: str, queue: Queue) -> None:
+    Parameters
+    ----------
+    filled
+        Gets this inbox once for every message that waits in it.
+    counters
+        Where all that comes is counted, also what is dropped.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        queue: Queue,
+        filled: SimpleQueue[Inbox | None],
+        counters: ComponentCounters,
+    ) -> None:
         self.port = port
         self.queue = queue
+        self._filled = filled
+        self._counters = counters
         self._waiting: deque[tuple[Entry, Feed, float]] = deque()
         self._changing = threading.Lock()
         self._spare = 0
         self._is_unbounded = False
 
-    def add(self, entry: Entry, feed: Feed) -> bool:
-        """Queue a message; return whether the number of waiting ones grew."""
+    def add(self, entry: Entry, feed: Feed) -> None:
+        """Queue a message for the component; one without room is counted."""
+        self._counters.note_asked()
         with self._changing:
-            grew = True
+            grows = True
             if self.queue.policy == "block":
                 if feed.waiting >= self.queue.size + MOST_AHEAD:
                     feed.counts.drops += 1
                     log.warning("port '%s': its source waits for no room", self.port)
-                    return False
+                    return
             elif self._is_full():
                 self._drop_oldest()
-                grew = False
+                grows = False
             feed.waiting += 1
             self._waiting.append((entry, feed, time.monotonic()))
-            return grew
+        if grows:
+            self._filled.put(self)
 
     def take(self) -> Entry | None:
         """Return the oldest message; None when there is none."""
@@ -135,25 +153,62 @@ class Inbox:
 
 
 class Mailbox:
-    """Wakes a component's thread, once for every message, in the order they came.
-
-    It holds one entry per waiting message, and the queues are bounded.
+    """All that waits for a component, which takes it in the order in which it came.
 
     Parameters
     ----------
+    queues
+        Of the ports to which something comes.
     counters
-        Where all that comes is counted, also what is dropped.
+        As for `Inbox`.
     """
 
-    def __init__(self, counters: ComponentCounters) -> None:
-        self._counters = counters
+    def __init__(
+        self, queues: Mapping[str, Queue], counters: ComponentCounters
+    ) -> None:
         self._filled: SimpleQueue[Inbox | None] = SimpleQueue()
+        self._inboxes = {
+            port: Inbox(port, queue, self._filled, counters)
+            for port, queue in queues.items()
+        }
+        self._bounding = threading.Lock()
+        self._is_unbounded = False
 
-    def add(self, inbox: Inbox, entry: Entry, feed: Feed) -> None:
-        """Queue a message for the component; one without room is counted."""
-        self._counters.note_asked()
-        if inbox.add(entry, feed):
-            self._filled.put(inbox)
+    def feed(self, port: str, counts: Counts, /) -> Feed:
+        """Return the way into a port's queue for the connector of `counts`."""
+        return Feed(self._inboxes[port], counts)
+
+    def preload(self, port: str, entry: Entry) -> None:
+        """Queue what waited for the incarnation before; called before `activate`."""
+        self._inboxes[port].set_unbounded(unbounded=True)
+        self.feed(port, Counts()).put(entry)
+
+    def waiting(self) -> Iterator[tuple[str, Entry]]:
+        """Yield what waits, with its port; for each port the oldest first."""
+        for port, inbox in self._inboxes.items():
+            for entry in inbox.waiting():
+                yield port, entry
+
+    def is_empty(self) -> bool:
+        """Return whether no message and no one-way call waits."""
+        return next(self.waiting(), None) is None
+
+    def set_unbounded(self, *, unbounded: bool) -> None:
+        """Lift the bounds of all queues while nothing is taken out, or restore them."""
+        with self._bounding:
+            self._is_unbounded = unbounded
+            self._set_unbounded(unbounded=unbounded)
+
+    @contextmanager
+    def with_room(self) -> Iterator[None]:
+        """Lift the bounds of all queues for a moment."""
+        with self._bounding:
+            self._set_unbounded(unbounded=True)
+        try:
+            yield
+        finally:
+            with self._bounding:
+                self._set_unbounded(unbounded=self._is_unbounded)
 
     def wake(self) -> None:
         """Let `next` return."""
@@ -165,6 +220,10 @@ class Mailbox:
             return self._filled.get(timeout=limit)
         except Empty:
             return None
+
+    def _set_unbounded(self, *, unbounded: bool) -> None:
+        for inbox in self._inboxes.values():
+            inbox.set_unbounded(unbounded=unbounded)
 
 
 def _do_nothing() -> None:

@@ -87,7 +87,7 @@ class ExecutionGate:
             self._exclusion.pause(limit)
             with self._changed:
                 self._is_paused = True
-                self._endpoints.set_unbounded(unbounded=True)
+                self._endpoints.mailbox.set_unbounded(unbounded=True)
 
     def pause_or_redirect(self, limit: float) -> None:
         """Pause for good; after `limit` [s] without its callers.
@@ -111,7 +111,7 @@ class ExecutionGate:
             self._resumes_later = self._is_borrowed
             if self._is_paused and not self._is_borrowed and self._may_resume():
                 self._is_paused = False
-                self._endpoints.set_unbounded(unbounded=False)
+                self._endpoints.mailbox.set_unbounded(unbounded=False)
                 self._endpoints.send_buffered()
                 self._exclusion.resume()
 
@@ -168,5 +168,5 @@ class ExecutionGate:
     def note_done(self) -> None:
         """Note that it has finished a timer or message."""
         idle = self._awaited_idle
-        if idle is not None and self._endpoints.is_empty():
+        if idle is not None and self._endpoints.mailbox.is_empty():
             idle.set()

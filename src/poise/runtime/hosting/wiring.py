@@ -275,7 +275,7 @@ class Wiring:
     def _open_target(self, ends: OpenEndpoints, target: Runner) -> None:
         spec = ends.spec
         port = _port(target, spec.target_port, TAKING)
-        feed = target.endpoints.feed(port.name, ends.counts)
+        feed = target.endpoints.mailbox.feed(port.name, ends.counts)
         issuer = CreditIssuer(spec.name, feed, ends.counts)
         ends.closing.callback(issuer.close)
         handler = receiving(

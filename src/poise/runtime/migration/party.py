@@ -101,7 +101,7 @@ class Party:
             sender.send_marker(self.migration)
 
     def _drain_mailbox(self, deadline: float) -> None:
-        while not self._runner.endpoints.is_empty():
+        while not self._runner.endpoints.mailbox.is_empty():
             if time.monotonic() > deadline:
                 name = self._runner.spec.name
                 text = f"component '{name}' did not handle all messages that wait"

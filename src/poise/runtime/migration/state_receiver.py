@@ -254,7 +254,7 @@ def restore(
         if stamps:
             times = tuple(map(runner.ages.local, stamps.values()))
             value = Stamped(tuple(stamps), times, value)
-        runner.endpoints.preload(port, (received.tag, value))
+        runner.endpoints.mailbox.preload(port, (received.tag, value))
 
 
 def _value_of(data: bytes, method: Any) -> Any:  # noqa: ANN401, a user's method

@@ -164,16 +164,15 @@ def _transfer(state: Struct | None) -> StateTransfer:
 
 
 def _messages(runner: Runner) -> Iterator[tuple[str, bytes, Mapping[str, Stamp]]]:
-    for name, inbox in runner.endpoints.inboxes.items():
-        for tag, entry in inbox.waiting():
-            coder = entry_codec(runner.ports[name], tag)
-            value, stamps = entry, {}
-            if type(entry) is Stamped:
-                value = entry.value
-                times = map(runner.clock.stamp, entry.stamps)
-                stamps = dict(zip(entry.chains, times, strict=True))
-            pieces = frame.segments(coder, value, Kind.MESSAGE, tag=tag)
-            yield name, b"".join(pieces), stamps
+    for name, (tag, entry) in runner.endpoints.mailbox.waiting():
+        coder = entry_codec(runner.ports[name], tag)
+        value, stamps = entry, {}
+        if type(entry) is Stamped:
+            value = entry.value
+            times = map(runner.clock.stamp, entry.stamps)
+            stamps = dict(zip(entry.chains, times, strict=True))
+        pieces = frame.segments(coder, value, Kind.MESSAGE, tag=tag)
+        yield name, b"".join(pieces), stamps
 
 
 def _frame_of(state: Struct | None) -> bytes:

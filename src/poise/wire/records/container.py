@@ -26,13 +26,7 @@ Order = MigrationSteps | Tap
 Outcome = StepsDone | StepsFailed | TapReading
 
 
-class ToContainer(Struct, frozen=True):
-    """What an agent tells a container."""
-
-    what: ContainerSpec | Clocks | Order
-
-
-class FromContainer(Struct, frozen=True):
-    """What a container tells its agent."""
-
-    what: ContainerStatus | ContainerFailure | Outcome
+ToContainer = ContainerSpec | Clocks | Order
+"""What an agent tells a container."""
+FromContainer = ContainerStatus | ContainerFailure | Outcome
+"""What a container tells its agent."""

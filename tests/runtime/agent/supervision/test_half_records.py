@@ -17,7 +17,6 @@ from poise.runtime.agent.supervision.supervisor import Supervisor
 from poise.runtime.hosting.stats_page import new_memory
 from poise.runtime.hosting.wiring import Place
 from poise.wire import record_channel
-from poise.wire.records.container import FromContainer
 from poise.wire.records.deployment import ContainerSpec, Deployment
 from poise.wire.records.status import ContainerStatus
 
@@ -54,7 +53,7 @@ def record() -> bytes:
     """Return a status as it is sent."""
     ours, theirs = socket.socketpair()
     with ours, theirs:
-        record_channel.send(ours, FromContainer(STATUS))
+        record_channel.send(ours, STATUS)
         return theirs.recv(1 << 16)
 
 

@@ -178,14 +178,13 @@ class ContainerProcess:
         killed.
         """
         try:
-            record = self._reader.next_record(FromContainer)
+            what: FromContainer | None = self._reader.next_record(FromContainer)
         except (Unavailable, WireError) as error:
             # a container that ends closes its end: the zygote reports that
             self.give_up("" if isinstance(error, Unavailable) else str(error))
             return None
-        if record is None:
+        if what is None:
             return None
-        what = record.what
         if isinstance(what, ContainerStatus):
             self.status = what
             return None
@@ -267,9 +266,9 @@ class ContainerProcess:
     def _components(self) -> tuple[ComponentStatus, ...]:
         return self.status.components if self.status else ()
 
-    def _send(self, what: ContainerSpec | Clocks | Order) -> None:
+    def _send(self, what: ToContainer) -> None:
         try:
-            record_channel.send(self.connection, ToContainer(what))
+            record_channel.send(self.connection, what)
         except (Timeout, Unavailable, WireError) as error:
             self.give_up("" if isinstance(error, Unavailable) else str(error))
 
