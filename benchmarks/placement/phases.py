@@ -14,6 +14,7 @@ from typing import Any
 from msgspec.structs import replace
 
 import poise
+from benchmarks import cpsat
 from benchmarks.placement.table import seconds, show
 from benchmarks.random_robots import random_robot
 from poise import plan
@@ -50,10 +51,6 @@ def run(*, quick: bool) -> dict[str, Any]:
     CP-SAT gets far more time, and begins with what Poise found. Its bound is the higher
     one of that of the whole and the sum of those of the phases, which leaves out moves.
     """
-    try:
-        from poise.plan.solvers import cpsat  # noqa: PLC0415 - an extra
-    except ImportError:
-        return {"phases": "CP-SAT is not installed"}
     count, limit = (1, 5.0) if quick else (3, 30.0)
     rows, found = [], []
     for p, n, m, share, load in SIZES:
@@ -63,7 +60,7 @@ def run(*, quick: bool) -> dict[str, Any]:
             ours = poise.place(robot, "all").phased
             spent = perf_counter() - began
             arrays, known = as_one(ours)
-            theirs = cpsat.solve(_core.Core(arrays), arrays, limit, seed, known)
+            theirs = cpsat.solve(_core.Core(arrays), arrays, limit, known)
             alone = [_bound(phase.problem, limit) for phase in ours.problem.phases]
             bound = max(theirs.bound, sum(alone))
             assert ours.total is not None
@@ -155,11 +152,9 @@ def random_phases(
 
 def _bound(problem: Problem, limit: float) -> float:
     """Return what CP-SAT proves of one phase within a time [s]."""
-    from poise.plan.solvers import cpsat  # noqa: PLC0415 - an extra
-
     arrays = arrays_of(problem)
     known = arrays.placed(plan.solve(problem, why=False).placement)
-    return cpsat.solve(_core.Core(arrays), arrays, limit, 0, known).bound
+    return cpsat.solve(_core.Core(arrays), arrays, limit, known).bound
 
 
 def _load(problem: Problem) -> float:

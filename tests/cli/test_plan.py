@@ -138,7 +138,7 @@ def test_an_unknown_method_is_answered_with_all(
     problem_file: Path, option: str
 ) -> None:
     error = call(problem_file, option, "fast").exception
-    assert "auto, greedy, exact, search, cpsat, static" in str(error)
+    assert "auto, greedy, exact, search, static" in str(error)
 
 
 @pytest.mark.parametrize("other", [("--explain", "a"), ("--smallest",)])

@@ -108,7 +108,7 @@ def test_moves_only_when_it_is_worth_the_cost(two_computers: Problem) -> None:
 
 
 def test_refuses_what_it_does_not_know(two_computers: Problem) -> None:
-    with pytest.raises(UsageError, match="auto, greedy, exact, search, cpsat"):
+    with pytest.raises(UsageError, match=r"auto, greedy, exact, search\)"):
         plan.solve(two_computers, method="magic")
     with pytest.raises(UsageError, match="seed"):
         plan.solve(two_computers, seed=-1)
@@ -152,10 +152,8 @@ def test_ctrl_c_returns_the_best_so_far() -> (
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["auto", "exact", "search", "cpsat"])
+@pytest.mark.parametrize("method", ["auto", "exact", "search"])
 def test_any_thread_is_told_to_stop(method: str) -> None:
-    if method == "cpsat":
-        pytest.importorskip("ortools")
     robot = random_robot(4, 80, 6)
     asked, results = itertools.count(), []
 
@@ -177,27 +175,3 @@ def test_what_a_question_to_stop_raises_is_raised() -> None:
 
     with pytest.raises(LookupError):
         plan.solve(random_robot(4, 80, 6), 600.0, stop=ask)
-
-
-@pytest.mark.slow
-def test_cpsat_is_never_worse_than_the_greedy() -> None:
-    pytest.importorskip("ortools")
-    robot = random_robot(4, 40, 6)
-    first = plan.solve(robot, method="greedy").objective
-    result = plan.solve(robot, budget=1e-3, method="cpsat")
-    assert first is not None
-    assert result.objective is not None
-    assert result.objective.total <= first.total
-    assert result.feasible
-
-
-@pytest.mark.slow
-def test_cpsat_agrees_with_branch_and_bound() -> None:
-    pytest.importorskip("ortools")
-    for spread in ("range", "variance"):
-        robot = random_robot(7, 8, 3, spread=spread)
-        ours = plan.solve(robot, budget=5.0, method="exact").objective
-        theirs = plan.solve(robot, budget=20.0, method="cpsat").objective
-        assert ours is not None
-        assert theirs is not None
-        assert theirs.total == pytest.approx(ours.total, abs=1e-3)

@@ -79,8 +79,7 @@ class Planner:
         method
             ``auto``: greedy, then proof and search as the budget allows; ``greedy``:
             the paper's; ``exact``: branch and bound until proven or out of budget;
-            ``search``: the anytime search; ``cpsat``: OR-Tools, an independent
-            certificate.
+            ``search``: the anytime search.
         budget
             Time to decide [s], finite, >= 0; the greedy always runs to its end.
         seed

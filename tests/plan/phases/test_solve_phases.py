@@ -127,7 +127,7 @@ def test_it_is_the_best_of_all_placements_of_small_robots(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(2))
 def test_phases_as_one_problem_have_the_same_total(seed: int) -> None:
     """And CP-SAT finds no less there."""
-    cpsat = pytest.importorskip("poise.plan.solvers.cpsat")
+    cpsat = pytest.importorskip("benchmarks.cpsat")
     problem = random_task(seed)
     parts = [arrays_of(phase.problem) for phase in problem.phases]
     moves: dict[tuple[Unit, Unit], float] = {}
@@ -136,7 +136,7 @@ def test_phases_as_one_problem_have_the_same_total(seed: int) -> None:
         for name in here.keys() & there.keys():
             moves[(p, here[name]), (p + 1, there[name])] = problem.move[name]
     core = _core.Core(merged(parts, moves))
-    found = cpsat.solve(core, merged(parts, moves), 20.0, 0, [])
+    found = cpsat.solve(core, merged(parts, moves), 20.0)
     assert found.proven
     assert found.objective == pytest.approx(least(problem), abs=1e-5)
     greedy, is_complete = core.greedy()

@@ -25,7 +25,7 @@ Greedy::Greedy(const Problem& problem)
       b.squares += off * off;
     }
     share_ = first_share_;
-    find_extremes<0>(k);
+    find_extremes(k);
     b.low = balance_[k].low;
     b.high = balance_[k].high;
     b.second = balance_[k].second;
@@ -35,24 +35,14 @@ Greedy::Greedy(const Problem& problem)
 bool Greedy::run(Placement& placed) {
   start();
   placed.assign(p_.n, -1);
-  switch (p_.m) {
-    case 2: return place_all<2>(placed);
-    case 3: return place_all<3>(placed);
-    case 4: return place_all<4>(placed);
-    default: return place_all<0>(placed);
-  }
-}
-
-template <int M>
-bool Greedy::place_all(Placement& placed) {
   for (const std::int32_t unit : p_.order) {
-    pay_for_ties<M>(unit, placed);
-    for (int k = 0; k < p_.r; ++k) add_balance<M>(k, p_.need(unit)[k]);
+    pay_for_ties(unit, placed);
+    for (int k = 0; k < p_.r; ++k) add_balance(k, p_.need(unit)[k]);
     shut(unit, placed);
-    const int computer = best<M>();
+    const int computer = best();
     if (computer < 0) return false;
     placed[unit] = computer;
-    put<M>(unit, computer);
+    put(unit, computer);
   }
   return true;
 }
@@ -67,9 +57,8 @@ void Greedy::start() {
 }
 
 // Begin `total_` with what has been paid, and what the unit pays for its connectors.
-template <int M>
 void Greedy::pay_for_ties(int unit, const Placement& placed) {
-  const int m = M > 0 ? M : p_.m;
+  const int m = p_.m;
   const auto neighbours = p_.neighbours(unit);
   if (ties_.size() < neighbours.size()) ties_.resize(neighbours.size());
   double all = paid_;
@@ -99,9 +88,8 @@ void Greedy::pay_for_ties(int unit, const Placement& placed) {
 
 // Add what a resource's spread comes to with `need` on each computer; infinite where
 // there is no room for it.
-template <int M>
 void Greedy::add_balance(int k, double need) {
-  const int m = M > 0 ? M : p_.m;
+  const int m = p_.m;
   const Balance b = balance_[k];
   const std::size_t row = static_cast<std::size_t>(k) * m;
   const double *share = &share_[row], *room = &room_[row], *scale = &p_.scale[row];
@@ -154,9 +142,8 @@ void Greedy::shut_full_links() {
 }
 
 // The first computer whose F is lowest, within rounding; -1 when none is finite.
-template <int M>
 int Greedy::best() const {
-  const int m = M > 0 ? M : p_.m;
+  const int m = p_.m;
   double lowest = kInfinity;
   for (int h = 0; h < m; ++h) lowest = total_[h] < lowest ? total_[h] : lowest;
   if (lowest == kInfinity) return -1;
@@ -166,9 +153,8 @@ int Greedy::best() const {
   return h;
 }
 
-template <int M>
 void Greedy::put(int unit, int computer) {
-  const int m = M > 0 ? M : p_.m;
+  const int m = p_.m;
   paid_ += p_.linear(unit, computer);
   for (const Tie& tie : ties()) {
     paid_ += tie.overhead * p_.far(computer, tie.computer);
@@ -187,13 +173,12 @@ void Greedy::put(int unit, int computer) {
     b.sum -= less;
     b.squares += less * (less - 2 * (before - b.centre));
     b.low = std::min(b.low, share_[e]);
-    if (before >= b.second) find_extremes<M>(k);
+    if (before >= b.second) find_extremes(k);
   }
 }
 
-template <int M>
 void Greedy::find_extremes(int k) {
-  const int m = M > 0 ? M : p_.m;
+  const int m = p_.m;
   double low = kInfinity, high = -kInfinity, second = -kInfinity;
   for (int h = 0; h < m; ++h) {
     const double share = share_[static_cast<std::size_t>(k) * m + h];

@@ -1,12 +1,11 @@
-// The paper's greedy: the mirror of ../greedy.py, decision for decision.
+// The paper's greedy, as tests/plan/reference/greedy.py specifies it.
 #pragma once
 
 #include "problem/problem.h"
 
 namespace poise {
 
-// Its arrays are kept between runs: at 24 units, allocating costs more than deciding. Where
-// the compiler knows the number of computers M (0: any), it is half again as quick.
+// Its arrays are kept between runs: at 24 units, allocating costs more than deciding.
 class Greedy {
  public:
   explicit Greedy(const Problem& problem);
@@ -28,19 +27,12 @@ class Greedy {
 
   Span<Tie> ties() const { return {ties_.data(), ties_.data() + tie_count_}; }
   void start();
-  template <int M>
-  bool place_all(Placement& placed);
-  template <int M>
   void pay_for_ties(int unit, const Placement& placed);
-  template <int M>
   void add_balance(int resource, double need);
   void shut(int unit, const Placement& placed);
   void shut_full_links();
-  template <int M>
   int best() const;
-  template <int M>
   void put(int unit, int computer);
-  template <int M>
   void find_extremes(int resource);
 
   const Problem& p_;

@@ -1,1 +1,1 @@
-"""Which solver when, which of several architectures, and an independent solver."""
+"""Which solver when, and which of several architectures."""

@@ -9,13 +9,13 @@ from typing import NamedTuple, cast
 
 from poise.errors import UsageError
 from poise.plan import _core
-from poise.plan.problem.arrays import Arrays, Placed
+from poise.plan.problem.arrays import Placed
 from poise.plan.problem.snapshot import Snapshot
 from poise.plan.result import Result
 from poise.plan.result_records import Answer, Ask, Stopped
 from poise.plan.why.conflict import is_short
 
-METHODS = ("auto", "greedy", "exact", "search", "cpsat")
+METHODS = ("auto", "greedy", "exact", "search")
 
 UNLIMITED = 1 << 62
 """A number of steps that no solver reaches."""
@@ -70,9 +70,7 @@ def decide(core: _core.Core, snapshot: Snapshot, method: str, effort: Effort) ->
     known, name = _start(core, snapshot, method)
     if method == "greedy" or (effort.is_none() and method == "auto"):
         return Result.of(snapshot, known, name)
-    if method == "cpsat":
-        answer, finder = _cpsat(core, snapshot.arrays, known, effort), "cpsat"
-    elif method == "exact":
+    if method == "exact":
         if not core.provable:
             raise UsageError(
                 f"{snapshot.size} components on {len(snapshot.problem.computers)} "
@@ -115,14 +113,6 @@ def _start(core: _core.Core, snapshot: Snapshot, method: str) -> tuple[Placed, s
     if placed and sum(core.terms(placed)) < sum(core.terms(present)):
         return placed, "greedy"
     return present, "present"
-
-
-def _cpsat(core: _core.Core, arrays: Arrays, known: Placed, effort: Effort) -> Answer:
-    try:
-        from poise.plan.solvers import cpsat  # noqa: PLC0415 - an extra, and slow
-    except ImportError as error:
-        raise UsageError("cpsat needs OR-Tools: pip install 'poise[exact]'") from error
-    return cpsat.solve(core, arrays, effort.seconds, effort.seed, known, effort.stop)
 
 
 def _may_be_proven(snapshot: Snapshot) -> bool:

@@ -152,8 +152,8 @@ def place(  # noqa: PLR0913 - each is a choice of the user
     task
         Its name; None: all functions of the robot.
     method
-        ``auto``, ``greedy``, ``exact``, ``search`` or ``cpsat``; ``static``: every
-        architecture on its home; ``round-robin``; ``random:SEED``; or a file with
+        ``auto``, ``greedy``, ``exact`` or ``search``; ``static``: every architecture on
+        its home; ``round-robin``; ``random:SEED``; or a file with
         ``component: computer``.
     budget
         Time to decide [s]; None: 0.1, and 0.3 for a task of several phases.

@@ -52,7 +52,7 @@ def plan_command(
     method: Annotated[
         str,
         typer.Option(
-            help="auto, greedy, exact, search, cpsat; static, round-robin, random:SEED "
+            help="auto, greedy, exact, search; static, round-robin, random:SEED "
             "or a file with `component: computer`."
         ),
     ] = "auto",

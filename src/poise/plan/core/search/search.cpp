@@ -2,9 +2,9 @@
 
 #include <algorithm>
 
+#include "greedy.h"
 #include "multilevel.h"
 #include "problem/relaxation.h"
-#include "search/feasibility.h"
 
 namespace poise {
 namespace {
@@ -19,6 +19,22 @@ constexpr int kManyUnits = 400;
 // How hot each cooling begins, in mean changes of F: the first keeps much of where it
 // starts, the others come back when local search leads no further. Found by trial.
 constexpr double kHeats[4] = {0.2, 0.5, 1.0, 2.0};
+
+// Where to start when the greedy comes to a dead end: the units that it has not placed go
+// to any computer that they may run on. Empty when one may run nowhere.
+Placement anywhere(const Problem& p, Random& random) {
+  Placement placed;
+  Greedy(p).run(placed);
+  for (int i = 0; i < p.n; ++i) {
+    if (placed[i] >= 0) continue;
+    const int choices = p.choices(i);
+    if (choices == 0) return {};
+    int skip = random.below(choices), h = 0;
+    while (!p.allowed(i, h) || skip-- > 0) ++h;
+    placed[i] = h;
+  }
+  return placed;
+}
 
 }  // namespace
 
@@ -73,7 +89,7 @@ Outcome search(const Problem& p, const Placement& known, Stop& stop, std::uint64
                         (start.empty() || terms(p, joined).total() < terms(p, start).total());
     if (better) start = std::move(joined);
   }
-  if (start.empty()) start = Feasibility(p, stop, random).run();
+  if (start.empty()) start = anywhere(p, random);
   Search search(p, stop, seed);
   if (static_cast<int>(start.size()) == p.n) search.run(start);
   out.placed = search.best();

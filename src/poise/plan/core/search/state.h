@@ -75,7 +75,6 @@ class State {
  private:
   void reset_table();
   Change weigh_loads(int a, int b);
-  double range_with(int resource, int a, int b, double more, double less) const;
   void find_extremes(int resource);
   void shift(int unit, int to);
   void settle(int a, int b);

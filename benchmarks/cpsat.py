@@ -1,4 +1,4 @@
-"""The placement by OR-Tools CP-SAT: an independent certificate (extra `exact`).
+"""The placement by OR-Tools CP-SAT: a certificate for tests and benchmarks.
 
 CP-SAT counts in whole numbers, and errs when they are large: none here is above 10^7.
 So its model is a *relaxation*: demands, and what adds to F, are rounded down, and the
@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from math import floor, inf
-from threading import Thread
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -22,14 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 from ortools.sat.python import cp_model
 
-from poise.errors import UsageError
 from poise.plan import _core
-from poise.plan.problem.arrays import Arrays, Placed, fits
-from poise.plan.problem.problem import SLACK
-from poise.plan.result_records import Answer, Ask
+from poise.plan.problem.arrays import Arrays, Placed, arrays_of, fits
+from poise.plan.problem.problem import SLACK, Problem
+from poise.plan.result_records import Answer
 from poise.plan.violations import loads, traffic
 
-# OR-Tools may not be installed where this is checked.
+# OR-Tools has no types.
 IntVar = Any
 LinearExprT = Any
 
@@ -37,21 +35,18 @@ UNITS = 10_000_000
 """In how many parts the scale of F is divided."""
 PARTS = 1_000_000
 """In how many parts a limit is divided."""
-MOST_VARIABLES = 200_000
-"""With more, setting up the program takes longer than solving it here."""
-LOOK = 0.02
-"""How long it may take to notice that it should stop [s]."""
+WORKERS = 2
+"""How many threads it may use."""
+
+
+def certificate(problem: Problem, seconds: float) -> Answer:
+    """Return the best placement of a problem that CP-SAT finds, and its bound."""
+    arrays = arrays_of(problem)
+    return solve(_core.Core(arrays), arrays, seconds)
 
 
 def solve(
-    core: _core.Core,
-    arrays: Arrays,
-    seconds: float,
-    seed: int,
-    known: Placed,
-    stop: Ask | None = None,
-    *,
-    workers: int = 2,
+    core: _core.Core, arrays: Arrays, seconds: float, known: Placed | None = None
 ) -> Answer:
     """Return the best placement that CP-SAT finds, and its bound.
 
@@ -59,31 +54,14 @@ def solve(
     ----------
     known
         A placement to start from; empty: none.
-    stop
-        Asked 50 times a second whether to stop now.
-    workers
-        How many threads it may use.
-
-    Raises
-    ------
-    UsageError
-        When the problem is too large.
     """
-    pairs = arrays.m * arrays.m if arrays.distance or arrays.bandwidth else 1
-    if arrays.n * arrays.m + len(arrays.first) * pairs > MOST_VARIABLES:
-        raise UsageError(
-            f"{arrays.n} components with {len(arrays.first)} connectors on {arrays.m} "
-            "computers are too many for 'cpsat'; take 'search'"
-        )
+    known = known or []
     best = Answer(known, _total(core, known), -inf, False, "budget")
-    if stop is not None and stop():
-        return best._replace(stopped_by="interrupted")
     model = _Relaxation(arrays)
     end = perf_counter() + seconds
     while True:
         model.hint(best.placed)
-        left = max(end - perf_counter(), 1e-3)
-        answer = _run(model, left, seed, workers, stop)
+        answer = _run(model, max(end - perf_counter(), 1e-3))
         if answer.status == "INFEASIBLE" and not best.placed:
             return Answer([], inf, -inf, True, "infeasible")
         if answer.placed and core.feasible(answer.placed):
@@ -93,8 +71,6 @@ def solve(
         best = best._replace(bound=max(best.bound, answer.bound))
         if best.placed and best.objective - best.bound <= model.error:
             return best._replace(proven=True, stopped_by="proven")
-        if answer.interrupted:
-            return best._replace(stopped_by="interrupted")
         is_over = perf_counter() >= end or answer.status != "OPTIMAL"
         if is_over or not model.refine(answer.placed):
             return best
@@ -108,45 +84,20 @@ class _Solved(NamedTuple):
     status: str
     placed: Placed
     bound: float
-    interrupted: bool
 
 
-def _run(
-    model: _Relaxation, seconds: float, seed: int, workers: int, stop: Ask | None
-) -> _Solved:
-    """Let the solver run until it is done, or time is up, or Ctrl-C or `stop` end it.
-
-    It runs in a thread of its own, as only from beside it can it be stopped. Its own
-    way with Ctrl-C is switched off: it leaves the process without Python's.
-    """
+def _run(model: _Relaxation, seconds: float) -> _Solved:
     solver = cp_model.CpSolver()
-    solver.parameters.catch_sigint_signal = False
     solver.parameters.max_time_in_seconds = seconds
-    solver.parameters.random_seed = seed & 0x7FFFFFFF
-    solver.parameters.num_workers = workers
-    ended: list[str] = []
-    thread = Thread(
-        target=lambda: ended.append(solver.solve(model.program).name), daemon=True
-    )
-    thread.start()
-    interrupted = False
-    while thread.is_alive():
-        try:
-            thread.join(LOOK)
-            interrupted = interrupted or (stop is not None and stop())
-        except KeyboardInterrupt:
-            interrupted = True
-        if interrupted:
-            solver.stop_search()
-    status = ended[0] if ended else "failed"
+    solver.parameters.num_workers = WORKERS
+    status = solver.solve(model.program).name
     if status not in {"OPTIMAL", "FEASIBLE"}:
-        return _Solved(status, [], -inf, interrupted)
+        return _Solved(status, [], -inf)
     placed = [
         next(h for h, here in enumerate(row) if solver.boolean_value(here))
         for row in model.on
     ]
-    bound = solver.best_objective_bound / model.scale
-    return _Solved(status, placed, bound, interrupted)
+    return _Solved(status, placed, solver.best_objective_bound / model.scale)
 
 
 class _Affine(NamedTuple):
@@ -318,7 +269,7 @@ class _Relaxation:
             counted = [
                 h for h in range(t.m) if not t.share or t.capacity[h * t.r + k] > 0
             ]
-            if weight <= 0 or len(counted) < 2:  # noqa: PLR2004 - a spread needs two
+            if weight <= 0 or len(counted) < 2:
                 continue
             residues = [self._residue(k, h) for h in counted]
             # Of a range, two residues are rounded; of a variance, every square.
