@@ -11,7 +11,7 @@ from poise import plan
 from poise.errors import UsageError
 from poise.model.robot import Computer
 from poise.plan import Bundle, Edge, Item, LinkCapacity, Problem, _core
-from poise.plan.phases.merged import Unit, contracted, merged
+from poise.plan.phases.merged import Unit, merged
 from poise.plan.phases.problem import NEVER
 from poise.plan.problem.arrays import arrays_of
 from poise.plan.problem.snapshot import Snapshot
@@ -145,28 +145,6 @@ def test_phases_as_one_problem_have_the_same_total(seed: int) -> None:
     result = plan.solve_phases(problem, steps=20_000)
     assert result.total is not None
     assert result.total <= sum(core.terms(placed)) + 1e-9
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_phases_with_runs_as_units_have_the_same_total(seed: int) -> None:
-    """Two phases: every component that both have is one unit, or all stay apart."""
-    problem = random_task(seed)
-    one, two = (arrays_of(phase.problem) for phase in problem.phases[:2])
-    shared = one.index.keys() & two.index.keys()
-    moves: dict[tuple[Unit, Unit], float] = {
-        ((0, one.index[n]), (1, two.index[n])): problem.move[n] for n in shared
-    }
-    whole = merged([one, two], moves)
-    into = [*range(one.n)]
-    for name, unit in two.index.items():
-        into.append(one.index[name] if name in shared else max(into) + 1)
-        assert unit == len(into) - 1 - one.n
-    runs = contracted(whole, into)
-    placed = [unit % whole.m for unit in range(runs.n)]
-    apart = [placed[unit] for unit in into]
-    core, alike = _core.Core(whole), _core.Core(runs)
-    assert alike.terms(placed) == pytest.approx(core.terms(apart))
-    assert alike.feasible(placed) == core.feasible(apart)
 
 
 def test_what_may_not_be_moved_is_in_one_place() -> None:

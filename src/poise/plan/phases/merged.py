@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import accumulate
 
-from msgspec import structs
-
 from poise.plan.problem.arrays import Arrays
 
 Unit = tuple[int, int]
@@ -74,57 +72,6 @@ def merged(parts: Sequence[Arrays], moves: Mapping[tuple[Unit, Unit], float]) ->
         a.m,
         a.r * count,
     )
-
-
-def contracted(a: Arrays, into: Sequence[int]) -> Arrays:
-    """Return the arrays of a problem in which some units are one.
-
-    Parameters
-    ----------
-    into
-        Unit -> its unit in the result.
-    """
-    n = max(into) + 1
-    inside: list[list[int]] = [[] for _ in range(n)]
-    for unit, target in enumerate(into):
-        inside[target].append(unit)
-    allowed: dict[int, tuple[int, ...]] = {}
-    for unit, computers in a.allowed.items():
-        before = allowed.get(into[unit], computers)
-        allowed[into[unit]] = tuple(h for h in computers if h in before)
-    edges = [
-        (into[i], into[j], overhead)
-        for i, j, overhead in zip(a.first, a.second, a.overhead, strict=True)
-        if into[i] != into[j]
-    ]
-    return structs.replace(
-        a,
-        members=[tuple(i for u in units for i in a.members[u]) for units in inside],
-        unit_of=[into[unit] for unit in a.unit_of],
-        demand=_summed(a.demand, inside, a.r),
-        allowed=allowed,
-        first=[i for i, _, _ in edges],
-        second=[j for _, j, _ in edges],
-        overhead=[overhead for *_, overhead in edges],
-        traffic=[0.0] * len(edges),
-        cost=_summed(a.cost, inside, a.m),
-        apart=[(into[i], into[j]) for i, j in a.apart],
-        n=n,
-    )
-
-
-def _summed(
-    table: Sequence[float], inside: Sequence[Sequence[int]], columns: int
-) -> list[float]:
-    """Return a row for each unit: the sum of the rows of those inside it."""
-    if not table:
-        return []
-    rows = [table[at : at + columns] for at in range(0, len(table), columns)]
-    return [
-        value
-        for units in inside
-        for value in map(sum, zip(*(rows[unit] for unit in units), strict=True))
-    ]
 
 
 def _own(tables: Sequence[Sequence[float]], r: int) -> list[float]:

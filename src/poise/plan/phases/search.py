@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import accumulate
 from random import Random
 from time import perf_counter
 from typing import NamedTuple
@@ -12,7 +11,7 @@ from msgspec.structs import replace
 
 from poise.plan import _core
 from poise.plan.phases.costs import beside, with_moves
-from poise.plan.phases.merged import Unit, contracted, merged
+from poise.plan.phases.merged import Unit, merged
 from poise.plan.phases.problem import PhasedProblem
 from poise.plan.planner import Planner
 from poise.plan.problem.arrays import Placed, arrays_of
@@ -30,7 +29,7 @@ CHAINED = 0.3
 TOGETHER = 0.02
 """Which part goes into one search of several phases as one problem."""
 MOST_TOGETHER = 3
-"""So many phases are placed as one problem, where components move in each by itself."""
+"""So many phases are placed as one problem; of more, a search finds less."""
 ROUNDS = 2
 """So often for each phase, where steps are counted instead of time."""
 
@@ -153,11 +152,8 @@ class PhaseSearch:
             if is_over:
                 break
             rounds += 1
-            as_runs = rounds % 2 == 1
-            most = len(held) if as_runs else MOST_TOGETHER
-            names = self._some_beside(list(held), most, random)
-            left = end - perf_counter()
-            better = self._search(names, held, left, rounds, as_runs=as_runs)
+            names = self._some_beside(list(held), random)
+            better = self._search(names, held, end - perf_counter(), rounds)
             if better and self._cost(better, held) < self._cost(
                 {name: held[name] for name in names}, held
             ):
@@ -184,12 +180,10 @@ class PhaseSearch:
         now = self._cost({name: held[name]}, held)
         return found if self._cost({name: found}, held) < now else held[name]
 
-    def _some_beside(
-        self, names: Sequence[str], most: int, random: Random
-    ) -> list[str]:
-        """Return some phases, at most so many, of which each is beside another one."""
+    def _some_beside(self, names: Sequence[str], random: Random) -> list[str]:
+        """Return two or three phases of which each is beside another one."""
         chosen = [random.choice(names)]
-        for _ in range(random.randint(1, max(1, most - 1))):
+        for _ in range(random.randint(1, MOST_TOGETHER - 1)):
             near = [
                 other
                 for name in chosen
@@ -201,23 +195,11 @@ class PhaseSearch:
         return chosen
 
     def _search(
-        self,
-        names: Sequence[str],
-        held: Solution,
-        left: float,
-        seed: int,
-        *,
-        as_runs: bool,
+        self, names: Sequence[str], held: Solution, left: float, seed: int
     ) -> dict[str, Held]:
         """Search for better placements of some phases; empty when one breaks a limit.
 
         That may be, as the bandwidth of links is left out.
-
-        Parameters
-        ----------
-        as_runs
-            Whether a component goes elsewhere in all phases together through which it
-            stays at one computer now.
         """
         others = {n: h.placement for n, h in held.items() if n not in names}
         parts = []
@@ -226,20 +208,13 @@ class PhaseSearch:
             problem = with_moves(self._problem, name, others)
             part = keep_components(problem, held[name].placement.keys())
             parts.append(replace(snapshot.arrays, cost=arrays_of(part).cost))
-        between = self._between(names, held)
         known = [unit for name in names for unit in held[name].placed]
-        arrays, into = merged(parts, between), list(range(len(known)))
-        if as_runs:
-            into = _runs(known, [part.n for part in parts], between)
-            arrays = contracted(arrays, into)
-            known = [known[into.index(unit)] for unit in range(arrays.n)]
-        core = _core.Core(arrays)
+        core = _core.Core(merged(parts, self._between(names, held)))
         how = self._how
         seconds, steps = max(0.0, min(how.budget * TOGETHER, left)), UNLIMITED
         if how.steps is not None:
             seconds, steps = float("inf"), int(how.steps * TOGETHER)
-        found_units, *_, reason, _ = core.search(known, seconds, steps, seed, how.stop)
-        placed = [found_units[unit] for unit in into]
+        placed, *_, reason, _ = core.search(known, seconds, steps, seed, how.stop)
         self.interrupted |= reason == "interrupted"
         found: dict[str, Held] = {}
         for name in names:
@@ -294,23 +269,3 @@ class PhaseSearch:
                     if there.get(component, computer) != computer
                 )
         return total
-
-
-def _runs(
-    placed: Placed, sizes: Sequence[int], between: Mapping[tuple[Unit, Unit], float]
-) -> list[int]:
-    """Return unit -> its run: the same components, at one computer in phases beside."""
-    begin = [0, *accumulate(sizes)]
-    root = list(range(len(placed)))
-
-    def find(unit: int) -> int:
-        while root[unit] != unit:
-            unit = root[unit]
-        return unit
-
-    for (p, u), (q, v) in between:
-        one, two = begin[p] + u, begin[q] + v
-        if placed[one] == placed[two]:
-            root[find(one)] = find(two)
-    numbers: dict[int, int] = {}
-    return [numbers.setdefault(find(unit), len(numbers)) for unit in range(len(placed))]
