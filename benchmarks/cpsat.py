@@ -8,6 +8,8 @@ a bound or that there is no placement, holds. What it finds is looked at in real
 numbers. If it breaks a limit that rounding hid, or its F is more than the model says,
 the model gets a cut or a tangent there, and is solved again. A placement is proven when
 its F is above the bound by no more than what rounding alone may hide.
+
+It imports internal modules: what it proves is compared with what the core finds.
 """
 
 from __future__ import annotations
