@@ -25,7 +25,7 @@ from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.running_components import Run
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
-from poise.runtime.agent.sampling.sampler import proportional_memory
+from poise.runtime.agent.sampling.kernel_counters import proportional_memory
 from poise.session.launch.computers import computers_of
 from poise.wire.records.status import AgentStatus
 

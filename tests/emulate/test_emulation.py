@@ -11,8 +11,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from poise.cgroup_mounts import mounts
 from poise.emulate import Emulation, look, sweep
-from poise.emulate.cgroup.files import mounts
 from poise.emulate.cgroup.groups import Group, Groups
 from poise.emulate.cgroup.v2 import V2
 from poise.emulate.layout import EmulationLayout

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from poise.emulate.cgroup.files import Mount, mounts
+from poise.cgroup_mounts import Mount, mounts
 from poise.emulate.cgroup.groups import Groups
 from poise.emulate.cgroup.v1 import V1
 from poise.emulate.cgroup.v2 import V2

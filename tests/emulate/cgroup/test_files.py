@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from poise.emulate.cgroup.files import mounts, table
+from poise.cgroup_mounts import mounts
+from poise.emulate.cgroup.files import table
 
 
 def test_both_versions_are_found_with_the_own_folder(tmp_path: Path) -> None:

@@ -51,7 +51,7 @@ def test_refuses_what_is_no_store(tmp_path: Path) -> None:
     """The file is named."""
     path = tmp_path / "success.sqlite"
     path.write_text("no database, but long enough to look at" * 10)
-    with pytest.raises(UsageError, match=r"success\.sqlite cannot keep outcomes"):
+    with pytest.raises(UsageError, match=r"success\.sqlite cannot store outcomes"):
         SuccessStore(path)
 
 

@@ -14,7 +14,8 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from poise.emulate.cgroup.files import Files, Mount
+from poise.cgroup_mounts import Mount
+from poise.emulate.cgroup.files import Files
 from poise.emulate.cgroup.groups import PROGRAMS, Group, Groups, Settings
 from poise.emulate.limits import Limits
 

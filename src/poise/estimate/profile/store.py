@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Self
 
 import msgspec
 
-from poise.errors import UsageError
 from poise.estimate.profile import KindCosts, Profile
+from poise.estimate.sqlite_file import SqliteFile
 
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS measurements (
@@ -22,33 +20,11 @@ CREATE TABLE IF NOT EXISTS measurements (
 """
 
 
-class Store:
-    """Profiles and calibrations by robot; all remain.
-
-    Parameters
-    ----------
-    path
-        The file; it and its folder are created if missing.
-
-    Raises
-    ------
-    UsageError
-        It cannot be created, or is no SQLite file.
-    """
+class Store(SqliteFile):
+    """Profiles and calibrations by robot; all remain."""
 
     def __init__(self, path: Path) -> None:
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._database = sqlite3.connect(path, isolation_level=None, timeout=1.0)
-            self._database.executescript(_SCHEMA)
-        except (OSError, sqlite3.Error) as error:
-            raise UsageError(f"{path} cannot store profiles: {error}") from error
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._database.close()
+        super().__init__(path, _SCHEMA, "profiles")
 
     def add(self, profile: Profile) -> None:
         """Add a profile."""
@@ -73,15 +49,18 @@ class Store:
         return msgspec.json.decode(text, type=dict[str, KindCosts])
 
     def _add(self, robot: str, kind: str, measured: object) -> None:
-        self._database.execute(
+        self.execute(
             "INSERT INTO measurements (robot, kind, json) VALUES (?, ?, ?)",
-            (robot, kind, msgspec.json.encode(measured).decode()),
+            robot,
+            kind,
+            msgspec.json.encode(measured).decode(),
         )
 
     def _newest_first(self, robot: str, kind: str) -> Iterator[str]:
-        rows = self._database.execute(
+        rows = self.execute(
             "SELECT json FROM measurements WHERE robot = ? AND kind = ?"
             " ORDER BY id DESC",
-            (robot, kind),
+            robot,
+            kind,
         )
         return (text for (text,) in rows)

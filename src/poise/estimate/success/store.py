@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sqlite3
 from pathlib import Path
-from typing import Literal, Self
+from typing import Literal
 
 import msgspec
 from msgspec import Struct
 
-from poise.errors import UsageError
+from poise.estimate.sqlite_file import SqliteFile
 from poise.estimate.success.posterior import Posterior
 
 Ending = Literal["done", "failed"]
@@ -66,38 +65,15 @@ class Outcome(Struct, frozen=True, kw_only=True):
     ending: Ending
 
 
-class SuccessStore:
-    """Outcomes by robot; all remain until they are reset.
-
-    Parameters
-    ----------
-    path
-        The file; it and its folder are created if missing.
-
-    Raises
-    ------
-    UsageError
-        It cannot be created, read or written, or is no SQLite file.
-    """
+class SuccessStore(SqliteFile):
+    """Outcomes by robot; all remain until they are reset."""
 
     def __init__(self, path: Path) -> None:
-        self._path = path
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._database = sqlite3.connect(path, isolation_level=None, timeout=1.0)
-        except (OSError, sqlite3.Error) as error:
-            raise self._broken(error) from error
-        self._execute(_SCHEMA)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._database.close()
+        super().__init__(path, _SCHEMA, "outcomes of actions")
 
     def add(self, robot: str, outcome: Outcome) -> None:
         """Add an outcome."""
-        self._execute(
+        self.execute(
             "INSERT INTO outcomes (robot, at, action, situation, function,"
             " architecture, hash, ending) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
             robot,
@@ -114,7 +90,7 @@ class SuccessStore:
         self, robot: str, architecture: str
     ) -> dict[tuple[str, Situation, str], Posterior]:
         """Return (action, situation, hash) -> what its outcomes say of success."""
-        rows = self._execute(
+        rows = self.execute(
             "SELECT action, situation, hash, SUM(ending = 'done'), "
             "SUM(ending = 'failed') FROM outcomes WHERE robot = ? AND architecture = ?"
             " GROUP BY action, situation, hash ORDER BY MIN(id)",
@@ -128,23 +104,11 @@ class SuccessStore:
 
     def reset(self, robot: str, architecture: str) -> int:
         """Forget the outcomes of an architecture; return how many there were."""
-        return self._execute(
+        return self.execute(
             "DELETE FROM outcomes WHERE robot = ? AND architecture = ?",
             robot,
             architecture,
         ).rowcount
-
-    def _execute(self, statement: str, *values: str | float) -> sqlite3.Cursor:
-        try:
-            return self._database.execute(statement, values)
-        except sqlite3.Error as error:
-            raise self._broken(error) from error
-
-    def _broken(self, error: Exception) -> UsageError:
-        return UsageError(
-            f"{self._path} cannot keep outcomes of actions: {error}. If it is damaged, "
-            "remove it: what was learned is lost then"
-        )
 
 
 def _text(situation: Situation) -> str:

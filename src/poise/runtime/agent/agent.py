@@ -22,7 +22,7 @@ from types import FrameType
 import zenoh
 from msgspec.msgpack import encode
 
-from poise.clock import Clock, SystemClock
+from poise.clock import SystemClock
 from poise.endpoint import Endpoint
 from poise.errors import RunError, UsageError
 from poise.priority import ahead, go_first
@@ -70,10 +70,6 @@ from poise.wire.records.status import AgentStatus
 log = logging.getLogger(__name__)
 
 
-def ignore(_: str) -> None:
-    """Say nothing."""
-
-
 class Agent:
     """Runs the containers of one computer.
 
@@ -89,14 +85,9 @@ class Agent:
         The path of the folder is too long for sockets in it, or another agent uses it.
     """
 
-    def __init__(
-        self,
-        setup: AgentSetup,
-        clock: Clock | None = None,
-        say: Callable[[str], object] = ignore,
-    ) -> None:
+    def __init__(self, setup: AgentSetup, say: Callable[[str], object]) -> None:
         self._setup = setup
-        self._clock = clock or SystemClock()
+        self._clock = SystemClock()
         self._born = self._clock.now()
         self._stopping = False
         self._trouble: Callable[[], str] = str
@@ -284,10 +275,8 @@ class Agent:
                 self._relay.pass_on(request, query, self._clock.now())
         elif refusal:
             answer(query, Refused(refusal))
-        elif isinstance(request, ReadOutput):
-            answer(query, self._read_output(request))
-        elif isinstance(request, CheckpointCopy):
-            answer(query, self._keep_checkpoint(request))
+        elif isinstance(request, ReadOutput | CheckpointCopy):
+            answer(query, self._use_folder(request))
         elif wanted and request.generation < wanted.generation:
             older = f"generation {request.generation} is older than "
             answer(query, Refused(f"{older}{wanted.generation}"))
@@ -297,18 +286,14 @@ class Agent:
             self._checkpoints.keep_only(request)
             answer(query, Accepted())
 
-    def _keep_checkpoint(self, copy: CheckpointCopy) -> Answer:
+    def _use_folder(self, request: ReadOutput | CheckpointCopy) -> Answer:
         try:
-            self._checkpoints.write(copy)
+            if isinstance(request, ReadOutput):
+                return read_output(Path(self._setup.folder), request)
+            self._checkpoints.write(request)
         except OSError as error:
-            return Refused(f"it cannot keep a checkpoint: {error}")
+            return Refused(f"it cannot use its folder: {error}")
         return Accepted()
-
-    def _read_output(self, asked: ReadOutput) -> Answer:
-        try:
-            return read_output(Path(self._setup.folder), asked)
-        except OSError as error:
-            return Refused(f"it cannot read what containers wrote: {error}")
 
     def _serve(self, publisher: zenoh.Publisher) -> None:
         reports = StatusReports(publisher.put, self._clock, self._status())

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 from msgspec.msgpack import encode
 
 from poise.clock import Clock
-from poise.wire.records.status import AgentStatus
+from poise.wire.records.status import AgentStatus, ContainerStatus
 
 REPORT_EVERY = 0.5
 """A status goes out at least this often [s]."""
@@ -34,7 +35,8 @@ class StatusReports:
     ) -> None:
         self._publish = publish
         self._clock = clock
-        self._seen = 0, _states(first)
+        self._known: dict[str, _Known] = {}
+        self._seen = 0, self._states(first)
         self._missed, self._sent = 0, 0.0
         self.due = 0.0
 
@@ -46,39 +48,43 @@ class StatusReports:
         arrivals
             How many managers have come: one that came waits for it.
         """
-        seen = arrivals, _states(status)
-        if _missed(status) != self._missed:
+        seen = arrivals, self._states(status)
+        missed = sum(known.missed for known in self._known.values())
+        if missed != self._missed:
             self.due = min(self.due, self._sent + _MISSES_EVERY)
         if seen != self._seen or self._clock.now() >= self.due:
             self._publish(encode(status))
-            self._seen, self._missed = seen, _missed(status)
+            self._seen, self._missed = seen, missed
             self._sent = self._clock.now()
             self.due = self._sent + REPORT_EVERY
 
-
-def _states(status: AgentStatus) -> tuple[object, ...]:
-    """Return the part of a status whose change is sent at once."""
-    components = [
-        (component.name, component.state, component.errors)
-        for container in status.containers
-        for component in container.components
-    ]
-    connectors = [
-        (connector.name, connector.ready)
-        for container in status.containers
-        for connector in container.connectors
-    ]
-    health = [(health.name, health.state) for health in status.health]
-    last = status.faults[-1].number if status.faults else 0
-    found = (status.generation, status.token, last, bool(status.cut_off))
-    return (*found, health, components, connectors)
+    def _states(self, status: AgentStatus) -> tuple[object, ...]:
+        """Return the part of a status whose change is sent at once."""
+        before, self._known = self._known, {}
+        for container in status.containers:
+            known = before.get(container.name)
+            # most containers have said nothing since the last time
+            if known is None or known.status is not container:
+                known = _known_of(container)
+            self._known[container.name] = known
+        health = [(health.name, health.state) for health in status.health]
+        last = status.faults[-1].number if status.faults else 0
+        found = (status.generation, status.token, last, bool(status.cut_off))
+        states = [known.states for known in self._known.values()]
+        return (*found, health, states)
 
 
-def _missed(status: AgentStatus) -> int:
-    """Return how many deadlines of timers were missed on the computer."""
-    return sum(
-        timer.missed
-        for container in status.containers
-        for component in container.components
-        for timer in component.timers
-    )
+class _Known(NamedTuple):
+    """What a container has said: the states in it, and how many deadlines it missed."""
+
+    status: ContainerStatus
+    states: object
+    missed: int
+
+
+def _known_of(status: ContainerStatus) -> _Known:
+    components = [(each.name, each.state, each.errors) for each in status.components]
+    connectors = [(each.name, each.ready) for each in status.connectors]
+    timers = (timer for each in status.components for timer in each.timers)
+    missed = sum(timer.missed for timer in timers)
+    return _Known(status, (components, connectors), missed)

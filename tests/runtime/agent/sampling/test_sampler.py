@@ -10,11 +10,11 @@ import pytest
 
 from poise.runtime import _calls
 from poise.runtime._calls import ComponentCounters, PageSampler
-from poise.runtime.agent.sampling.sampler import (
-    Sampler,
+from poise.runtime.agent.sampling.kernel_counters import (
     proportional_memory,
     resident_memory,
 )
+from poise.runtime.agent.sampling.sampler import Sampler
 from poise.runtime.hosting.stats_page import new_memory
 from poise.wire.records.samples import AgentSample
 

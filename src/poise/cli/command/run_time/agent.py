@@ -15,7 +15,7 @@ from poise.cli.interrupts import Interrupts
 from poise.cli.options import parse_option
 from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import UsageError
-from poise.runtime.agent.agent import Agent, ignore
+from poise.runtime.agent.agent import Agent
 from poise.runtime.agent.agent_setup import AgentSetup
 from poise.session.launch.temporary_folders import agent_folder
 from poise.units import SECONDS
@@ -89,7 +89,7 @@ def agent_command(
                 lease=lease,
                 sample_every=parse_option("--sample-every", sample_every, SECONDS),
             ),
-            say=_say if lifeline is None else ignore,
+            say=_say if lifeline is None else lambda _: None,
         )
         interrupts.check()
         agent.run()  # with handlers of its own

@@ -7,14 +7,16 @@ import os
 import threading
 import time
 from collections.abc import Callable, Sequence
-from mmap import PAGESIZE
-from pathlib import Path
 
 import msgspec
 from msgspec import Struct, structs
 
 from poise.runtime._calls import PageSampler
-from poise.runtime.agent.sampling.computer_cpu import ComputerCpu
+from poise.runtime.agent.sampling.kernel_counters import (
+    ComputerCpu,
+    proportional_memory,
+    resident_memory,
+)
 from poise.runtime.agent.sampling.watchdog import LOOK_EVERY, Silence, Watchdog
 from poise.runtime.agent.supervision.health import Usage
 
@@ -190,23 +192,3 @@ def _weigh(processes: Sequence[int], known: _Weight | None) -> _Weight:
     if known and known.resident == resident and known.age < _ANYWAY:
         return structs.replace(known, age=known.age + 1)
     return _Weight(resident, sum(map(proportional_memory, processes)))
-
-
-def resident_memory(process: int) -> int:
-    """Return what a process holds, shared or not [bytes]; 0 when it has ended."""
-    try:
-        return int(Path(f"/proc/{process}/statm").read_bytes().split()[1]) * PAGESIZE
-    except OSError:
-        return 0
-
-
-def proportional_memory(process: int) -> int:
-    """Return a process's proportional set size [bytes]; 0 when nobody tells."""
-    try:
-        text = Path(f"/proc/{process}/smaps_rollup").read_bytes()
-    except OSError:
-        return 0
-    for line in text.splitlines():
-        if line.startswith(b"Pss:"):
-            return int(line.split()[1]) * 1024
-    return 0

@@ -9,13 +9,13 @@ because on a busy machine it passes by itself.
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
 from typing import Protocol
 
 from msgspec import Struct
+
+from poise.runtime.agent.sampling.kernel_counters import Processes
 
 LOOK_EVERY = 0.2
 """The heartbeats are compared this often [s]."""
@@ -56,46 +56,6 @@ class Heartbeat(Protocol):
 
     def heartbeat(self) -> int:
         """Return how often the control thread has run; 0 before the first time."""
-
-
-class Processes:
-    """What the kernel knows of processes.
-
-    Parameters
-    ----------
-    proc
-        Where its files are.
-    """
-
-    def __init__(self, proc: Path = Path("/proc")) -> None:
-        self._proc = proc
-
-    def is_stopped(self, pid: int) -> bool:
-        """Return whether a process was stopped by a signal or a debugger."""
-        try:
-            text = (self._proc / str(pid) / "stat").read_text()
-        except OSError:
-            return False
-        return text.rpartition(")")[2].split()[0] in {"T", "t"}
-
-    def cpu(self, pid: int) -> float:
-        """Return the CPU time of a process so far [s]; 0 when it has ended."""
-        try:
-            return time.clock_gettime(~pid * 8 | 2)  # CPUCLOCK_SCHED of a process
-        except OSError:
-            return 0.0
-
-    def delays(self, pid: int) -> dict[int, float]:
-        """Return how long each thread was runnable without a CPU [s], by thread.
-
-        Empty where the kernel does not count that.
-        """
-        found = {}
-        for thread in (self._proc / str(pid) / "task").glob("*/schedstat"):
-            with contextlib.suppress(OSError):  # it has ended
-                waited = int(thread.read_text().split()[1])
-                found[int(thread.parent.name)] = waited * 1e-9
-        return found
 
 
 class _Watched:

@@ -18,6 +18,7 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
+from poise.cgroup_mounts import mounts
 from poise.priority import REAL_TIME
 from poise.wire.records.deployment import ContainerSpec
 
@@ -117,12 +118,10 @@ def own_group() -> Path | None:
     folder = os.environ.get(CPU_GROUP)
     if folder is not None:
         return Path(folder) if folder else None
-    for line in Path("/proc/self/cgroup").read_text(encoding="utf-8").splitlines():
-        _, controllers, path = line.split(":", 2)
-        if path == "/" or controllers not in {"", "cpu", "cpu,cpuacct"}:
+    for mount in mounts():
+        found = mount.own
+        if found == mount.top or "cpu" not in mount.controllers:
             continue
-        top = Path("/sys/fs/cgroup", "cpu" if controllers else "")
-        found = top / path.lstrip("/")
         if found.name == "agent":  # of an agent before, or systemd's DelegateSubgroup
             found = found.parent
         if os.access(found / "cgroup.procs", os.W_OK):

@@ -6,10 +6,12 @@ The kernel counts such kills per cgroup (``memory.oom_control`` of version 1,
 
 from __future__ import annotations
 
+import contextlib
 from collections import deque
 from pathlib import Path
 
-from poise.runtime.agent.sampling.kernel_file import KernelFile
+from poise.cgroup_mounts import Mount, mounts
+from poise.runtime.agent.sampling.kernel_counters import KernelFile
 from poise.units import format_bytes
 
 _LATE = 10.0
@@ -79,28 +81,10 @@ def _count(file: KernelFile) -> int | None:
 
 def _memory_group(proc: Path) -> Path:
     """Return the folder of this process's cgroup that counts memory."""
-    paths = {}
-    for line in _lines(proc / "self/cgroup"):
-        _, controllers, path = line.split(":", 2)
-        for controller in controllers.split(","):
-            paths[controller] = path
-    for line in _lines(proc / "self/mountinfo"):
-        head, _, tail = line.partition(" - ")
-        root, mount = head.split()[3:5]
-        kind, _, options = tail.split(" ", 2)
-        controller = "memory" if kind == "cgroup" else ""
-        is_ours = kind == "cgroup2" or "memory" in options.split(",")
-        if kind.startswith("cgroup") and is_ours and controller in paths:
-            group = Path(mount, paths[controller].removeprefix(root).lstrip("/"))
-            if any(
-                (group / f).exists() for f in ("memory.events", "memory.oom_control")
-            ):
-                return group
+    found: list[Mount] = []
+    with contextlib.suppress(OSError):
+        found = mounts(proc / "self/mountinfo", proc / "self/cgroup")
+    for group in (mount.own for mount in found):
+        if any((group / f).exists() for f in ("memory.events", "memory.oom_control")):
+            return group
     return Path("/nonexistent")
-
-
-def _lines(file: Path) -> list[str]:
-    try:
-        return file.read_text().splitlines()
-    except OSError:
-        return []
