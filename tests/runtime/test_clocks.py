@@ -17,7 +17,7 @@ from poise.model import load
 from poise.runtime.agent.clock_synchronisation import ClockSynchronisation
 from poise.runtime.agent.sampling.watchdog import Silence
 from poise.runtime.agent.supervision.container_processes import ContainerProcess
-from poise.runtime.hosting.computer_clock import ComputerClock
+from poise.runtime.execution.clocks import ComputerClock
 from poise.runtime.waker import wait_readable
 from poise.session.launch.start import Sampling, started
 from poise.wire import record_channel

@@ -82,6 +82,11 @@ class Codec(Generic[T]):
         except _UNFIT as error:
             raise WireError(f"{self._name} cannot cross a connector: {error}") from None
 
+    def size_of(self, value: T) -> int:
+        """Return the size of `value` when encoded [bytes]; raises as `encode`."""
+        body, buffers = self.encode(value)
+        return len(body) + sum(buffer.nbytes for buffer in buffers)
+
     def decode(self, body: Bytes, buffers: memoryview) -> T:
         """Return the value; its arrays are read-only views on `buffers`.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from poise.runtime.connectors.remote_clock import RemoteClock
+from poise.runtime.execution.clocks import RemoteClock
 from poise.runtime.execution.data_age import DataAges, Stamped
 from poise.wire.codec import Codec, codec
 from poise.wire.frame import Frame
@@ -43,8 +43,16 @@ class SentChains:
         self.carries = carries
         self._answers = answers
 
+    def stamping(self, send: Callable[..., None]) -> Callable[..., None]:
+        """Return `send` for messages and arguments of calls, with their stamps."""
+
+        def stamp(value: object, method: object = None) -> None:
+            send(self.stamped(value), method)
+
+        return stamp
+
     def stamped(self, value: object) -> Stamped:
-        """Return a message or the arguments of a call with their stamps."""
+        """Return a value with its stamps."""
         return Stamped(self.carries, self._ages.stamps(self.carries), value)
 
     def binding(

@@ -17,8 +17,8 @@ from poise.runtime.connectors.direct import raise_callee_error
 from poise.runtime.connectors.endpoints import Endpoints
 from poise.runtime.connectors.flow_control import Credit, CreditIssuer
 from poise.runtime.connectors.interface import Method, message_tag, methods
-from poise.runtime.connectors.remote_clock import RemoteClock
 from poise.runtime.connectors.sender import Sender
+from poise.runtime.execution.clocks import RemoteClock
 from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.execution.data_age import Stamped
 from poise.runtime.execution.exclusion import Redirected, current_chain

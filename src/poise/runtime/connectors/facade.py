@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from poise.errors import Unavailable
 from poise.model.suggest import did_you_mean, listed
+from poise.runtime.connectors.interface import Method
 
 
 class Facade:
@@ -29,5 +30,16 @@ def refusing(what: str) -> Callable[..., NoReturn]:
 
     def call(*_: object, **__: object) -> NoReturn:
         raise Unavailable(f"'{what}' is not connected")
+
+    return call
+
+
+def oneway_function(
+    method: Method, send: Callable[[object, Method], None]
+) -> Callable[..., None]:
+    """Return a function that sends the arguments of a one-way call."""
+
+    def call(*args: Any, **kwargs: Any) -> None:  # noqa: ANN401, the call's own
+        send(method.bind(*args, **kwargs), method)
 
     return call

@@ -22,13 +22,13 @@ from poise.errors import CallError, RunError, Timeout, Unavailable
 from poise.runtime.component.error_report import Sparing
 from poise.runtime.component.ports import Port
 from poise.runtime.connectors.chain_stamps import SentChains
-from poise.runtime.connectors.facade import Facade, refusing
+from poise.runtime.connectors.facade import Facade, oneway_function, refusing
 from poise.runtime.connectors.interface import Method, methods
-from poise.runtime.connectors.reentrant import stepping_out
 from poise.runtime.connectors.route import Route
 from poise.runtime.connectors.tap import Observers, observed_call, observed_send
 from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.execution.exclusion import Exclusion
+from poise.runtime.execution.reentrant import stepping_out
 from poise.wire.codec import WireError
 
 log = logging.getLogger(__name__)
@@ -87,8 +87,9 @@ class Sender:
         self._changed = threading.Condition(self._lock)
         self._num_waiting = 0
         self._observers: Observers = ()
-        self.on_observed: Callable[[], None] = _nothing
-        self._disconnect()
+        self.on_observed: Callable[[], object] = lambda: None
+        with self._lock:
+            self._use(None)
 
     def add(self, key: str, route: Route) -> None:
         """Add a route; the first is used at once."""
@@ -120,13 +121,10 @@ class Sender:
 
         They are made at once, whatever waits: so the wait counts in the data's age.
         """
-        send = self.send if self.chains is None else self._stamping(self.chains)
+        chains, send = self.chains, self.send
+        if chains is not None and chains.carries:
+            send = chains.stamping(send)
         return observed_send(send, self._observers) if self._observers else send
-
-    def _stamping(self, chains: SentChains) -> Callable[..., None]:
-        if not chains.carries:
-            return self.send
-        return lambda value, method=None: self.send(chains.stamped(value), method)
 
     def observe(self, observers: Observers) -> None:
         """Let observers note what goes out from now on, instead of those before."""
@@ -201,7 +199,9 @@ class Sender:
             It did not go out: nobody is there, or others sent for all of the limit.
         """
         with self._lock:
-            if not self._wait(self._is_quiet, self._limit):
+            if not self._wait(
+                lambda: not (self._is_claimed or self._is_draining), self._limit
+            ):
                 raise Timeout(f"connector {self.name} sends since {self._limit:g} s")
             route = self._claim()
         try:
@@ -251,13 +251,10 @@ class Sender:
                     self._buffer.append((method, value, began))
                     return
                 route = self._claim()
-        if not is_free:
-            self._send_late(value, method, began)
-            return
-        try:
+        if is_free:
             self._push(route, method, value, began)
-        finally:
-            self._release()
+        else:
+            self._send_late(value, method, began)
 
     def _send_late(self, value: object, method: Method | None, began: float) -> None:
         """Send or buffer a message as soon as it may go; drop it after the limit."""
@@ -278,10 +275,7 @@ class Sender:
                 self.counts.drops += 1
                 return
             pause = min(2 * pause, _ASK_LAST)
-        try:
-            self._push(route, method, value, began)
-        finally:
-            self._release()
+        self._push(route, method, value, began)
 
     def _is_free(self) -> bool:
         """Return whether a message may be sent or buffered now."""
@@ -290,9 +284,6 @@ class Sender:
         if self._is_claimed:
             return False
         return self._current is None or self._current.has_room()
-
-    def _is_quiet(self) -> bool:
-        return not self._is_claimed and not self._is_draining
 
     def _wait(self, holds: Callable[[], bool], limit: float) -> bool:
         self._num_waiting += 1
@@ -314,12 +305,12 @@ class Sender:
     def _ask_for_room(self) -> bool:
         """Ask the target for room, unless another thread sends; whether it is there."""
         with self._lock:
-            if self._is_claimed or self._buffer is not None or self._current is None:
+            route = self._current
+            if self._is_claimed or self._buffer is not None or route is None:
                 return True
-            route = self._claim()
+            self._is_claimed = True
         try:
-            if route is not None:
-                route.ask()
+            route.ask()
         except CallError as error:
             log.debug("connector %s: %s", self.name, error)
             return False
@@ -344,9 +335,7 @@ class Sender:
         if self._may_drain() and not self._is_draining:
             if self._buffer:
                 self._is_draining = True
-                threading.Thread(
-                    target=self._send_all, name="drain", daemon=True
-                ).start()
+                threading.Thread(target=self._flush, name="drain", daemon=True).start()
             else:
                 self._buffer = None
                 self._changed.notify_all()
@@ -354,7 +343,7 @@ class Sender:
     def _may_drain(self) -> bool:
         return not self._target_moves and not self._source_is_inactive
 
-    def _send_all(self) -> None:
+    def _flush(self) -> None:
         while True:
             with self._lock:
                 self._wait(lambda: not self._is_claimed, self._limit)
@@ -371,59 +360,40 @@ class Sender:
                 self._push(route, method, value, began)
             except WireError as error:  # its publisher has gone on
                 self.counts.drops += 1
-                text = "connector %s: a message is dropped: %s"
-                log.warning(text, self.name, error)
-            finally:
-                self._release()
+                log.warning("connector %s: a message is dropped: %s", self.name, error)
 
     def _push(
         self, route: Route | None, method: Method | None, value: object, began: float
     ) -> None:
-        if route is None:
-            self.counts.drops += 1
-            return
+        """Send a message that has claimed the sender, and release that."""
         try:
+            if route is None:
+                self.counts.drops += 1
+                return
             size = route.push(method, value)
+            self.counts.add_message(size)
+            if size:  # within a container they wait only where they end
+                self.counts.wait.add(time.monotonic() - began)
         except CallError as error:
             self.counts.drops += 1
             log.debug("connector %s: %s", self.name, error)
-            return
-        self.counts.add_message(size)
-        if size:  # within a container they wait only where they end
-            self.counts.wait.add(time.monotonic() - began)
+        finally:
+            self._release()
 
     def _use(self, route: Route | None) -> None:
         self._current = route
         self._changed.notify_all()
-        if route is None:
-            self._disconnect()
-            return
         for method in self._methods:
             setattr(self._facade, method.name, self._function(method, route))
 
-    def _function(self, method: Method, route: Route) -> Callable[..., Any]:
+    def _function(self, method: Method, route: Route | None) -> Callable[..., Any]:
+        if route is None:
+            return refusing(self.name)
         if method.oneway:
-            return _oneway(self, method)
+            return oneway_function(method, self.sending())
         call = route.function(method, self)
         if self._exclusion is not None:
             call = stepping_out(self._exclusion, call)
         if self._observers:
             call = observed_call(call, method.name, self._observers)
         return call
-
-    def _disconnect(self) -> None:
-        for method in self._methods:
-            setattr(self._facade, method.name, refusing(self.name))
-
-
-def _nothing() -> None:
-    pass
-
-
-def _oneway(sender: Sender, method: Method) -> Callable[..., None]:
-    send = sender.sending()
-
-    def call(*args: Any, **kwargs: Any) -> None:  # noqa: ANN401, the call's own
-        send(method.bind(*args, **kwargs), method)
-
-    return call

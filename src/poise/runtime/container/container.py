@@ -29,8 +29,8 @@ from poise.runtime.component.implementation import search_also
 from poise.runtime.container.agent_link import ORPHAN_LIMIT, AgentLink
 from poise.runtime.container.descendants import Orphans
 from poise.runtime.container.preparation import prepare
+from poise.runtime.execution.clocks import ComputerClock
 from poise.runtime.hosting.checkpoints import Checkpoints
-from poise.runtime.hosting.computer_clock import ComputerClock
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.stats_page import ComponentKey, StatsPage
 from poise.runtime.hosting.taps import Taps

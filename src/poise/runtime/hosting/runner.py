@@ -270,7 +270,7 @@ class Runner:
                 if hook == "configure" and self.checkpoints is not None:
                     self._restore(self.checkpoints)
                 if hook == "deactivate" and self.spec.weigh:
-                    self._snapshot = _weight(self.component.snapshot())
+                    self._weigh()
         # a user's hook may raise anything
         except (Exception, SystemExit) as error:  # noqa: BLE001
             self._errors.note(hook, error, self.clock.now())
@@ -285,6 +285,10 @@ class Runner:
         self.life_cycle.enter(state)
         self.gate.resume()
         self._on_change()
+
+    def _weigh(self) -> None:
+        state = self.component.snapshot()
+        self._snapshot = 0 if state is None else codec(Any).size_of(state)
 
     def _restore(self, checkpoints: Checkpoints) -> None:
         age = checkpoints.restore(self.component)
@@ -391,11 +395,3 @@ class Runner:
             self.counters.note_done()
             self.exclusion.leave()
             self.gate.note_done()
-
-
-def _weight(state: object) -> int:
-    """Return the size of a snapshot when encoded [bytes]; 0 when there is none."""
-    if state is None:
-        return 0
-    body, buffers = codec(Any).encode(state)
-    return len(body) + sum(buffer.nbytes for buffer in buffers)

@@ -20,9 +20,9 @@ from poise.runtime.connectors.channel_route import ChannelRoute, receiving
 from poise.runtime.connectors.direct import DirectRoute
 from poise.runtime.connectors.flow_control import Credit, CreditIssuer
 from poise.runtime.connectors.recorded_inputs import InputFile, recording
-from poise.runtime.connectors.remote_clock import RemoteClock, nobody_knows
 from poise.runtime.connectors.route import Route
 from poise.runtime.connectors.sender import Sender
+from poise.runtime.execution.clocks import RemoteClock
 from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.hosting.runner import Runner
 from poise.wire.address import Address
@@ -134,7 +134,7 @@ class Wiring:
     def __init__(
         self,
         transports: Transports,
-        ahead: Callable[[str], Elapsed | None] = nobody_knows,
+        ahead: Callable[[str], Elapsed | None] = lambda _: None,
     ) -> None:
         self._transports = transports
         self._ahead = ahead

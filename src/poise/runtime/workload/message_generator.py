@@ -34,11 +34,7 @@ def maker(type_: Any) -> Maker:  # noqa: ANN401, any type of a message
     UsageError
         A field is of a type for which nothing can be generated.
     """
-    coder = codec(type_)
-
-    def size_of(value: object) -> int:
-        body, buffers = coder.encode(value)
-        return len(body) + sum(buffer.nbytes for buffer in buffers)
+    size_of = codec(type_).size_of
 
     def make(rng: random.Random, size: float) -> Any:  # noqa: ANN401, of `type_`
         room = 0

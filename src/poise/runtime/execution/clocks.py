@@ -1,8 +1,9 @@
-"""The clock of a container's components, which knows of other computers' clocks."""
+"""The clock of a container's components, and what it knows of other computers'."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 
 from poise.clock import DRIFT, Elapsed, Stamp, SystemClock
 from poise.wire.records.clocks import ClockStatus
@@ -37,3 +38,30 @@ class ComputerClock(SystemClock):
             return None
         error = known.error + DRIFT * max(0.0, self.now() - known.at)
         return Elapsed(known.offset, error)
+
+
+class RemoteClock:
+    """How far the clock at the other end is ahead, as far as it is known.
+
+    A frame is as old as it says (`poise.wire.frame.Frame.age`), plus `ahead`.
+
+    Parameters
+    ----------
+    ask
+        Returns how far it is ahead, None while it is not known. Not given: it is
+        this computer's clock.
+    """
+
+    __slots__ = ("_ask", "ahead", "error", "most")
+
+    def __init__(self, ask: Callable[[], Elapsed | None] | None = None) -> None:
+        self._ask = ask
+        self.ahead = self.most = 0.0 if ask is None else math.nan
+        self.error = 0.0
+        self.look()
+
+    def look(self) -> None:
+        """Update from what is known now; once a second, because clocks drift."""
+        known = self._ask() if self._ask else None
+        if known is not None:
+            self.ahead, self.error, self.most = known.value, known.error, known.most
