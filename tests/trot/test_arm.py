@@ -147,6 +147,23 @@ def test_does_not_begin_before_the_last_reach_is_done() -> None:
     assert sides == ["left"]
 
 
+def test_in_a_task_it_says_that_the_cup_is_placed_and_rests() -> None:
+    """The camera sees the cup where it was put, or 10 cm beside: then it goes on."""
+    for off, placed in ((0.01, True), (0.1, False)):
+        grasping, sides = planner()
+        ends: list[bool] = []
+        grasping.placed = Published(ends.append)
+        grasping.begin("take")
+        for done in range(6):
+            grasping.joints(Joints(0.0, REST.astype(np.float32), done))
+        x, y = arm_model.PLACES["right"]
+        grasping.cup(Cup(0.1, x, y + off))
+        for _ in range(2):
+            grasping.joints(Joints(0.2, REST.astype(np.float32), 6))
+        assert ends == [placed]
+        assert len(sides) == (6 if placed else 7)
+
+
 class Motors:
     """Takes commands in the place of the device."""
 

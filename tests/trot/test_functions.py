@@ -16,6 +16,7 @@ GOOD: dict[str, Any] = {
     "head_error_degrees": 4.0,
     "good_recommendations": 0.8,
     "recommendation_seconds": 0.9,
+    "named": 0.9,
 }
 
 
@@ -32,6 +33,7 @@ def test_a_good_run_works() -> None:
         ({"head_error_degrees": None}, "audition"),
         ({"good_recommendations": 0.5}, "recommendation"),
         ({"recommendation_seconds": None}, "recommendation"),
+        ({"named": None}, "recognition"),
     ],
 )
 def test_says_what_failed(change: dict[str, Any], fails: str) -> None:

@@ -160,7 +160,7 @@ def test_the_screen_shows_face_panel_and_text() -> None:
 
 
 def test_a_screen_packet_says_what_was_understood() -> None:
-    screen = Screen(1.5, "what is the time", "It is ten.", b"picture")
+    screen = Screen(1.5, "what is the time", "It is ten.", "Anna", b"picture")
     assert unpack_screen(pack_screen(screen)) == screen
 
 
@@ -193,9 +193,9 @@ def test_judges_answers_by_screen_and_voice() -> None:
     person.speak(0.0)
     person.speak(1.0)
     ends = person.asked[0].ends
-    person.read(Screen(ends - 0.1, "old", "Old.", b""))
+    person.read(Screen(ends - 0.1, "old", "Old.", "", b""))
     person.hear(ends + 0.5)
-    person.read(Screen(ends + 0.4, person.asked[0].sentence, "Well.", b""))
+    person.read(Screen(ends + 0.4, person.asked[0].sentence, "Well.", "", b""))
     result = person.result(ends + 10)
     assert result["word_error_rate"] == 0
     assert result["answer_seconds"] == 0.5

@@ -119,6 +119,7 @@ def test_recommends_the_best_first_and_says_who_asked() -> None:
     presenter.component.present()
     presenter.component.wish(Wish(4.5))
     assert television.sent == [(0.0, 9, [2, 3, 0]), (4.5, 9, [2, 3, 0])]
+    assert presenter.published["shown"] == [True]
     assert presenter.published["panel"][0].pixels.std() > 10
 
 

@@ -1,1 +1,1 @@
-"""T-Rot: a home service robot with 24 components on two computers."""
+"""T-Rot: a home service robot with 25 components on two computers."""

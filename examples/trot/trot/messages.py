@@ -72,6 +72,15 @@ class Source(Message, frozen=True):
     spread: float
 
 
+class Seen(Message, frozen=True):
+    """Who is in view: `bearing` [rad] from the robot's ahead, `distance` [m]."""
+
+    stamp: float
+    name: str
+    bearing: float
+    distance: float
+
+
 class Attention(Message, frozen=True):
     """Where the robot looks [rad], counter-clockwise from ahead."""
 

@@ -11,6 +11,8 @@
 ``arm.sock``          to the robot 50 times a second: angles [rad] of six joints, and
                       whether the hand is closed; from the robot: the same, wanted
 ``cameras.sock``      to the robot 20 times a second: time, then a JPEG picture
+``eyes.sock``         5 times a second: time, where the head looks [rad], then a JPEG
+                      picture of what it sees
 ``pan_tilt.sock``     from the robot: where the head is to look [rad]
 ``television.sock``   to the robot 10 times a second: viewers and what they watch
 ``remote_control.sock``  from the robot: what it recommends
@@ -28,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 DEVICES = (
-    *("wheels", "laser", "arm", "cameras", "pan_tilt"),
+    *("wheels", "laser", "arm", "cameras", "eyes", "pan_tilt"),
     *("microphones", "speakers", "screen", "television", "remote_control"),
 )
 """Their names in the robot file, and of their sockets."""
@@ -93,16 +95,18 @@ def unpack_sound(packet: bytes) -> tuple[float, NDArray[np.int16]]:
 
 _ARM = struct.Struct("<6d?")
 _ANGLE = struct.Struct("<d")
-_SCREEN = struct.Struct("<dHH")
+_SCREEN = struct.Struct("<dHHH")
+_VIEW = struct.Struct("<2d")
 _SLOT = struct.Struct("<dq")
 
 
 class Screen(NamedTuple):
-    """When the robot said something [s], to what words, what, and a JPEG picture."""
+    """When the robot said something [s], to what words, what; whom it sees; a JPEG."""
 
     stamp: float
     heard: str
     said: str
+    seen: str
     picture: bytes
 
 
@@ -133,21 +137,29 @@ def unpack_picture(packet: bytes) -> tuple[float, bytes]:
     return stamp, packet[_STAMP.size :]
 
 
+def pack_view(stamp: float, head: float, picture: bytes) -> bytes:
+    return _VIEW.pack(stamp, head) + picture
+
+
+def unpack_view(packet: bytes) -> tuple[float, float, bytes]:
+    stamp, head = _VIEW.unpack_from(packet)
+    return stamp, head, packet[_VIEW.size :]
+
+
 def pack_screen(screen: Screen) -> bytes:
-    heard, said = screen.heard.encode(), screen.said.encode()
-    head = _SCREEN.pack(screen.stamp, len(heard), len(said))
-    return head + heard + said + screen.picture
+    texts = [each.encode() for each in (screen.heard, screen.said, screen.seen)]
+    head = _SCREEN.pack(screen.stamp, *map(len, texts))
+    return head + b"".join(texts) + screen.picture
 
 
 def unpack_screen(packet: bytes) -> Screen:
-    stamp, heard, said = _SCREEN.unpack_from(packet)
-    middle, end = _SCREEN.size + heard, _SCREEN.size + heard + said
-    return Screen(
-        stamp,
-        packet[_SCREEN.size : middle].decode(),
-        packet[middle:end].decode(),
-        packet[end:],
-    )
+    stamp, *lengths = _SCREEN.unpack_from(packet)
+    texts, rest = [], packet[_SCREEN.size :]
+    for length in lengths:
+        texts.append(rest[:length].decode())
+        rest = rest[length:]
+    heard, said, seen = texts
+    return Screen(stamp, heard, said, seen, rest)
 
 
 def pack_watched(pairs: NDArray[np.int32]) -> bytes:

@@ -22,6 +22,9 @@ TRIES = 8
 WORTH_LOOKING = 0.3
 """[s] A cup that was seen earlier than this is looked for again."""
 
+ON_PLACE = 0.05
+"""[m] A cup that is seen this near its place stands there."""
+
 PATIENCE = 5.0
 """[s] A reach that takes longer is given up, and the cup is looked for anew."""
 
@@ -33,10 +36,12 @@ _CLOSES = {"at cup", "lift", "over place"}
 class GraspPlanner(Component):
     """Takes the cup from where it is seen to where it is ordered.
 
-    With no order it goes on with the other place: the robot shows that it can.
+    With no order it goes on with the other place: the robot shows that it can. That the
+    cup was placed ends the action of a task.
     """
 
     reach: Published[Reach]
+    placed: Published[bool]
 
     def configure(self) -> None:
         self._random = np.random.default_rng(0)
@@ -48,6 +53,11 @@ class GraspPlanner(Component):
         self._step = len(STEPS)
         self._number = 0
         self._since = self.clock.now()
+        self._is_asked = self._rests = False
+
+    def begin(self, _: str) -> None:
+        """Bring the cup to the other side once, and rest then."""
+        self._is_asked, self._rests = True, False
 
     @subscribed(keep=1)
     def cup(self, message: Cup) -> None:
@@ -65,13 +75,26 @@ class GraspPlanner(Component):
             return
         if is_late:
             self._step = len(STEPS)
+        elif self._step == len(STEPS) and self._number:
+            self._judge()
         if self._step >= len(STEPS) and not self._begin():
             return
         self._next(message.angles.astype(float))
 
+    def _judge(self) -> None:
+        """Say whether the cup stands on its place, once the camera sees it."""
+        goal = arm_model.PLACES[self._goal]
+        if self._cup is not None and self._cup.stamp > self._since:
+            off = np.hypot(self._cup.x - goal[0], self._cup.y - goal[1])
+            self._step += 1
+            self._rests = self._is_asked and bool(off < ON_PLACE)
+            self.placed.publish(bool(off < ON_PLACE))
+
     def _begin(self) -> bool:
         """Choose where to take the cup; whether there is one to take."""
-        if self._cup is None or self.clock.now() - self._cup.stamp > WORTH_LOOKING:
+        if self._rests or self._cup is None:
+            return False
+        if self.clock.now() - self._cup.stamp > WORTH_LOOKING:
             return False
         self._from = self._cup.x, self._cup.y
         places = arm_model.PLACES

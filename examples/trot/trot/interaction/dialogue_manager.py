@@ -9,6 +9,12 @@ from poise import CallError, Component, Message, Published, Required, subscribed
 from trot.interfaces import Knowledge
 from trot.messages import Order, Sentence, Utterance, Wish
 
+ANNOUNCED = {
+    "offer": "I follow you.",
+    "announce": "I bring you a cup from the kitchen.",
+}
+"""What the robot says when an action of a task begins."""
+
 
 class Turns(Message, frozen=True):
     """How many turns the dialogue has had."""
@@ -23,6 +29,7 @@ class DialogueManager(Component):
     sentence: Published[Sentence]
     order: Published[Order]
     wish: Published[Wish]
+    said: Published[bool]
 
     def configure(self) -> None:
         self._turns = 0
@@ -36,6 +43,13 @@ class DialogueManager(Component):
             (r"good (morning|evening)", lambda when: f"Good {when}. How are you?"),
             (r"thank you", lambda: "You are welcome."),
         ]
+
+    def begin(self, action: str) -> None:
+        """Say what the robot is going to do."""
+        text = ANNOUNCED.get(action, "")
+        if text:
+            self.sentence.publish(Sentence(self.clock.now(), text, ""))
+        self.said.publish(bool(text))
 
     @subscribed(keep=2)
     def utterance(self, message: Utterance) -> None:

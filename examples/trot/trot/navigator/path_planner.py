@@ -8,11 +8,20 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from poise import CallError, Component, Published, Required, every
+from poise import (
+    CallError,
+    Component,
+    Message,
+    Published,
+    Required,
+    every,
+    subscribed,
+)
 from trot import home
 from trot.interfaces import Maps, Poses
-from trot.messages import Path, Pose
+from trot.messages import Path, Pose, Seen
 from trot.navigator import grid
+from trot.navigator.follower import Follower
 from trot.navigator.mapper import occupied
 
 COARSE = 1
@@ -32,23 +41,54 @@ Points = NDArray[np.float32]
 
 
 ARRIVED = 0.2
-"""[m] Who is this near a goal, and was at the plan before, goes on to the next."""
+"""[m] Who is this near a goal, and was at the plan before, is there."""
+
+
+class Errand(Message, frozen=True):
+    """The action that a planner hands to its successor."""
+
+    action: str
 
 
 class PathPlanner(Component):
     """Plans anew twice a second, from where the robot is on the map as it is.
 
-    Goals are driven to in turn, again and again.
+    The parameter `goals` says where to: for each action of a task a place, or the
+    person. Who has no action drives to all places in turn, again and again.
     """
 
     poses: Required[Poses]
     maps: Required[Maps]
     path: Published[Path]
+    arrived: Published[bool]
 
     def configure(self) -> None:
-        goals = self.parameters.get("goals", [home.GOAL])
-        self._goals = deque((float(x), float(y)) for x, y in goals)
+        goals = self.parameters.get("goals", {"drive": home.GOAL})
+        self._places = {
+            name: (float(place[0]), float(place[1]))
+            for name, place in goals.items()
+            if place != "person"
+        }
+        self._turns = deque(dict.fromkeys(self._places.values()))
+        self._action = ""
         self._was_there = False
+        self._follower = Follower()
+
+    def begin(self, action: str) -> None:
+        """Drive where the action leads to, and say when the robot is there."""
+        self._action = action
+        self._was_there = False
+        self._follower = Follower()
+
+    @subscribed(keep=1)
+    def seen(self, message: Seen) -> None:
+        """Note where the person is that is to be followed."""
+        try:
+            pose = self.poses.latest_pose()
+        except CallError as error:
+            self.log.info("somebody is seen from nowhere: %s", error)
+            return
+        self._follower.note(pose, message)
 
     @every(0.5)
     def plan(self) -> None:
@@ -57,15 +97,37 @@ class PathPlanner(Component):
         except CallError as error:
             self.log.info("no plan this time: %s", error)
             return
-        points = way(seen.cells, (pose.x, pose.y), self._next_goal(pose))
+        goal = self._goal(pose)
+        if goal is None:
+            return
+        points = way(seen.cells, (pose.x, pose.y), goal)
         self.path.publish(Path(pose.stamp, points))
 
-    def _next_goal(self, pose: Pose) -> tuple[float, float]:
-        is_there = math.dist((pose.x, pose.y), self._goals[0]) < ARRIVED
+    def snapshot(self) -> Errand:
+        return Errand(self._action)
+
+    def restore(self, state: Errand) -> None:
+        self._action = state.action
+
+    def _goal(self, pose: Pose) -> tuple[float, float] | None:
+        """Return where to drive now, and say when the robot is there."""
+        if self._action and self._action not in self._places:
+            if self._follower.is_there(pose, self.clock.now()):
+                self._arrive()
+            return self._follower.goal
+        goal = self._places.get(self._action, self._turns[0])
+        is_there = math.dist((pose.x, pose.y), goal) < ARRIVED
         if is_there and self._was_there:
-            self._goals.rotate(-1)
+            self._arrive()
         self._was_there = is_there
-        return self._goals[0]
+        return goal
+
+    def _arrive(self) -> None:
+        """Say that the action is done; without one, go on to the next place."""
+        if self._action:
+            self.arrived.publish(True)
+        else:
+            self._turns.rotate(-1)
 
 
 def way(

@@ -19,19 +19,24 @@ BY_GENRE = 0.5
 
 
 class RecommendationPresenter(Component):
-    """Publishes a panel twice a second, and tells the television when it is asked."""
+    """Publishes a panel twice a second, and tells the television when it is asked.
+
+    That it did so ends the action of a task.
+    """
 
     guide: Required[Guide]
     tastes: Required[Tastes]
     ratings: Required[Ratings]
     panel: Published[Image]
+    shown: Published[bool]
 
     def configure(self) -> None:
         self._remote_control = Device(self.device("remote_control"))
 
     @subscribed(keep=1)
     def wish(self, message: Wish) -> None:
-        self._recommend(wished=message.stamp)
+        if self._recommend(wished=message.stamp):
+            self.shown.publish(True)
 
     @every(0.5, deadline=0.5)
     def present(self) -> None:
@@ -40,16 +45,18 @@ class RecommendationPresenter(Component):
     def cleanup(self) -> None:
         self._remote_control.close()
 
-    def _recommend(self, wished: float = 0.0) -> None:
+    def _recommend(self, wished: float = 0.0) -> bool:
+        """Recommend what is best; return whether that was known."""
         try:
             programmes, scores = self._choose()
         except CallError as error:
             self.log.info("nothing to recommend: %s", error)
-            return
+            return False
         numbers = [each.number for each in programmes]
         packet = pack_recommended(wished, programmes[0].slot, numbers)
         self._remote_control.send(packet)
         self.panel.publish(Image(self.clock.now(), draw(programmes, scores)))
+        return True
 
     def _choose(self) -> tuple[list[Programme], list[float]]:
         """Return the best programmes on the air, and how good they seem."""

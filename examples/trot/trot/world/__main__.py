@@ -1,10 +1,9 @@
 """The simulated world as a process: ``POISE_RUN=/tmp/run python -m trot.world``.
 
 It serves the devices' sockets in the folder POISE_RUN, says ``ready``, and runs until
-the goal is reached, SIGTERM comes, or its standard input ends when that is a pipe (so
-that it does not outlive who holds the other end). With ``--endless`` it runs on
-when the goal was reached; ``--seed 3`` is another world. The last line it prints is a
-JSON object that says how it went.
+SIGTERM comes, or its standard input ends when that is a pipe (so that it does not
+outlive who holds the other end). ``--seed 3`` is another world. The last line it prints
+is a JSON object that says how it went.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from trot import laser_model
+from trot import eye_model, laser_model
 from trot.packets import (
     DEVICES,
     SOUND_PERIOD,
@@ -37,17 +36,20 @@ from trot.packets import (
 from trot.world import sound, television
 from trot.world.camera import Camera
 from trot.world.drive import Drive
+from trot.world.errands import Errands, tasks
 from trot.world.functions import criteria, working
 from trot.world.head import Head
 from trot.world.outlet import Outlet
 from trot.world.person import Person
 from trot.world.simulation import STEP, Simulation
-
-AFTER_GOAL = 0.5
-"""[s] The world goes on for this long after the goal was reached."""
+from trot.world.view import View
+from trot.world.walk import Walk
 
 MOST_BEHIND = 0.1
 """[s] A world further behind the clock than this lets the rest of the time go."""
+
+FOLLOWS = "I follow"
+"""When the robot says this, the person leads it to the kitchen."""
 
 CAMERA_PERIOD = 0.05
 """[s] from picture to picture."""
@@ -73,6 +75,8 @@ class World:
         self._camera, self._head = Camera(seed), Head()
         self._sound, self._person = sound.Sound(seed), Person(seed)
         self._television = television.Television(seed)
+        self._walk, self._view = Walk(), View(seed)
+        self._errands = Errands(self.simulation, self._walk)
         self._steps = 0
         self._outlets = {name: Outlet(folder / f"{name}.sock") for name in DEVICES}
 
@@ -82,6 +86,8 @@ class World:
         self.simulation.step()
         self._drive.look()
         self._head.step(STEP)
+        self._walk.step(STEP)
+        self._errands.look()
         self._steps += 1
         self._sense(now)
         if self.simulation.goal_reached and self.finished_at is None:
@@ -100,7 +106,10 @@ class World:
         for packet in self._outlets["pan_tilt"].poll():
             self._head.wanted = unpack_angle(packet)
         for packet in self._outlets["screen"].poll():
-            self._person.read(unpack_screen(packet))
+            screen = unpack_screen(packet)
+            self._person.read(screen)
+            self._view.judge(now, screen.seen)
+            self._walk.is_leading |= screen.said.startswith(FOLLOWS)
         if self._outlets["speakers"].poll():
             self._person.hear(now)
         for packet in self._outlets["remote_control"].poll():
@@ -120,6 +129,10 @@ class World:
         if self._every(CAMERA_PERIOD):
             picture = self._camera.jpeg(hand.cup[0], hand.points)
             self._outlets["cameras"].push(pack_picture(now, picture))
+        if self._every(eye_model.PERIOD):
+            person = self._walk.place
+            view = self._view.picture(now, self.simulation, self._head.angle, person)
+            self._outlets["eyes"].push(view)
         if self._every(television.PERIOD) and self._outlets["television"].is_used:
             watched = self._television.watched()
             self._outlets["television"].push(pack_watched(watched))
@@ -130,23 +143,16 @@ class World:
         if samples is not None:
             self._sound.say(samples)
         was_speaking = self._sound.is_speaking
-        block = self._sound.block(self.simulation.pose)
+        block = self._sound.block(self.simulation.pose, self._walk.place)
         self._outlets["microphones"].push(pack_sound(now, block))
         if was_speaking and not self._sound.is_speaking:
-            self._head.judge(sound.bearing(self.simulation.pose))
+            pose = self.simulation.pose
+            self._head.judge(sound.bearing(pose, self._walk.place))
 
     def _every(self, period: float) -> bool:
         """Whether a multiple of `period` [s] fell into the last step."""
         now = self._steps * STEP + 1e-9
         return int(now / period) > int((now - STEP) / period)
-
-    @property
-    def over(self) -> bool:
-        """Whether the goal was reached a little while ago."""
-        return (
-            self.finished_at is not None
-            and self.simulation.now > self.finished_at + AFTER_GOAL
-        )
 
     def result(self) -> dict[str, Any]:
         """Return how it went since the first command; lengths in [m]."""
@@ -161,8 +167,14 @@ class World:
             **self._person.result(time.monotonic()),
             **self._head.result(),
             **self._television.result(),
+            **self._view.result(),
         }
-        return {**found, "functions": working(found), "criteria": criteria(found)}
+        return {
+            **found,
+            "functions": working(found),
+            "criteria": criteria(found),
+            "tasks": tasks(self._errands.values(), found),
+        }
 
     def end(self) -> None:
         """End after this step; a signal's handler may call it at any moment."""
@@ -174,11 +186,11 @@ class World:
             outlet.close()
 
 
-def run(world: World, *, endless: bool = False) -> None:
-    """Step the world as the clock goes, until it is over or told to end."""
+def run(world: World) -> None:
+    """Step the world as the clock goes, until it is told to end."""
     held = stat.S_ISFIFO(os.fstat(sys.stdin.fileno()).st_mode)
     due = time.monotonic()
-    while not world.is_told_to_end and (endless or not world.over):
+    while not world.is_told_to_end:
         due += STEP
         wait = due - time.monotonic()
         if wait < -MOST_BEHIND:
@@ -220,7 +232,7 @@ def main() -> int:
         signal.signal(number, lambda *_: world.end())
     try:
         print("ready", flush=True)  # noqa: T201
-        run(world, endless="--endless" in sys.argv)
+        run(world)
         print(json.dumps(world.result()), flush=True)  # noqa: T201
     finally:
         world.close()

@@ -13,6 +13,9 @@ STEP = 0.002
 LASER_HEIGHT = 0.25
 """[m]"""
 
+EYE_HEIGHT = 1.0
+"""[m] Above the furniture, below the walls' tops."""
+
 _WALL_HEIGHT, _FURNITURE_HEIGHT = 2.4, 0.8
 _HULL = 0.23
 """[m] Half the height of the robot's hull."""

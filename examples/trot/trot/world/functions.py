@@ -18,6 +18,9 @@ GOOD = 0.6
 SHOWN = 1.5
 """[s] from the question what is on to the recommendation, median."""
 
+NAMED = 0.6
+"""The share of the time in which the screen names who is in view, rightly."""
+
 MEASURED: Mapping[str, Mapping[str, str]] = {
     "navigation": {
         "seconds": "s",
@@ -39,6 +42,7 @@ MEASURED: Mapping[str, Mapping[str, str]] = {
         "good_recommendations": "",
         "recommendation_seconds": "s",
     },
+    "recognition": {"named": ""},
 }
 """What each function is judged by: keys of the world's result, and their units."""
 
@@ -73,4 +77,5 @@ def working(result: Mapping[str, Any]) -> dict[str, bool]:
         "interaction": said > 0 and result["answered"] >= ANSWERED * said,
         "audition": head is not None and head <= HEAD,
         "recommendation": (good or 0.0) >= GOOD and (seen or math.inf) <= SHOWN,
+        "recognition": (result["named"] or 0.0) >= NAMED,
     }

@@ -151,6 +151,17 @@ class Simulation:
         noisy = ranges + self._random.normal(0, NOISE, BEAMS)
         return np.clip(noisy, 0, MAX_RANGE).astype(np.float32)
 
+    def sees(self, x: float, y: float) -> bool:
+        """Return whether no wall is between the robot's eyes and a place [m]."""
+        ahead = np.array([x - self.pose[0], y - self.pose[1], 0.0])
+        length = float(np.linalg.norm(ahead))
+        eyes = np.array([*self.pose[:2], flat.EYE_HEIGHT])
+        hit = np.zeros(1, np.int32)
+        wall = mujoco.mj_ray(
+            self._model, self._data, eyes, ahead / length, _SEEN, True, -1, hit
+        )
+        return bool(wall < 0 or wall > length)
+
     def _turn_wheels(self) -> None:
         """Bring the speeds nearer to what was asked for."""
         alive = self.now - self._commanded_at < COMMAND_LIFE

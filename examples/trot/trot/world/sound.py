@@ -18,6 +18,9 @@ from trot.packets import MICROPHONES, SAMPLE_RATE, SOUND_SAMPLES
 PERSON = (4.7, 2.1)
 """x and y [m] of the person's chair, beside the sofa."""
 
+Place = tuple[float, float]
+"""x and y [m]."""
+
 ROOM = (8.0, 6.0, 2.6)
 MOUTH, EARS = 1.2, 0.6
 """[m] above the floor: the person's mouth, the robot's microphones."""
@@ -70,34 +73,34 @@ class Sound:
         """Let the person say this from now on."""
         self._left = samples
 
-    def block(self, robot: Pose) -> NDArray[np.int16]:
-        """Return what the microphones hear next, where the robot is now."""
+    def block(self, robot: Pose, person: Place = PERSON) -> NDArray[np.int16]:
+        """Return what the microphones hear next, where robot and person are now."""
         heard = self._random.normal(0, NOISE, (MICROPHONES, SOUND_SAMPLES))
         total = np.zeros((MICROPHONES, SOUND_SAMPLES + _TAIL))
         total[:, :_TAIL] = self._rest
         if self.is_speaking:
             said, self._left = self._left[:SOUND_SAMPLES], self._left[SOUND_SAMPLES:]
-            total += _echoed(said, robot)
+            total += _echoed(said, robot, person)
         self._rest = total[:, SOUND_SAMPLES:]
         heard += total[:, :SOUND_SAMPLES]
         return np.clip(heard, -32768, 32767).astype(np.int16)
 
 
-def bearing(robot: Pose) -> float:
+def bearing(robot: Pose, person: Place = PERSON) -> float:
     """Return where the person is [rad], counter-clockwise from ahead of the robot."""
-    angle = math.atan2(PERSON[1] - robot[1], PERSON[0] - robot[0]) - robot[2]
+    angle = math.atan2(person[1] - robot[1], person[0] - robot[0]) - robot[2]
     return math.remainder(angle, 2 * math.pi)
 
 
-def _echoed(said: NDArray[np.int16], robot: Pose) -> NDArray[np.float64]:
+def _echoed(said: NDArray[np.int16], robot: Pose, person: Place) -> NDArray[np.float64]:
     """Return a block as each microphone hears it, and its echoes after it."""
     length = SOUND_SAMPLES + _TAIL
-    ways = np.fft.rfft(responses(robot), 2 * length)
+    ways = np.fft.rfft(responses(robot, person), 2 * length)
     heard = np.fft.irfft(np.fft.rfft(said, 2 * length) * ways, 2 * length)
     return np.asarray(heard[:, :length])
 
 
-def responses(robot: Pose) -> NDArray[np.float64]:
+def responses(robot: Pose, person: Place = PERSON) -> NDArray[np.float64]:
     """Return what each microphone hears of a clap, ``(MICROPHONES, samples)``.
 
     The image sources of Allen and Berkley (1979): an echo comes from where the person
@@ -108,7 +111,7 @@ def responses(robot: Pose) -> NDArray[np.float64]:
     ahead, left = MICROPHONES_AT
     across, along = cosine * ahead - sine * left, sine * ahead + cosine * left
     ears = np.stack([x + across, y + along, np.full(MICROPHONES, EARS)], axis=1)
-    mouth = np.array([*PERSON, MOUTH])
+    mouth = np.array([*person, MOUTH])
     images = np.where(_ORDERS % 2, ROOM - mouth, mouth) + _ORDERS * ROOM
     lengths = np.linalg.norm(ears[:, None] - images, axis=2)
     gains = _LOUD * _MIRROR ** np.abs(_ORDERS).sum(axis=1) / (4 * math.pi * lengths)

@@ -98,7 +98,7 @@ def demo_command(
 ) -> None:
     """Drive a home service robot through a home, placed by hand and by Poise.
 
-    24 components on two emulated computers, as in the paper's case study: first all on
+    25 components on two emulated computers, as in the paper's case study: first all on
     the main computer that can run there, then where Poise puts them. Takes about a
     minute, and draws both drives in poise-demo.svg.
 

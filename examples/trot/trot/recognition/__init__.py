@@ -1,0 +1,1 @@
+"""Recognises the people of the household by the camera in the head."""
