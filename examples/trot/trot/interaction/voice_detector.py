@@ -43,7 +43,8 @@ class VoiceDetector(Component):
         for frame in sound[:whole].reshape(-1, self._frame):
             was_speech = self._endpointer.in_speech
             spoken += self._endpointer.process(frame.tobytes()) or b""
-            ends |= was_speech and not self._endpointer.in_speech
+            # pocketsphinx says 0 and 1, which are no bool for a message
+            ends = ends or bool(was_speech and not self._endpointer.in_speech)
         if spoken or ends:
             samples = np.frombuffer(bytes(spoken), np.int16)
             self.speech.publish(Speech(message.stamp, samples, ends=ends))
