@@ -78,7 +78,7 @@ def tasks(
     success = {
         "serve_beverage": served["served_after"] is not None
         and served["cups_dropped"] == 0,
-        "follow_person": followed["walked"] >= LENGTH
+        "follow_person": followed["walked"] >= LENGTH - 0.01
         and followed["gap_mean"] <= TOGETHER
         and followed["gap_at_end"] <= NEAR,
         "recommend_tv": delay is not None and delay <= SHOWN and (good or 0.0) >= GOOD,
