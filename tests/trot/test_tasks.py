@@ -16,7 +16,7 @@ from trot import home
 from trot.interaction.dialogue_manager import DialogueManager
 from trot.messages import Map, Pose, Seen
 from trot.navigator import grid
-from trot.navigator.follower import BEHIND, LED, STANDS, Follower
+from trot.navigator.follower import BEHIND, LED, LOST, STANDS, Follower
 from trot.navigator.path_planner import PathPlanner
 from trot.world.__main__ import FOLLOWS
 from trot.world.errands import Errands, tasks
@@ -30,9 +30,10 @@ AT = Pose(Stamp(0.0), 1.0, 1.0, math.pi / 2)
 def test_a_follower_stays_behind() -> None:
     """Someone is 3 m ahead, at (1, 4)."""
     follower = Follower()
-    assert follower.goal is None
+    assert follower.goal(5.0) is None
     follower.note(AT, Seen(5.0, "Ben", 0.0, 3.0))
-    assert follower.goal == pytest.approx((1.0, 4.0 - BEHIND))
+    assert follower.goal(5.1) == pytest.approx((1.0, 4.0 - BEHIND))
+    assert follower.goal(5.1 + LOST) == pytest.approx((1.0, 4.0)), "out of view"
     assert not follower.is_there(AT, now=99.0)
 
 

@@ -12,6 +12,9 @@ BEHIND = 0.9
 NEAR = 1.4
 """[m] Who follows is there when a person stands this near."""
 
+LOST = 1.5
+"""[s] Who was not seen for so long is looked for where it was."""
+
 LED, MOVES, STANDS = 1.0, 0.25, 3.0
 """[m] Who went this far has led; who moves less than this [m] so long [s] stands."""
 
@@ -25,9 +28,12 @@ class Follower:
         self._first: Place | None = None
         self._person: Place | None = None
         self._stood = (math.inf, math.inf)
-        self._since = math.inf
-        self.goal: Place | None = None
-        """x and y [m]; None while nobody has been seen."""
+        self._since = self._seen = math.inf
+        self._behind: Place | None = None
+
+    def goal(self, now: float) -> Place | None:
+        """Return where to drive `now` [s]; None while nobody has been seen."""
+        return self._person if now - self._seen > LOST else self._behind
 
     def note(self, pose: Pose, seen: Seen) -> None:
         """Note where somebody is seen from `pose`."""
@@ -35,11 +41,11 @@ class Follower:
         away = seen.distance
         person = pose.x + away * math.cos(angle), pose.y + away * math.sin(angle)
         self._first = self._first or person
-        self._person = person
+        self._person, self._seen = person, seen.stamp
         if math.dist(person, self._stood) > MOVES:
             self._stood, self._since = person, seen.stamp
         share = max(0.0, away - BEHIND) / max(away, 1e-6)
-        self.goal = (
+        self._behind = (
             pose.x + share * (person[0] - pose.x),
             pose.y + share * (person[1] - pose.y),
         )

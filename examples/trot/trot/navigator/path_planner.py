@@ -114,7 +114,7 @@ class PathPlanner(Component):
         if self._action and self._action not in self._places:
             if self._follower.is_there(pose, self.clock.now()):
                 self._arrive()
-            return self._follower.goal
+            return self._follower.goal(self.clock.now())
         goal = self._places.get(self._action, self._turns[0])
         is_there = math.dist((pose.x, pose.y), goal) < ARRIVED
         if is_there and self._was_there:
