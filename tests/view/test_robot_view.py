@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import pytest
 from msgspec import Struct, field
 
-from poise.view.robot_view import SPAN, ComponentRow, ConnectorRow, Reader
+from poise.view.robot_view import SPAN, ComponentRow, ConnectorRow, Reader, TimerRow
 from poise.wire.records.status import (
     AgentStatus,
     ComponentStatus,
@@ -99,6 +99,7 @@ def test_rates_are_differences_on_the_time_of_the_container() -> None:
     assert view.connectors == (
         ConnectorRow("eye.x-mind.x", "local", 20.0, 2000.0, 5, 0),
     )
+    assert view.timers == (TimerRow("eye.look", "eye", "left", 0.1, 0.0, 2.0),)
 
 
 def test_rates_are_means_of_the_last_seconds() -> None:

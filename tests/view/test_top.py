@@ -71,6 +71,16 @@ def test_all_is_on_one_screen() -> None:
     assert "q quit" in screen
 
 
+def test_long_names_leave_room_for_the_other_columns() -> None:
+    from poise.view.top import _fitting  # noqa: PLC0415, needs textual
+
+    name = "a_very_long_component.with_a_port-another_component.port"
+    (short,) = _fitting([(name, "local", "3.0")], ["connector", "kind", "rate/s"], 60)
+    assert short == ("a_very_long_compone…ther_component.port", "local", "3.0")
+    (whole,) = _fitting([(name, "local")], ["connector", "kind"], 80)
+    assert whole == (name, "local")
+
+
 def test_keys_sort_the_table_in_focus() -> None:
     def by_name(app: Any) -> None:
         assert column(app, "components", 0) == ["eye", "mind"]

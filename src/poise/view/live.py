@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterable
 
 from msgspec import Struct
 
@@ -79,36 +78,3 @@ class LiveReader:
 
 def _is_same_manager(before: Status | None, now: Status) -> bool:
     return before is not None and before.manager == now.manager
-
-
-class Rates:
-    """Turns counts that only grow into what they were over the last seconds.
-
-    Parameters
-    ----------
-    over
-        How long that is [s].
-    """
-
-    def __init__(self, over: float = 3.0) -> None:
-        self._over = over
-        self._counts: deque[tuple[float, dict[str, tuple[int, int]]]] = deque()
-
-    def take(
-        self, at: float, counts: Iterable[tuple[str, int, int]]
-    ) -> dict[str, tuple[int, int]]:
-        """Take two counts of each thing; return their growth over the last seconds.
-
-        A thing whose counts fell, because it began anew, has no growth yet.
-        """
-        now = {name: (of, missed) for name, of, missed in counts}
-        self._counts.append((at, now))
-        while len(self._counts) > 1 and at - self._counts[1][0] >= self._over:
-            self._counts.popleft()
-        before = self._counts[0][1]
-        grown = {
-            name: (of - before[name][0], missed - before[name][1])
-            for name, (of, missed) in now.items()
-            if name in before
-        }
-        return {name: (of, missed) for name, (of, missed) in grown.items() if of >= 0}

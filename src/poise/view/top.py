@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any, ClassVar
 
 from rich.text import Text
@@ -21,7 +22,12 @@ from poise.view.robot_view import (
     Status,
 )
 
-_BAR = 10
+_BAR, _SHORT_BAR, _NARROW = 10, 4, 80
+"""Length of bars, and of those in a terminal narrower than this [characters]."""
+_LEAST_NAME = 20
+"""Names are not shortened to less [characters]."""
+_GAP = 2
+"""Between the columns of a table [characters]."""
 _PATIENCE = 3.0
 """A manager that takes longer to answer is said to be silent [s]."""
 _FULL, _HIGH = 1.0, 0.8
@@ -32,7 +38,6 @@ _COLUMNS = {
         "CPU": "cpu",
         "memory": "memory",
         "components": "components",
-        "": "is_reached",
     },
     "components": {
         "component": "name",
@@ -73,7 +78,8 @@ class Top(App[None]):
     #computers { height: auto; max-height: 30%; }
     #components { height: 1fr; }
     #connectors { height: 1fr; }
-    #decisions { height: auto; max-height: 4; color: $text-muted; }
+    #decisions { height: auto; max-height: 4; color: $text-muted;
+        text-wrap: nowrap; text-overflow: ellipsis; }
     DataTable > .datatable--header { text-style: bold; }
     DataTable:focus > .datatable--header { text-style: bold reverse; }
     """
@@ -154,7 +160,8 @@ class Top(App[None]):
         view = self._view
         if view is None:
             return
-        self._fill("computers", view.computers, computer_cells)
+        bar = _BAR if self.size.width >= _NARROW else _SHORT_BAR
+        self._fill("computers", view.computers, partial(computer_cells, bar=bar))
         self._fill("components", view.components, component_cells)
         self._fill("connectors", view.connectors, connector_cells)
         lines = Text()
@@ -162,7 +169,6 @@ class Top(App[None]):
             clock = time.strftime("%H:%M:%S", time.localtime(entry.at))
             lines.append(f"{clock} {entry.what}\n", _COLOURS.get(entry.kind, ""))
         lines.rstrip()
-        lines.no_wrap, lines.overflow = True, "ellipsis"
         self.query_one("#decisions").update(lines)
 
     def _head(self) -> Text:
@@ -191,10 +197,12 @@ class Top(App[None]):
             table.add_column(f"{title} {arrow}" if number == column else title)
         by = [*_COLUMNS[name].values()][column]
         # numbers largest first, names in their order
-        for row in sorted(
+        ordered = sorted(
             rows, key=lambda row: _order(getattr(row, by)), reverse=is_turned
-        ):
-            table.add_row(*cells(row))
+        )
+        titles = [*_COLUMNS[name]]
+        for line in _fitting([cells(row) for row in ordered], titles, self.size.width):
+            table.add_row(*line)
         table.move_cursor(row=place, scroll=False)
         table.scroll_to(y=scrolled, animate=False)
 
@@ -203,14 +211,35 @@ def _order(value: object) -> Any:  # noqa: ANN401, of one type in a column
     return -value if isinstance(value, int | float) else value
 
 
-def computer_cells(row: ComputerRow) -> tuple[Any, ...]:
+def _fitting(
+    lines: Sequence[Sequence[Any]], titles: Sequence[str], width: int
+) -> Iterator[Sequence[Any]]:
+    """Yield a table's lines with names so short that the other columns are seen."""
+    rest = 0
+    for number, title in enumerate(titles[1:], 1):
+        longest = max((len(line[number]) for line in lines), default=0)
+        rest += max(longest, len(title)) + _GAP
+    room = max(_LEAST_NAME, width - rest - 2 * _GAP - len(" ▼"))
+    for name, *others in lines:
+        yield _shortened(name, room), *others
+
+
+def _shortened(name: str, room: int) -> str:
+    """Return a name without its middle where it is too long; both ends tell most."""
+    if len(name) <= room:
+        return name
+    head = room // 2
+    return f"{name[:head]}…{name[len(name) - (room - head - 1) :]}"
+
+
+def computer_cells(row: ComputerRow, bar: int = _BAR) -> tuple[Any, ...]:
     """Return what is shown of a computer."""
+    load = _bar(row.cpu, row.cores, f"{row.cpu:.2f}/{row.cores:.3g}", bar)
     return (
         row.name,
-        _bar(row.cpu, row.cores, f"{row.cpu:.2f}/{row.cores:.3g}"),
-        _bar(row.memory, row.most_memory, format_bytes(row.memory)),
+        load if row.is_reached else Text("out of reach", "red"),
+        _bar(row.memory, row.most_memory, format_bytes(row.memory), bar),
         str(row.components),
-        Text("" if row.is_reached else "out of reach", "red"),
     )
 
 
@@ -239,11 +268,11 @@ def connector_cells(row: ConnectorRow) -> tuple[Any, ...]:
     )
 
 
-def _bar(used: float, capacity: float, text: str) -> Text:
+def _bar(used: float, capacity: float, text: str, length: int) -> Text:
     """Return a bar and a text; what is too much is also said by a sign."""
     share = used / capacity if capacity > 0 else 0.0
-    full = min(_BAR, round(share * _BAR))
+    full = min(length, round(share * length))
     sign = "!" if share > _FULL else " "
     colour = "red" if share > _FULL else "yellow" if share > _HIGH else "green"
-    rest = "░" * (_BAR - full), "dim"
+    rest = "░" * (length - full), "dim"
     return Text.assemble(("█" * full, colour), rest, f"{sign}{text}")

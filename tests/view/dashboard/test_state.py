@@ -7,7 +7,7 @@ import pytest
 from poise.manage.journal import Entry
 from poise.session.running_robots.running import Status
 from poise.view.dashboard.state import PageState, changes, why
-from poise.view.live import Look, Rates
+from poise.view.live import Look
 from poise.wire.records.requests import ManagerId
 from poise.wire.records.status import (
     AgentStatus,
@@ -19,7 +19,9 @@ from poise.wire.records.status import (
 )
 
 
-def look(missed: int = 0, releases: int = 10, computer: str = "left") -> Look:
+def look(
+    missed: int = 0, releases: int = 10, computer: str = "left", at: float = 1.0
+) -> Look:
     timer = TimerStatus(
         name="tick",
         period=0.1,
@@ -32,6 +34,7 @@ def look(missed: int = 0, releases: int = 10, computer: str = "left") -> Look:
     container = ContainerStatus(
         name="all",
         pid=1,
+        at=at,
         components=(ComponentStatus(name="arm", state="active", timers=(timer,)),),
         connectors=(
             ConnectorStatus(
@@ -66,19 +69,13 @@ def test_every_component_is_on_its_computer() -> None:
 
 def test_only_late_deadlines_of_the_last_seconds_count_as_late_now() -> None:
     state = PageState()
-    state.of(look(missed=5, releases=10), 0.0)
-    page = state.of(look(missed=5, releases=20), 2.0)
+    state.of(look(missed=5, releases=10, at=1.0), 0.0)
+    page = state.of(look(missed=5, releases=20, at=3.0), 2.0)
     assert page["timers"]["arm.tick"]["now"] == 0.0
     assert "late" not in page["components"]["arm"]
-    page = state.of(look(missed=10, releases=30), 4.0)
+    page = state.of(look(missed=10, releases=30, at=5.0), 4.0)
     assert page["timers"]["arm.tick"]["now"] == pytest.approx(0.25)
     assert page["components"]["arm"]["late"] == pytest.approx(0.25)
-
-
-def test_counts_that_begin_again_give_no_rate() -> None:
-    rates = Rates()
-    rates.take(0.0, [("t", 100, 5)])
-    assert rates.take(1.0, [("t", 3, 0)]) == {}
 
 
 def test_only_what_has_changed_is_sent() -> None:

@@ -8,7 +8,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from poise.session.running_robots.running import Entry
-from poise.view.live import Look, Rates
+from poise.view.live import Look
+from poise.view.robot_view import Reader
 
 Records = dict[str, dict[str, Any]]
 Page = dict[str, Records]
@@ -22,7 +23,7 @@ class PageState:
     """Makes the page's state of what a reader sees."""
 
     def __init__(self) -> None:
-        self._rates = Rates()
+        self._reader = Reader()
 
     def of(self, look: Look, at: float) -> Page:
         """Return the state.
@@ -36,11 +37,10 @@ class PageState:
         if look.status is None:
             return page
         timers = dict(_timers(look))
-        grown = self._rates.take(
-            at, ((n, each["releases"], each["missed"]) for n, each in timers.items())
-        )
-        for name, (releases, missed) in grown.items():
-            timers[name]["now"] = _round(missed / releases) if releases else None
+        for row in self._reader.take(look.status, at).timers:
+            timers[row.name]["now"] = (
+                _round(row.missed / row.rate) if row.rate else None
+            )
         page["timers"] = timers
         page["chains"] = dict(_chains(look))
         page["connectors"] = dict(_connectors(look))

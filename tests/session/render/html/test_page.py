@@ -20,6 +20,7 @@ from poise.wire.records.status import (
     AgentStatus,
     ComponentStatus,
     ContainerStatus,
+    Fault,
     Summary,
     TimerStatus,
 )
@@ -69,9 +70,10 @@ REPORT = RunReport(
     ),
     connectors=(),
     began=1000.0,
+    faults=(Fault(container="see", message="container 'see' ended", at=1004.1),),
     history=(
         Moment(at=1005.0, cpu_share={"left": 0.5}, missed={"eye.tick": 0.1}),
-        Moment(at=1006.0, cpu_share={"left": 0.9}, missed={"eye.tick": 0.4, "z": 0.2}),
+        Moment(at=1006.0, cpu_share={"left": 0.96}, missed={"eye.tick": 0.4, "z": 0.2}),
     ),
     journal=(
         Entry(999.0, "decided", "before <it> began", {}),
@@ -91,9 +93,11 @@ def test_the_page_says_what_happened_around_the_worst_second() -> None:
     for words in ("eye.tick, left", "30 of 100 (30.0%)", "300 ms of 100 ms"):
         assert words in found
     assert "6 s: 40% in a second" in found
-    assert "CPU: left 90%" in found
+    assert "CPU: left 96% (overloaded)" in found
     assert "late as well: z" in found
-    assert "#2 a load came" in found
+    # the second began at 1005; so 1004 to 1007 is around it
+    assert "#2 container &#x27;see&#x27; ended" in found
+    assert "#3 a load came" in found
     assert "much later" not in found
     quick = replace(REPORT.components[0], timers=(timer(100, 0),))
     assert "None was missed" in worst(replace(REPORT, components=(quick,)).page())
@@ -132,13 +136,17 @@ def test_the_page_stands_alone_and_takes_no_text_for_tags() -> None:
 def test_entries_from_before_the_run_are_not_on_the_time_line() -> None:
     (drawing,) = re.findall(r"<svg.*?</svg>", REPORT.page(), re.DOTALL)
     titles = re.findall(r"<title>(.*?)</title>", drawing)
-    assert [title.split(" ", 1)[1] for title in titles] == ["a load came", "much later"]
+    assert [title.split(" ", 1)[1] for title in titles] == [
+        "container &#x27;see&#x27; ended",
+        "a load came",
+        "much later",
+    ]
 
 
 @pytest.mark.parametrize(
     ("change", "verdict"),
     [
-        ({}, "30 deadlines missed"),
+        ({"faults": ()}, "30 deadlines missed"),
         ({"refused": {"x": 1}}, "failed"),
         ({"invalid": "too busy"}, "invalid run: too busy"),
     ],

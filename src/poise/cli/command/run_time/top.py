@@ -19,7 +19,7 @@ def top_command(
 ) -> None:
     """Watch a running robot: computers, components, connectors and last decisions.
 
-    Works over ssh in 80 x 24 characters. Tab goes from table to table, s sorts by the
+    Works over ssh in 60 x 24 characters. Tab goes from table to table, s sorts by the
     next column, r the other way round, q quits. It goes on when the manager is
     restarted.
 

@@ -14,12 +14,14 @@ if TYPE_CHECKING:
     from poise.session.reports.history import Moment
     from poise.session.reports.run_report import RunReport
 
-_AROUND = 2.0
-"""What happened so long before and after is shown [s]."""
+_AROUND = 1.0
+"""What happened so long before and after a second is shown [s]."""
+_FULL = 0.95
+"""A computer that used more of its CPU was overloaded, or almost."""
 _MOST_DEADLINES = 8
 _ABOUT_TIME = (
     "<p>CPU as a share of each computer's; the share of deadlines that the worst timer "
-    "or chain missed. Dashed lines are entries of the journal, by number.</p>"
+    "or chain missed. Dashed lines are what happened, by number.</p>"
 )
 
 _PAGE = """<!doctype html>
@@ -45,7 +47,7 @@ pre {{ overflow-x: auto }}
 
 def page(report: RunReport) -> str:
     """Return the page: the verdict, where and when what happened, then all figures."""
-    entries = dict(enumerate(report.journal, 1))
+    entries = dict(enumerate(_events(report), 1))
     title = f"{report.robot}: {report.task}"
     parts = [
         f"<h1>{escape(title)}</h1>",
@@ -58,12 +60,18 @@ def page(report: RunReport) -> str:
         time_line(report.history, entries, report.began, report.seconds),
         "<h2>Worst deadlines</h2>",
         *_worst(report, entries),
-        "<h2>Journal</h2>",
+        "<h2>What happened</h2>",
         _journal(entries, report.began),
         "<h2>All figures</h2>",
         report.html(),
     ]
     return _PAGE.format(title=escape(title), body="\n".join(parts))
+
+
+def _events(report: RunReport) -> list[Entry]:
+    """Return what the manager saw and did, and the containers that ended, in turn."""
+    faults = [Entry(each.at, "wrong", each.message, {}) for each in report.faults]
+    return sorted([*report.journal, *faults], key=lambda each: each.at)
 
 
 def _verdict(report: RunReport) -> str:
@@ -137,8 +145,11 @@ def _worst(report: RunReport, entries: Mapping[int, Entry]) -> Iterator[str]:
 def _around(
     name: str, moment: Moment, entries: Mapping[int, Entry], began: float
 ) -> str:
-    """Return what else there was when a timer or chain missed most."""
-    cpu = ", ".join(f"{c} {share:.0%}" for c, share in moment.cpu_share.items())
+    """Return what else there was in the second when a timer or chain missed most."""
+    cpu = ", ".join(
+        f"{c} {share:.0%}{' (overloaded)' if share > _FULL else ''}"
+        for c, share in moment.cpu_share.items()
+    )
     others = [each for each in moment.missed if each != name]
     lines = [
         f"{moment.at - began:.0f} s: {moment.missed[name]:.0%} in a second",
@@ -147,7 +158,7 @@ def _around(
         *(
             f"#{number} {entry.what}"
             for number, entry in entries.items()
-            if abs(entry.at - moment.at) <= _AROUND
+            if -1 - _AROUND <= entry.at - moment.at <= _AROUND
         ),
     ]
     return "<br>".join(escape(line) for line in lines if line)
