@@ -9,10 +9,13 @@ from msgspec.structs import replace
 
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.control_socket.records import (
+    LogCommand,
     MoveCommand,
     Moved,
     Refusal,
     StatusCommand,
+    StopCommand,
+    TapCommand,
 )
 from poise.manage.deploy.running_components import Run
 from poise.manage.journal import Journal
@@ -145,3 +148,12 @@ def test_why_a_record_of_an_agent_was_refused_is_told(managed: Managed) -> None:
     managed.agents.refused = ["a record at poise/tiny/status/left was refused: odd"]
     managed.manager.work(0.0)
     assert managed.journal.entries()[-1].what.endswith("was refused: odd")
+
+
+@pytest.mark.parametrize("command", [TapCommand("a.b", "me"), LogCommand(), COMMAND])
+def test_a_robot_that_is_being_stopped_says_so(
+    managed: Managed, command: TapCommand | LogCommand | MoveCommand
+) -> None:
+    managed.manager.submit(StopCommand())
+    answer = managed.manager.submit(command).result(0.0)
+    assert answer == Refusal("the robot is being stopped", "RunError")

@@ -61,11 +61,18 @@ COMMANDS = {
 """Command -> its file in `command/`, and what it does. A second word makes a
 sub-command. Its function is named after its last word: `stop_command`."""
 
+_EXIT_CODES = (
+    "Exit codes: 0 done; 1 the robot file has problems, nothing can be placed, or "
+    "something failed; 2 wrong arguments, or refused; 3 another manager took over; "
+    "128 + n ended by signal n (130: Ctrl-C)."
+)
+
 
 def build(arguments: Sequence[str]) -> typer.Typer:
     """Return the command line; only the command that is asked for is imported."""
     app = typer.Typer(
         help="Keeps a robot's software in balance over its on-board computers.",
+        epilog=_EXIT_CODES,
         no_args_is_help=True,
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
@@ -79,7 +86,8 @@ def build(arguments: Sequence[str]) -> typer.Typer:
             loaded = importlib.import_module(f"poise.cli.command.{where}")
             group, last = _group_of(app, name)
             command = getattr(loaded, f"{last}_command")
-            group.command(last, help=_flowing(inspect.getdoc(command) or ""))(command)
+            help_text = _flowing(inspect.getdoc(command) or "")
+            group.command(last, help=help_text, epilog=_EXIT_CODES)(command)
         elif not asked.startswith(f"{name} "):
             app.command(name, help=help_)(_not_loaded)
     return app

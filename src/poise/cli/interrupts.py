@@ -7,6 +7,8 @@ import signal
 from types import FrameType, TracebackType
 from typing import Self
 
+_SHOW_CURSOR = b"\x1b[?25h"
+"""Makes a terminal's cursor visible, which spinners and bars hide."""
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -21,6 +23,8 @@ def end_at_once() -> None:
 
 
 def _end(number: int, _frame: FrameType | None) -> None:
+    if os.isatty(2):
+        os.write(2, _SHOW_CURSOR)
     os._exit(128 + number)
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import sys
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
 import typer
+from rich.console import Console
 
 from poise.cli.completion import in_file
 from poise.errors import UsageError
@@ -38,6 +40,11 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.
 def print_json(outcome: object) -> None:
     """Print one JSON object."""
     sys.stdout.write(msgspec.json.encode(outcome).decode() + "\n")
+
+
+def busy(what: str) -> AbstractContextManager[object]:
+    """Show in a terminal, on standard error, what a command does for so long."""
+    return Console(stderr=True, highlight=False).status(f"{what} ...")
 
 
 def parse_option(option: str, text: str, dimension: Dimension) -> float:

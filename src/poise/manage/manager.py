@@ -148,10 +148,10 @@ class Manager:
             self._stops.append(future)  # before the flag, or nobody answers it
             self._stopping.set()
             self._run.cancel()
-        elif isinstance(command, TapCommand | LogCommand):
-            future.set_result(self._read(command))
         elif self.is_stopping:
             future.set_result(Refusal("the robot is being stopped", "RunError"))
+        elif isinstance(command, TapCommand | LogCommand):
+            future.set_result(self._read(command))
         else:
             try:
                 self._commands.put_nowait((command, future))

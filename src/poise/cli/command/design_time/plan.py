@@ -14,7 +14,7 @@ from poise import plan, units
 from poise.cli.command.design_time.phases import plan_phases
 from poise.cli.completion import in_file
 from poise.cli.interrupts import Interrupts
-from poise.cli.options import AsJson, print_json
+from poise.cli.options import AsJson, busy, print_json
 from poise.errors import UsageError
 from poise.estimate.success import Situation
 from poise.estimate.success.learning import actions_in, learned
@@ -187,29 +187,31 @@ class How(NamedTuple):
     def solve(self, problem: plan.Problem, method: str | None = None) -> plan.Result:
         """Place what runs at once."""
         method = method or self.method
-        return ruled(method, self.robot, problem) or plan.solve(
-            problem,
-            BUDGET if self.budget is None else self.budget,
-            method,
-            self.seed,
-            steps=self.steps,
-            fewer=self.fewer,
-            stop=self.stop,
-            why=self.why,
-        )
+        with busy("placing"):
+            return ruled(method, self.robot, problem) or plan.solve(
+                problem,
+                BUDGET if self.budget is None else self.budget,
+                method,
+                self.seed,
+                steps=self.steps,
+                fewer=self.fewer,
+                stop=self.stop,
+                why=self.why,
+            )
 
     def solve_phases(self, problem: plan.PhasedProblem) -> plan.PhasedResult:
         """Place the phases of a task."""
-        return ruled_phases(self.method, self.robot, problem) or plan.solve_phases(
-            problem,
-            PHASES_BUDGET if self.budget is None else self.budget,
-            self.method,
-            self.seed,
-            steps=self.steps,
-            fewer=self.fewer,
-            stop=self.stop,
-            why=self.why,
-        )
+        with busy("placing"):
+            return ruled_phases(self.method, self.robot, problem) or plan.solve_phases(
+                problem,
+                PHASES_BUDGET if self.budget is None else self.budget,
+                self.method,
+                self.seed,
+                steps=self.steps,
+                fewer=self.fewer,
+                stop=self.stop,
+                why=self.why,
+            )
 
 
 def _check_together(

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from poise.cli.completion import running
-from poise.cli.options import AsJson, print_json
+from poise.cli.options import AsJson, busy, print_json
 from poise.errors import UsageError
 from poise.model import load
 from poise.session.render.moves import Outcome, outcome_lines, what_if_lines
@@ -155,17 +155,19 @@ def stop_command(
 
     Example: poise stop
     """
-    if file is None:
-        Running(robot).stop()
-    else:
-        stop_without_manager(load(file))
+    with busy("stopping"):
+        if file is None:
+            Running(robot).stop()
+        else:
+            stop_without_manager(load(file))
     console_to().print("stopped")
 
 
 def _act(act: Callable[[], Outcome], *, as_json: bool) -> None:
     """Print the outcome; exit with 1 if it was rolled back."""
     try:
-        outcome, is_done = act(), True
+        with busy("waiting for the manager"):
+            outcome, is_done = act(), True
     except RolledBack as error:
         outcome, is_done = error.outcome, False
     if as_json:
