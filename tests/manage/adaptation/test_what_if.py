@@ -6,7 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.errors import UsageError
-from poise.manage.adaptation.what_if import what_if
+from poise.manage.adaptation.what_if import alternatives, what_if
 from poise.model.robot import Computer, Robot
 from poise.session.render.moves import what_if_lines
 from tests.manage.adaptation.conftest import Make
@@ -38,3 +38,30 @@ def test_says_which_limits_the_move_would_break(facts: Make, two: Robot) -> None
 def test_refuses_what_is_no_move(facts: Make, component: str, computer: str) -> None:
     with pytest.raises(UsageError):
         what_if(facts(), component, computer, {})
+
+
+def test_says_what_else_could_be_done_and_what_that_would_cost(facts: Make) -> None:
+    """Of 0.5 cores others take 0.2 and want 0.3: 0.2 are left for 0.4."""
+    stays, *moves = alternatives(facts(background={"left": 0.2}), {"b": 1.0})
+    assert (stays.what, stays.cost) == ("stay", 0.0)
+    assert stays.short == pytest.approx(0.2)
+    assert "left" in stays.breaks
+    assert {each.what for each in moves} == {
+        "move a from left to right",
+        "move b from left to right",
+    }
+    costs = {each.what.split()[1]: each.cost for each in moves}
+    assert costs == pytest.approx({"a": 0.3 + 0.2 * 0.05, "b": 0.3 + 0.2 * 1.0})
+    for each in moves:
+        assert each.short == pytest.approx(0.0)
+        assert not each.breaks
+        assert each.total < stays.total
+
+
+def test_a_component_that_must_stay_is_no_alternative(facts: Make, two: Robot) -> None:
+    robot = two.with_components(
+        lambda c: replace(c, movable=False) if c.name == "a" else c
+    )
+    stays, *moves = alternatives(facts(robot=robot), {})
+    assert [each.what.split()[1] for each in moves] == ["b"]
+    assert stays.short == 0.0

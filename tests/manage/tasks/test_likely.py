@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from poise.manage.tasks.likely import PlanOverTime, likely_next
+from poise.manage.tasks.report import task_reports
 from poise.manage.tasks.tasks import Tasks
 from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
 from poise.model.tasks.steps import Action, Task
@@ -36,11 +37,14 @@ def test_the_components_of_the_next_action_are_likely_where_they_are_planned() -
     tasks, plans = Tasks(robot), PlanOverTime(robot)
     tasks.start("t", 0.0)
     tasks.arbitrate(0.0)
-    (found,) = likely_next(tasks, plans, {"see": "left"}, {})
+    ahead = tasks.next_actions()
+    (report,) = task_reports(tasks, ahead, lambda _: (), 0.0)
+    assert report.next == ("drive",)
+    (found,) = likely_next(ahead, plans, {"see": "left"}, {})
     assert (found.action, found.placement, found.probability) == (
         "drive",
         {"go": "right"},
         1.0,
     )
-    assert likely_next(tasks, plans, {"see": "left", "go": "right"}, {}) == []
+    assert likely_next(ahead, plans, {"see": "left", "go": "right"}, {}) == []
     assert plans.placement("t", ("look",), ("see",)) == {"see": "left"}

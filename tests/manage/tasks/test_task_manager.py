@@ -301,6 +301,16 @@ def test_the_next_manager_goes_on_where_this_one_was() -> None:
     assert again.active() == {"goer", "sayer"}
 
 
+def test_a_choice_that_is_ahead_is_said_only_when_it_is_made() -> None:
+    choice = Choice(steps=(act("a", "see"), act("b", "go")))
+    rig = Rig(robot_with(task("t", act("first", "see"), choice)), "t")
+    rig.manager.likely_next()
+    rig.manager.look()
+    (report,) = rig.manager.reports
+    assert report.next == ("a",)
+    assert "choice of" not in rig.said()
+
+
 def test_how_actions_end_is_learned_and_decides_choices(tmp_path: Path) -> None:
     choice = Choice(steps=(act("a", "see"), act("b", "go")))
     robot = replace(robot_with(task("t", choice)), folder=str(tmp_path))

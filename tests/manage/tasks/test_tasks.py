@@ -68,7 +68,7 @@ class Played:
     def __init__(self, *tasks: Task, chosen: int = 0) -> None:
         self.said: list[str] = []
         self.robot = robot_with(*tasks)
-        self.tasks = Tasks(self.robot, self.said.append, lambda _: chosen)
+        self.tasks = Tasks(self.robot, self.said.append, lambda *_: chosen)
         self.now = 0.0
         for each in tasks:
             self.tasks.start(each.name, self.now)

@@ -25,7 +25,7 @@ from poise.manage.adaptation.replan import Proposal, propose
 from poise.manage.adaptation.shortages.failover import fail_over
 from poise.manage.adaptation.shortages.needs import Needs, lacking
 from poise.manage.adaptation.shortages.put_aside import CALM, PutAside
-from poise.manage.adaptation.what_if import WhatIf, what_if
+from poise.manage.adaptation.what_if import WhatIf, alternatives, what_if
 from poise.manage.deploy.running_components import Run
 from poise.manage.migration.transition import TransitionStep
 from poise.manage.migration.transition_run import (
@@ -159,7 +159,13 @@ class Adaptation:
         if dry or not proposal.steps:
             return proposal, None
         what = f"asked to balance: {counted(len(proposal.steps), 'step')}"
-        self._run.journal.note("decided", what, proposal=proposal, loads=facts.loads)
+        self._run.journal.note(
+            "decided",
+            what,
+            proposal=proposal,
+            alternatives=alternatives(facts, self._downtimes),
+            loads=facts.loads,
+        )
         return proposal, self._transit(proposal.steps, self._clock())
 
     def what_if(self, component: str, computer: str) -> WhatIf:
@@ -252,6 +258,7 @@ class Adaptation:
                 "decided",
                 why,
                 decision=decision,
+                alternatives=alternatives(facts, self._downtimes),
                 policies=_seen(due),
                 loads=facts.loads,
             )
@@ -261,7 +268,7 @@ class Adaptation:
                 self._put_aside.note(decision.proposal.aside, why, now)
             return
         self._move_limits.note_nothing(now, facts.situation())
-        self._report_why_not(why, decision)
+        self._report_why_not(why, decision, facts)
 
     def _transit(
         self, steps: tuple[TransitionStep, ...], now: float
@@ -297,12 +304,14 @@ class Adaptation:
             ),
         )
 
-    def _report_why_not(self, why: str, decision: Decision) -> None:
+    def _report_why_not(self, why: str, decision: Decision, facts: Facts) -> None:
         """Journal why nothing is done, once for each reason while symptoms last."""
         if any(reported.why_not != why for reported in self._reported.values()):
             for reported in self._reported.values():
                 reported.why_not = why
-            self._run.journal.note("seen", why, decision=decision)
+            others = alternatives(facts, self._downtimes)
+            note = self._run.journal.note
+            note("seen", why, decision=decision, alternatives=others)
 
 
 def _about(symptoms: Iterable[Symptom], do: Do) -> tuple[Symptom, ...]:

@@ -1,19 +1,27 @@
-"""What a move would change, before anything happens. Pure."""
+"""What a move would change, and what else could be done instead of it. Pure."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from poise import plan
-from poise.errors import UsageError
+from poise.errors import RobotError, UsageError
 from poise.manage.adaptation.admission import new_breaks
-from poise.manage.adaptation.decision import DOWNTIME, cost_of, starts_of
+from poise.manage.adaptation.decision import DOWNTIME, MOVE, cost_of, starts_of
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.replan import with_present_demands
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.transition import TransitionStep
+from poise.model.check.allowed_computers import allowed_computers
+from poise.model.robot import Robot
+
+_MOST_TRIED = 16
+"""So many moves are worked out: those that leave least CPU missing."""
+_MOST_KEPT = 5
+"""So many alternatives are kept."""
 
 
 class WhatIf(Struct, frozen=True, tag=True, kw_only=True):
@@ -105,6 +113,102 @@ def what_if(
         cost=cost_of(robot, [step], downtimes, starts_of(facts)),
         state=sizes.get(component, 0),
     )
+
+
+class Alternative(Struct, frozen=True, kw_only=True):
+    """What else could have been done: a single move, or nothing.
+
+    Parameters
+    ----------
+    what
+        For people.
+    total
+        F, with the cost of the move.
+    short
+        The CPU that components would need and not have [cores].
+    cost
+        Work that the move would cost [core-seconds].
+    breaks
+        The limits that would be broken, for people; empty: none.
+    """
+
+    what: str
+    total: float
+    short: float
+    cost: float = 0.0
+    breaks: str = ""
+
+
+def alternatives(
+    facts: Facts, downtimes: Mapping[str, float]
+) -> tuple[Alternative, ...]:
+    """Return what could be done now: first nothing, then single moves, the best first.
+
+    None when some component can run nowhere.
+
+    Parameters
+    ----------
+    downtimes
+        Component -> the downtime of its last move [s].
+    """
+    facts = facts.within_reach()
+    robot = with_present_demands(
+        replace(facts.robot, computers=facts.computers_left()), facts.demand_estimates
+    )
+    now = facts.placement
+    try:
+        problem = plan.problem_of(robot, facts.task, present=now, move=MOVE)
+    except RobotError:
+        return ()
+    problem = plan.keep_components(problem, now.keys())
+    starts = starts_of(facts)
+
+    def work_out(short: float, step: TransitionStep | None) -> Alternative:
+        after = {**now, step.component: step.target} if step else now
+        result = plan.evaluate(problem, after)
+        assert result.objective is not None  # noqa: S101, a given placement has terms
+        return Alternative(
+            what=str(step) if step else "stay",
+            total=result.objective.total,
+            short=short,
+            cost=cost_of(robot, [step], downtimes, starts) if step else 0.0,
+            breaks=result.reason,
+        )
+
+    stays, *moves = _single_moves(robot, now)
+    moves.sort(key=lambda move: move[0])
+    found = [work_out(*move) for move in moves[:_MOST_TRIED]]
+    found.sort(key=lambda each: (bool(each.breaks), each.short, each.total))
+    return (work_out(*stays), *found[:_MOST_KEPT])
+
+
+def _single_moves(
+    robot: Robot, now: Mapping[str, str]
+) -> Iterator[tuple[float, TransitionStep | None]]:
+    """Yield what CPU is missing [cores]: as it is, and after each move."""
+    demands = {c.name: c.demand.get("cpu", 0.0) for c in robot.components()}
+    left = {
+        c.name: c.usable("cpu") - _load(demands, now, c.name) for c in robot.computers
+    }
+    short = sum(max(0.0, -amount) for amount in left.values())
+    yield short, None
+    allowed = allowed_computers(robot)
+    movable = {c.name for c in robot.components() if c.movable}
+    for component, source in now.items():
+        for target in (
+            sorted(allowed[component] - {source}) if component in movable else ()
+        ):
+            change = {source: demands[component], target: -demands[component]}
+            yield (
+                short
+                + sum(
+                    max(0.0, -left[at] - more) - max(0.0, -left[at])
+                    for at, more in change.items()
+                ),
+                TransitionStep(
+                    kind="move", component=component, source=source, target=target
+                ),
+            )
 
 
 def _load(

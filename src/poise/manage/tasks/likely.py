@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from msgspec import Struct
 
 from poise import plan
 from poise.errors import PoiseError
-from poise.manage.tasks.tasks import Tasks
+from poise.manage.tasks.progress import Try
+from poise.manage.tasks.tasks import TaskRecord
 from poise.model.robot import Robot
 
 PLAN_FOR = 0.3
@@ -79,7 +80,7 @@ class PlanOverTime:
 
 
 def likely_next(
-    tasks: Tasks,
+    ahead: Iterable[tuple[TaskRecord, Try, float]],
     plans: PlanOverTime,
     running: Mapping[str, str],
     resting: Mapping[str, str],
@@ -88,13 +89,15 @@ def likely_next(
 
     Parameters
     ----------
+    ahead
+        The actions that may come next, with their probabilities.
     running
         Component -> computer, of what is at work.
     resting
         The same of what is prepared: there it stays.
     """
     found = []
-    for record, each, probability in tasks.next_actions():
+    for record, each, probability in ahead:
         placement = plans.placement(record.name, (each.name,), each.action.functions)
         missing = {
             n: resting.get(n, at) for n, at in placement.items() if n not in running

@@ -23,8 +23,8 @@ from poise.model.tasks.steps import (
     Until,
 )
 
-Choose = Callable[[Choice], int]
-"""Returns the index of the step of a choice that is done."""
+Choose = Callable[[Choice, bool], int]
+"""Returns the index of the step of a choice that is done; True: only looks ahead."""
 Say = Callable[[str], object]
 
 
@@ -156,7 +156,7 @@ class Steps:
             case Parallel(steps=steps):
                 return Progress(inside=[self._begin(each) for each in steps])
             case Choice(steps=steps):
-                index = self._choose(step)
+                index = self._choose(step, False)
                 return Progress(index=index, inside=[self._begin(steps[index])])
         return Progress(inside=[self._begin(self._of(step)[0])])
 
@@ -284,7 +284,8 @@ class Steps:
             case Parallel(steps=steps):
                 return [t for each in steps for t in self._first(each, prefix)]
             case Choice(steps=steps):
-                return self._first(steps[self._choose(step)], prefix)
+                ahead = self._choose(step, True)
+                return self._first(steps[ahead], prefix)
             case Subtask(task=name):
                 prefix = f"{name}."
         return self._first(self._of(step)[0], prefix)

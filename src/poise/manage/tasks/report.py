@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 from msgspec import Struct
 
 from poise.manage.tasks.progress import Try
-from poise.manage.tasks.tasks import Tasks, TaskState
+from poise.manage.tasks.tasks import TaskRecord, Tasks, TaskState
 
 
 class ActionReport(Struct, frozen=True, kw_only=True):
@@ -45,6 +45,8 @@ class TaskReport(Struct, frozen=True, kw_only=True):
         When it was started, and when its state began [s since 1970].
     actions
         Those whose turn it is.
+    next
+        The names of those that may come then.
     """
 
     name: str
@@ -54,15 +56,21 @@ class TaskReport(Struct, frozen=True, kw_only=True):
     began: float
     since: float
     actions: tuple[ActionReport, ...] = ()
+    next: tuple[str, ...] = ()
 
 
 def task_reports(
-    tasks: Tasks, serving: Callable[[Try], tuple[str, ...]], now: float
+    tasks: Tasks,
+    ahead: Collection[tuple[TaskRecord, Try, float]],
+    serving: Callable[[Try], tuple[str, ...]],
+    now: float,
 ) -> tuple[TaskReport, ...]:
     """Return how all tasks are, the first started first.
 
     Parameters
     ----------
+    ahead
+        The actions that may come next.
     serving
         Returns the architectures that serve an action now.
     now
@@ -86,6 +94,7 @@ def task_reports(
                 )
                 for each in tasks.tries(record)
             ),
+            next=tuple(each.name for of, each, _ in ahead if of is record),
         )
         for record in list(tasks.records)
     )

@@ -84,6 +84,7 @@ class TaskManager:
         self._aside: AbstractSet[str] = frozenset()
         self._unlearned: list[tuple[Ended, list[str]]] = []
         self._since = time.time()
+        self._ahead: list[tuple[TaskRecord, Try, float]] = []
         self.reports = self._reported()
 
     def now(self) -> Task:
@@ -102,7 +103,8 @@ class TaskManager:
         """Return what may be needed next and does not run, the most probable first."""
         run = self._run
         rest = {name: each.computer for name, each in run.prepared.items()}
-        return likely_next(self.tasks, self._plans, run.placement(), rest)
+        self._ahead = self.tasks.next_actions()
+        return likely_next(self._ahead, self._plans, run.placement(), rest)
 
     def is_over(self) -> bool:
         """Return whether no task runs, waits or is paused any more."""
@@ -322,14 +324,14 @@ class TaskManager:
             if not until.name or each.name == until.name
         )
 
-    def _choose(self, choice: Choice) -> int:
+    def _choose(self, choice: Choice, is_ahead: bool) -> int:  # noqa: FBT001
         note = self._run.journal.note
         try:
             return choose(
                 self._run.robot,
                 choice,
                 situation_of(self._facts()),
-                lambda text: note("decided", text),
+                lambda text: None if is_ahead else note("decided", text),
                 explore=self._explore,
             )
         except PoiseError as error:
@@ -378,7 +380,7 @@ class TaskManager:
         def serving(each: Try) -> tuple[str, ...]:
             return tuple(self._serving.architectures(each.action.functions))
 
-        return task_reports(self.tasks, serving, time.time())
+        return task_reports(self.tasks, self._ahead, serving, time.time())
 
     def _say(self, text: str) -> None:
         self._run.journal.note("decided", text)

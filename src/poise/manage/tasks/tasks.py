@@ -87,7 +87,7 @@ class Tasks:
         self,
         robot: Robot,
         say: Callable[[str], object] = lambda _: None,
-        choose: Choose = lambda _: 0,
+        choose: Choose = lambda *_: 0,
         saved: Saved | None = None,
     ) -> None:
         self._robot = robot

@@ -50,7 +50,7 @@ def first_phase(
     RobotError
         There is no placement; the message says why.
     """
-    started = Tasks(robot, say, lambda c: choose(robot, c, WELL, say))
+    started = Tasks(robot, say, lambda c, _: choose(robot, c, WELL, say))
     now = time.time()
     for name in tasks:
         started.start(name, now)
