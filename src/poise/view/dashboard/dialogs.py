@@ -1,8 +1,10 @@
-"""What a person asks and does on a page: what a move would change, moves, undo."""
+"""What a person asks and does on a page: logs, what moves would change, moves, undo."""
 
 from __future__ import annotations
 
 import contextlib
+import time
+from collections import deque
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,6 +15,11 @@ from poise.errors import PoiseError
 from poise.session.render.moves import outcome_sentence, what_if_lines
 from poise.session.running_robots.running import Entry, Running, WhatIf
 from poise.view.dashboard.state import Page, why
+from poise.wire.records.output import OutputLine
+
+_LOG_EVERY = 0.5
+_MOST_LINES = 200
+"""So many lines of a log are shown."""
 
 
 class Actions:
@@ -75,6 +82,7 @@ class Actions:
                         ui.button(
                             computer, on_click=self._asker(dialog, name, computer)
                         ).props("no-caps outline")
+            self._follow_log(name)
             ui.button("Close", on_click=dialog.close).props("no-caps")
 
     def show_entry(self, entry: Entry) -> None:
@@ -101,11 +109,41 @@ class Actions:
                     f"It costs {decision['cost']:.2f} and gains {decision['gain']:.2f} "
                     f"core-seconds. It was {'' if decision['acts'] else 'not '}done."
                 )
+            if others := facts.get("alternatives"):
+                ui.label("What could have been done, and what it would have cost:")
+                ui.html(_alternatives(others)).classes("scroll")
             if facts:
                 raw = msgspec.json.format(msgspec.json.encode(facts), indent=2)
                 with ui.expansion("All facts").props("dense"):
                     ui.html(f"<pre tabindex=0>{_text(raw.decode())}</pre>")
             ui.button("Close", on_click=dialog.close).props("no-caps")
+
+    def _follow_log(self, component: str) -> None:
+        """Show what a component wrote, and writes while the dialog is open."""
+        ui.label("What it wrote")
+        shown = ui.html("").classes("log")
+        lines: deque[str] = deque(maxlen=_MOST_LINES)
+        reader = self._running.log(component, last=_MOST_LINES, follow=True)
+
+        async def read() -> None:
+            nonlocal reader
+            trouble = ""
+            try:
+                reading = await run.io_bound(next, reader)
+            except PoiseError as error:  # the next manager tells all of it again
+                reader = self._running.log(component, last=_MOST_LINES, follow=True)
+                lines.clear()
+                trouble = f"no log for now: {error}"
+            else:
+                lines.extend(map(_log_line, reading.lines))
+                if reading.silent:
+                    trouble = f"no answer from {', '.join(reading.silent)}"
+            text = "\n".join([*lines, trouble] if trouble else lines) or "nothing yet"
+            content = f"<pre tabindex=0>{_text(text)}</pre>"
+            if content != shown.content:
+                shown.content = content
+
+        ui.timer(_LOG_EVERY, read)
 
     def _asker(self, dialog: Any, component: str, computer: str) -> Any:  # noqa: ANN401
         async def ask() -> None:
@@ -154,6 +192,32 @@ def _dialog() -> Iterator[Any]:
 
 def _complain(error: PoiseError) -> None:
     ui.notify(str(error), color="red-10", multi_line=True, timeout=10_000)
+
+
+def _log_line(line: OutputLine) -> str:
+    at = time.strftime("%H:%M:%S", time.localtime(line.at / 1e9))
+    return f"{at} {line.text}"
+
+
+def _alternatives(others: list[dict[str, Any]]) -> str:
+    """Return what could have been done as a table."""
+    heads = ("", "F", "cores too little", "cost", "limits that it breaks")
+    cells = [
+        (
+            each["what"],
+            f"{each['total']:.4g}",
+            f"{each['short']:.2f}",
+            f"{each['cost']:.2f}",
+            each["breaks"] or "none",
+        )
+        for each in others
+    ]
+    head = "".join(f"<th scope=col>{each}</th>" for each in heads)
+    rows = "".join(
+        "<tr>" + "".join(f"<td>{_text(cell)}</td>" for cell in row) + "</tr>"
+        for row in cells
+    )
+    return f"<table><tr>{head}</tr>{rows}</table>"
 
 
 def _terms(columns: dict[str, Any]) -> str:

@@ -19,6 +19,7 @@ const bytes = (x) => {
   for (; x >= 1024 && unit < 3; unit++) x /= 1024;
   return `${+x.toPrecision(3)} ${units[unit]}`;
 };
+const cores = (x) => `${+x.toPrecision(2)} ${x === 1 ? "core" : "cores"}`;
 const byName = (records) =>
   Object.entries(records || {})
     .sort(([a], [b]) => (a < b ? -1 : 1))
@@ -53,10 +54,12 @@ export default {
     <article v-for="computer in computers" :key="computer.name" :aria-label="'computer ' + computer.name"
       :class="['computer', {gone: computer.state, over: over === computer.name}]" :data-computer="computer.name"
       @dragover.prevent="over = computer.name" @dragleave="over = null" @drop.prevent="drop(computer.name)">
-      <h2>{{ computer.name }} <small v-if="computer.state">⚠ {{ computer.state }}</small></h2>
+      <h2>{{ computer.name }} <small v-if="computer.state">⚠ {{ computer.state }}</small>
+        <small v-else-if="missing(computer)">▲ {{ missing(computer) }}</small></h2>
       <div class="bar" role="img" :aria-label="load(computer)" :title="load(computer)">
         <i class="own" :style="{width: share(computer.used - computer.background, computer)}"></i
         ><i class="other" :style="{width: share(computer.background, computer)}"></i>
+        <b v-if="missing(computer)" class="beyond" :style="{left: share(computer.capacity, computer)}"></b>
         <b class="need" :style="{left: share(computer.need - computer.sure, computer), width: share(2 * computer.sure, computer)}"></b>
       </div>
       <p class="load">{{ load(computer) }}</p>
@@ -79,8 +82,10 @@ export default {
     :class="['wire', kind]" stroke-width="3"/></svg> {{ kind }}: {{ says }}</span>
     <span>thicker: more traffic</span>
     <span><i class="swatch own"></i> the robot</span><span><i class="swatch other"></i> other programs</span>
-    <span><i class="swatch need"></i> what components need, 95 % sure</span></p>
-  <p class="legend">Drag a component to another computer, or select it, to see what a move would change.</p>
+    <span><i class="swatch need"></i> what components need, 95 % sure</span>
+    <span><i class="swatch beyond"></i> more than the computer has</span></p>
+  <p class="legend">Select a component to read its log, and what a move would change; or drag it to another computer. Arrow keys go
+    from one component to the next.</p>
 
   <section v-if="entries.length" aria-labelledby="decisions">
     <h2 id="decisions">Decisions</h2>
@@ -88,6 +93,7 @@ export default {
       <span v-for="(glyph, kind, row) in glyphs" class="lane" :style="{top: 1.2 * row + 'rem'}">{{ kind }}</span>
       <button v-for="e in recent" :key="e.number" type="button" tabindex="-1" :class="['moment', e.kind]" :title="tell(e)"
         :style="{left: e.x + '%', top: 1.2 * e.row + 'rem'}" @click="$emit('entry', e.number)">{{ glyphs[e.kind] }}</button>
+      <span v-for="n in ago" class="tick" :style="{right: 100 * n / ago.length + '%'}">{{ n ? n + ' min ago' : 'now' }}</span>
     </div>
     <ol class="entries">
       <li v-for="e in entries.slice(0, more.entries ? 200 : few)" :key="e.number">
@@ -112,7 +118,7 @@ export default {
 
   data: () => ({
     parts: {}, now: 0, wanted: "", near: null, over: null, more: {},
-    places: {}, size: { width: 0, height: 0 }, kinds: KINDS, glyphs: GLYPHS, few: FEW,
+    places: {}, size: { width: 0, height: 0 }, kinds: KINDS, glyphs: GLYPHS, few: FEW, ago: [0, 1, 2, 3, 4],
   }),
 
   computed: {
@@ -215,9 +221,13 @@ export default {
       return `${Math.max(0, (100 * (part || 0)) / whole)}%`;
     },
     load(c) {
-      const used = c.capacity === undefined ? "use not known yet" : `${c.used.toFixed(2)} of ${c.capacity.toFixed(2)} cores used`;
-      const other = c.background ? `, ${c.background.toFixed(2)} by other programs` : "";
-      return `${used}${other}; components need ${c.need.toFixed(2)} ± ${c.sure.toFixed(2)}; ${bytes(c.memory)}`;
+      const used = c.capacity ? `${percent(c.used / c.capacity)} of ${cores(c.capacity)} used` : "use not known yet";
+      const other = c.background ? `, ${percent(c.background / c.capacity)} by other programs` : "";
+      return `${used}${other}; components need ${cores(c.need)} ± ${+c.sure.toFixed(3)}; ${bytes(c.memory)}`;
+    },
+    missing(c) {
+      const short = c.need - (c.capacity - (c.background || 0));
+      return short > Math.max(c.sure, 0.01) ? `${cores(short)} too little` : "";
     },
     mark(c) { return c.errors || c.hung ? "⚠ " : STATES[c.state] ?? "? "; },
     describe(c) {

@@ -79,13 +79,14 @@ def _robot(look: Look) -> dict[str, Any]:
 
 
 def _task(report: Any) -> str:  # noqa: ANN401, `view` does not import the manager
-    """Return how a task is, what it does now, and what waits for its turn."""
+    """Return how a task is, what it does now, and what comes next."""
     why = f" ({report.why})" if report.why else ""
     now = [each.name for each in report.actions if each.is_at_work]
     then = [each.name for each in report.actions if not each.is_at_work]
     parts = [f"{report.name} {report.state}{why}"]
     parts += [f"now {', '.join(now)}"] if now else []
     parts += [f"waits to begin {', '.join(then)}"] if then else []
+    parts += [f"next {', '.join(report.next)}"] if report.next else []
     return "; ".join(parts)
 
 

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import importlib.util
+import signal
 import socket
+import subprocess
 import sys
+from collections.abc import Iterator
 from typing import Annotated
 
 import typer
@@ -11,6 +17,7 @@ import typer
 from poise.errors import UsageError
 
 _PORT = 7480
+_PR_SET_PDEATHSIG = 1
 
 
 def dashboard_command(
@@ -33,18 +40,43 @@ def dashboard_command(
 
     Example: poise dashboard
     """
-    try:
-        from poise.view.dashboard.server import serve
-    except ImportError as error:
-        raise UsageError(
-            f"the dashboard needs NiceGUI: pip install 'poise[dashboard]' ({error})"
-        ) from error
+    check_dashboard()
+    from poise.view.dashboard.server import serve
 
     def say(text: str) -> None:
         sys.stdout.write(f"{text}\n")
         sys.stdout.flush()
 
     serve(robot, host, _free_port(host, port), say)
+
+
+def check_dashboard() -> None:
+    """Raise UsageError when what the dashboard needs is not installed."""
+    if importlib.util.find_spec("nicegui") is None:
+        raise UsageError("the dashboard needs NiceGUI: pip install 'poise[dashboard]'")
+
+
+@contextlib.contextmanager
+def dashboard_beside(robot: str) -> Iterator[None]:
+    """Serve the page by a process that ends with this block, and with this process."""
+    try:
+        port = _free_port("127.0.0.1", _PORT)
+    except UsageError:  # the page of another robot
+        port = 0
+    words = ["dashboard", robot, "--port", str(port)]
+    with subprocess.Popen(  # noqa: S603, Poise itself
+        [sys.executable, "-m", "poise", *words],
+        stdin=subprocess.DEVNULL,
+        preexec_fn=_end_with_parent,  # noqa: PLW1509, it is one call
+    ) as server:
+        try:
+            yield
+        finally:
+            server.terminate()
+
+
+def _end_with_parent() -> None:
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def _free_port(host: str, port: int) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Annotated
 import typer
 from msgspec.structs import replace
 
+from poise.cli.command.dashboard import check_dashboard, dashboard_beside
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import AnyMethod, RobotFile
 from poise.errors import UsageError
@@ -52,6 +54,9 @@ def up_command(
     detach: Annotated[
         bool, typer.Option("--detach", help="Return once it is up; it goes on.")
     ] = False,
+    dashboard: Annotated[
+        bool, typer.Option("--dashboard", help="Show it as a web page meanwhile.")
+    ] = False,
     record: Annotated[
         Path | None,
         typer.Option(
@@ -69,6 +74,8 @@ def up_command(
 
     Example: poise up robot.yaml --task fetch
     """
+    if dashboard:
+        check_dashboard()
     with Printer() as printer, log_printer():
         say = printer.print
         robot = load(file, say=say, meanwhile=_import_the_rest)
@@ -80,6 +87,8 @@ def up_command(
             with Interrupts() as interrupts:
                 words = [word for word in sys.argv[1:] if word != "--detach"]
                 say(str(up_detached(robot, file, words, say, interrupts.check)))
+            if dashboard:
+                say("its log says where the dashboard is")
             return
         if not prefetch:
             robot = replace(robot, prefetch=Prefetch(off=True))
@@ -104,6 +113,7 @@ def up_command(
                 say=say,
                 check=interrupts.check,
             ) as running,
+            dashboard_beside(robot.name) if dashboard else contextlib.nullcontext(),
         ):
             ends = "Ctrl-C" if sys.stdin.isatty() else "`poise stop`"
             names = "' and '".join(tasks)
