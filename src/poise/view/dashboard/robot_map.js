@@ -9,8 +9,10 @@ const KINDS = {
 const GLYPHS = { seen: "○", decided: "◆", done: "✓", failed: "✗", wrong: "▲", right: "▽" };
 const STATES = { active: "", inactive: "⏸ ", unresponsive: "⚠ ", failed: "✗ ", unconfigured: "… " };
 const FEW = 12; // rows of a table that is not opened
+const LARGE = 60; // of more components only the connectors of one, or of those searched, are drawn
 const MINUTES = 5; // what the time line spans
 
+const CLOCK = new Intl.DateTimeFormat([], { timeStyle: "medium", hour12: false });
 const percent = (x) => (x === undefined || x === null ? "" : `${(100 * x).toFixed(x < 0.0995 ? 1 : 0)} %`);
 const seconds = (x) => (x >= 1 ? `${+x.toPrecision(3)} s` : `${+(1000 * x).toPrecision(3)} ms`);
 const bytes = (x) => {
@@ -19,7 +21,7 @@ const bytes = (x) => {
   for (; x >= 1024 && unit < 3; unit++) x /= 1024;
   return `${+x.toPrecision(3)} ${units[unit]}`;
 };
-const cores = (x) => `${+x.toPrecision(2)} ${x === 1 ? "core" : "cores"}`;
+const cores = (x) => `${+x.toFixed(3)} ${x === 1 ? "core" : "cores"}`;
 const byName = (records) =>
   Object.entries(records || {})
     .sort(([a], [b]) => (a < b ? -1 : 1))
@@ -27,7 +29,7 @@ const byName = (records) =>
 
 export default {
   template: `
-<div :class="['robot', {stale: robot.trouble, many: components.length > 60}]">
+<div :class="['robot', {stale: robot.trouble, many: isLarge}]">
   <div class="headline">
     <h1>{{ robot.name || 'no robot yet' }}</h1>
     <span v-if="robot.task && !(robot.tasks || []).length">task <b>{{ robot.task }}</b></span>
@@ -49,7 +51,7 @@ export default {
       <defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="9" markerHeight="9"
         markerUnits="userSpaceOnUse" orient="auto"><path d="M0 0L8 4L0 8Z" fill="context-stroke"/></marker></defs>
       <path v-for="wire in wires" :key="wire.name" :d="wire.d" :class="['wire', wire.kind, {dim: wire.dim, down: !wire.ready}]"
-        :stroke-width="wire.width" marker-end="url(#tip)"><title>{{ wire.says }}</title></path>
+        :stroke-width="wire.width" marker-end="url(#tip)"/>
     </svg>
     <article v-for="computer in computers" :key="computer.name" :aria-label="'computer ' + computer.name"
       :class="['computer', {gone: computer.state, over: over === computer.name}]" :data-computer="computer.name"
@@ -65,13 +67,13 @@ export default {
       <p class="load">{{ load(computer) }}</p>
       <ul class="components">
         <li v-for="c in computer.components" :key="c.name">
-          <button type="button" draggable="true" :data-component="c.name" :title="describe(c)"
+          <button type="button" draggable="true" :data-component="c.name" :title="near === c.name ? describe(c) : null"
             :class="['component', c.state.replace(' ', '-'), {late: c.late, other: !fits(c.name)}]"
             @dragstart="grab(c.name, $event)" @dragend="over = null" @click="$emit('component', c.name)"
             @mouseenter="near = c.name" @focus="near = c.name" @keydown="step($event)">
             <span class="name">{{ mark(c) }}{{ c.name }}</span>
-            <span class="figures">{{ percent(c.cpu) }}<b v-if="c.late"> ⏱ {{ percent(c.late) }} late</b></span>
-            <span class="meter" aria-hidden="true"><i :style="{width: share(c.cpu || 0, computer)}"></i></span>
+            <span class="figures">{{ percent(c.cpu) }}<b v-if="c.late"> ▲ {{ percent(c.late) }} late</b></span>
+            <span class="meter" aria-hidden="true"><i :style="{transform: 'scaleX(' + part(c.cpu, computer) + ')'}"></i></span>
           </button>
         </li>
       </ul>
@@ -80,7 +82,7 @@ export default {
   </section>
   <p class="legend"><span v-for="(says, kind) in kinds"><svg width="44" height="10" aria-hidden="true"><path d="M2 5H42"
     :class="['wire', kind]" stroke-width="3"/></svg> {{ kind }}: {{ says }}</span>
-    <span>thicker: more traffic</span>
+    <span>thicker: more traffic</span><b v-if="isLarge">point at a component, or find it, to see its connectors</b>
     <span><i class="swatch own"></i> the robot</span><span><i class="swatch other"></i> other programs</span>
     <span><i class="swatch need"></i> what components need, 95 % sure</span>
     <span><i class="swatch beyond"></i> more than the computer has</span></p>
@@ -123,6 +125,7 @@ export default {
 
   computed: {
     robot() { return (this.parts.robot || {})[""] || {}; },
+    isLarge() { return this.components.length > LARGE; },
     components() { return byName(this.parts.components); },
     computers() {
       const here = {};
@@ -134,8 +137,8 @@ export default {
     },
     layout() { return this.computers.map((c) => [c.name, c.state, c.components.map((each) => each.name)].join()).join(";"); },
     wires() {
-      const found = byName(this.parts.connectors).map((wire) => this.wire(wire));
-      return found.filter(Boolean);
+      const found = byName(this.parts.connectors).map((wire) => this.wire(wire)).filter(Boolean);
+      return this.isLarge ? found.filter((wire) => wire.picked) : found;
     },
     entries() { return Object.values(this.parts.entries || {}).sort((a, b) => b.number - a.number); },
     recent() {
@@ -151,10 +154,10 @@ export default {
         { name: "timers", title: "Timers", heads: ["timer", "rate", "deadline", "late now", "late in all", "takes (p99)"],
           rows: rows("timers").sort(worst).map((t) => ({ bad: t.now > 0 && t.deadline, cells: [
             t.name, `${+(1 / t.period).toPrecision(3)} Hz`, t.deadline ? seconds(t.deadline) : "none",
-            t.deadline ? (t.now > 0 ? "⏱ " : "") + percent(t.now) : "", t.deadline ? `${t.missed} of ${t.releases}` : "", seconds(t.p99)] })) },
+            t.deadline ? (t.now > 0 ? "▲ " : "") + percent(t.now) : "", t.deadline ? `${t.missed} of ${t.releases}` : "", seconds(t.p99)] })) },
         { name: "chains", title: "Chains", heads: ["chain", "deadline", "age (median)", "age (p99)", "late", "age at each component"],
           rows: rows("chains").map((c) => ({ bad: c.p99 > c.deadline, cells: [
-            c.name, seconds(c.deadline), seconds(c.median), (c.p99 > c.deadline ? "⏱ " : "") + seconds(c.p99), `${c.missed} of ${c.uses}`,
+            c.name, seconds(c.deadline), seconds(c.median), (c.p99 > c.deadline ? "▲ " : "") + seconds(c.p99), `${c.missed} of ${c.uses}`,
             c.hops.map(([name, age]) => `${name} ${seconds(age)}`).join(" → ")] })) },
         { name: "connectors", title: "Connectors", heads: ["connector", "kind", "a second", "traffic", "dropped", "errors"],
           rows: rows("connectors").sort((a, b) => (b.rate || 0) - (a.rate || 0)).map((c) => ({ bad: c.drops || c.errors || !c.ready, cells: [
@@ -179,10 +182,9 @@ export default {
     show(changes, now, isWhole) {
       if (isWhole) this.parts = {};
       for (const [part, records] of Object.entries(changes)) {
-        const into = (this.parts[part] ||= {});
-        for (const [name, record] of Object.entries(records))
-          if (record === null) delete into[name];
-          else into[name] = record;
+        const known = { ...this.parts[part], ...records };
+        for (const name in records) if (records[name] === null) delete known[name];
+        this.parts[part] = Object.freeze(known); // Vue watches nothing inside: that takes long
       }
       this.now = now;
       return true;
@@ -210,16 +212,17 @@ export default {
       return {
         ...each,
         d: `M${x1} ${from.y}C${x1 + bend} ${from.y} ${c2} ${to.y} ${x2} ${to.y}`,
-        width: Math.min(8, 1.5 + Math.log10(1 + (each.bytes || 20 * (each.rate || 0)) / 100)),
+        width: Math.min(8, Math.round(3 + 2 * Math.log10(1 + (each.bytes || 20 * (each.rate || 0)) / 100)) / 2),
+        picked: picked || (this.wanted && (this.fits(each.source) || this.fits(each.target))),
         dim: (this.near && !picked) || (this.wanted && !this.fits(each.source) && !this.fits(each.target)),
-        says: `${each.name} (${each.kind}) ${each.rate || 0} a second`,
       };
     },
     fits(name) { return !this.wanted || name.toLowerCase().includes(this.wanted.toLowerCase()); },
-    share(part, computer) {
+    part(amount, computer) {
       const whole = Math.max(computer.capacity || 0, computer.used || 0, computer.need + computer.sure, 0.001);
-      return `${Math.max(0, (100 * (part || 0)) / whole)}%`;
+      return Math.min(1, Math.max(0, (amount || 0) / whole)).toFixed(3);
     },
+    share(amount, computer) { return `${100 * this.part(amount, computer)}%`; },
     load(c) {
       const used = c.capacity ? `${percent(c.used / c.capacity)} of ${cores(c.capacity)} used` : "use not known yet";
       const other = c.background ? `, ${percent(c.background / c.capacity)} by other programs` : "";
@@ -237,7 +240,7 @@ export default {
         c.errors && `${c.errors} errors: ${c.error}`, c.hung && `hangs for ${c.hung} s`].filter(Boolean).join(", ");
     },
     tell(e) { return e.why ? `${e.what}\n${e.why}` : e.what; },
-    clock(at) { return new Date(1000 * at).toLocaleTimeString([], { hour12: false }); },
+    clock(at) { return CLOCK.format(1000 * at); },
     grab(name, event) {
       event.dataTransfer.setData("text/plain", name);
       this.near = this.held = name;
