@@ -99,12 +99,12 @@ def _age_when_slow(
         seconds,
     )
     page.context.close()
-    return seconds / max(1, updates)
+    return seconds / max(1, int(updates))
 
 
 def measure(components: int, seconds: float) -> Mapping[str, float]:
     """Measure with a robot of so many components, each figure for so long [s]."""
-    from playwright.sync_api import sync_playwright
+    from playwright.sync_api import sync_playwright  # noqa: PLC0415, tests skip without it
 
     name = f"made-up-{os.getpid()}"
     figures = _Said()

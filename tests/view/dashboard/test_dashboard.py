@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from benchmarks.dashboard import FRAMES
+from benchmarks.synthetic.statuses import told
 from tests.command import POISE, robot_up, run_poise
 from tests.waiting import LONG, wait_long
 
@@ -23,6 +26,9 @@ pytestmark = [
 ]
 _HELLO = Path("examples/hello").resolve()
 _MS = 1000 * LONG
+_IN_TEST = "PYTEST_CURRENT_TEST"
+"""Without it NiceGUI does not take the server for a test of its own."""
+_SHOWN = "document.querySelectorAll('[data-component]').length"
 
 
 @pytest.fixture
@@ -35,29 +41,30 @@ def robot(tmp_path: Path) -> Path:
     return file
 
 
-@pytest.fixture
-def address() -> Iterator[str]:
-    """Start a dashboard, and return where it is."""
+@contextlib.contextmanager
+def dashboard(robot: str) -> Iterator[str]:
+    """Start a dashboard, and yield where it is."""
     pytest.importorskip("nicegui")
-    # else NiceGUI takes the server for a test of its own
-    others = {k: v for k, v in os.environ.items() if k != "PYTEST_CURRENT_TEST"}
-    words = ("dashboard", f"dashboard-{os.getpid()}", "--port", "0")
+    words = ("dashboard", robot, "--port", "0")
     with subprocess.Popen(
-        [*POISE, *words], stdout=subprocess.PIPE, text=True, env=others
+        [*POISE, *words], stdout=subprocess.PIPE, text=True
     ) as server:
         assert server.stdout is not None
         try:
-            line = server.stdout.readline()
-            assert "http://" in line
-            yield line.split()[4].rstrip(";")
+            yield address_in(server.stdout)
         finally:
             server.terminate()
             server.communicate(timeout=LONG)
 
 
+def address_in(lines: Iterable[str]) -> str:
+    """Return where a dashboard says that it is."""
+    return next(line for line in lines if "http://" in line).split()[4].rstrip(";")
+
+
 @pytest.fixture
-def page(address: str) -> Iterator[Any]:
-    """Return a browser's page that shows the dashboard; it may complain of nothing."""
+def page() -> Iterator[Any]:
+    """Return a browser's page; it may complain of nothing."""
     playwright = pytest.importorskip("playwright.sync_api")
     said: list[str] = []
     with playwright.sync_playwright() as driver:
@@ -70,7 +77,6 @@ def page(address: str) -> Iterator[Any]:
         found.on(
             "console", lambda m: said.append(m.text) if m.type == "error" else None
         )
-        found.goto(address)
         yield found
         browser.close()
     assert not said
@@ -81,12 +87,16 @@ def on(page: Any, computer: str, component: str) -> Any:
     return page.locator(f'[data-computer="{computer}"] [data-component="{component}"]')
 
 
-def test_shows_a_robot_asks_what_if_moves_undoes_and_survives_its_manager(
-    robot: Path, page: Any
+def test_shows_a_robot_its_log_asks_what_if_moves_and_undoes(
+    robot: Path, page: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.delenv(_IN_TEST)
+    pytest.importorskip("nicegui")
     axe = pytest.importorskip("axe_playwright_python.sync_playwright")
     name = f"dashboard-{os.getpid()}"
-    with robot_up(robot):
+    with robot_up(robot, "--dashboard") as up:
+        assert up.stdout is not None
+        page.goto(address_in(up.stdout))
         on(page, "left", "counter").wait_for()
         on(page, "right", "printer").wait_for()
         page.get_by_role("cell", name="counter.tick").wait_for()
@@ -103,6 +113,7 @@ def test_shows_a_robot_asks_what_if_moves_undoes_and_survives_its_manager(
 
         # what if, by keyboard; do it, and undo it
         printer.press("Enter")
+        page.get_by_text("printer has ").wait_for()  # its log
         page.get_by_role("button", name="left", exact=True).press("Enter")
         page.get_by_role("button", name="Do it").click()
         on(page, "left", "printer").wait_for()
@@ -118,7 +129,30 @@ def test_shows_a_robot_asks_what_if_moves_undoes_and_survives_its_manager(
         page.wait_for_selector(".q-dialog", state="detached")
         found = axe.Axe().run(page).response["violations"]
         assert [v["id"] for v in found if v["impact"] in {"serious", "critical"}] == []
-    page.get_by_text("No answer since").wait_for()
-    with robot_up(robot):
-        wait_long(lambda: not page.get_by_text("No answer since").count())
-        on(page, "right", "printer").wait_for()
+        page.goto("about:blank")  # it would complain that the server has ended
+
+
+def test_follows_managers_shows_many_components_and_bears_ten_pages(
+    page: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The manager only tells: of 200 components, all of whose figures change."""
+    monkeypatch.delenv(_IN_TEST)
+    name = f"many-{os.getpid()}"
+    with dashboard(name) as address:
+        page.goto(address)
+        page.get_by_text("No answer since").wait_for()
+        with told(name, 200):
+            page.wait_for_function(f"{_SHOWN} === 200")
+            # it draws on while all figures change: no picture takes so long
+            assert page.evaluate(FRAMES, 2.0) > 1.0
+        page.get_by_text("No answer since").wait_for()
+        with told(name, 5):
+            page.wait_for_function(f"{_SHOWN} === 5")
+            wait_long(lambda: not page.get_by_text("No answer since").count())
+            others = [page.context.browser.new_page() for _ in range(9)]
+            for each in others:
+                each.goto(address, timeout=_MS)
+            for each in others:
+                each.wait_for_function(f"{_SHOWN} === 5", timeout=_MS)
+                each.close()
+        page.goto("about:blank")

@@ -144,7 +144,7 @@ export default {
     recent() {
       const rows = Object.keys(GLYPHS), begin = this.now - 60 * MINUTES;
       return this.entries.filter((e) => e.at >= begin).map((e) => ({
-        ...e, row: rows.indexOf(e.kind), x: Math.min(99, (100 * (e.at - begin)) / (60 * MINUTES)),
+        ...e, row: rows.indexOf(e.kind), x: Math.min(98, (100 * (e.at - begin)) / (60 * MINUTES)),
       }));
     },
     tables() {

@@ -18,6 +18,7 @@ from poise.view.live import LiveReader, Look
 
 EVERY = 0.2
 """The page is this old at most, on a quick link [s]."""
+_LOOK_EVERY = 0.02
 _ANSWER_LIMIT = 15.0
 """A page that has not taken an update within this time [s] gets everything again."""
 _STYLE = Path(__file__).with_name("style.css")
@@ -119,6 +120,15 @@ def _place_theme() -> None:
     button.props('outline dense no-caps color=""')
 
 
+async def _listens(host: str, port: int) -> bool:
+    try:
+        _, writer = await asyncio.open_connection(host, port)
+    except OSError:
+        return False
+    writer.close()
+    return True
+
+
 def serve(
     robot: str | None, host: str, port: int, say: Callable[[str], object]
 ) -> None:
@@ -140,7 +150,13 @@ def serve(
     )
     at = f"[{host}]" if ":" in host else host
     address = f"http://{at}:{port}/" + (f"?token={token}" if token else "")
-    app.on_startup(lambda: say(f"the dashboard is at {address}; Ctrl-C ends it"))
+
+    async def say_where() -> None:
+        while not await _listens(host, port):  # noqa: ASYNC110, uvicorn tells nobody
+            await asyncio.sleep(_LOOK_EVERY)
+        say(f"the dashboard is at {address}; Ctrl-C ends it")
+
+    app.on_startup(lambda: background_tasks.create(say_where(), name="where"))
     ui.page("/", title=f"Poise: {robot}" if robot else "Poise")(dashboard.build)
     ui.run(
         host=host,
