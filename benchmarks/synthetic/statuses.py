@@ -1,4 +1,7 @@
-"""A manager that only tells, of a robot that is made up, how it is."""
+"""A manager that only tells, of a robot that is made up, how it is.
+
+It imports internal modules: it answers in the place of a manager.
+"""
 
 from __future__ import annotations
 
