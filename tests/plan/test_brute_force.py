@@ -90,8 +90,8 @@ def test_no_cheaper_set_of_computers_will_do() -> None:
             for names in itertools.combinations(prices, size)
             if can_hold_on(asked, names)
         ]
-        few = plan.smallest(asked, lambda p: plan.solve(p, steps=5000, why=False))
-        assert few.result.feasible == bool(enough)
+        few = plan.smallest([asked], lambda p: plan.solve(p, steps=5000, why=False))
+        assert few.feasible == bool(enough)
         assert few.proven
         if enough:
             assert sum(prices[name] for name in few.computers) == min(enough)
@@ -117,7 +117,7 @@ def test_smallest_counts_only_the_alternative_that_is_chosen() -> None:
             for name, quality in (("good", 1.0), ("plain", 0.5))
         ),
     )
-    assert plan.smallest(asked, plan.solve).computers == ("a",)
+    assert plan.smallest([asked], plan.solve).computers == ("a",)
 
 
 def with_architectures(random: Random, functions: list[str]) -> Problem:

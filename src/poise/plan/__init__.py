@@ -10,12 +10,7 @@ from poise.plan.problem.problem import Bundle, Edge, Item, LinkCapacity, Problem
 from poise.plan.result import Result
 from poise.plan.result_records import Conflict, GreedyStep, More, Terms, Tightest, Trial
 from poise.plan.what_if.changed_problem import add, keep_components, scale, without
-from poise.plan.what_if.fewest_computers import (
-    Smallest,
-    SmallestForTasks,
-    smallest,
-    smallest_for_tasks,
-)
+from poise.plan.what_if.fewest_computers import Smallest, smallest
 from poise.plan.why.explain import Explanation, Option, Rejection, explain
 
 __all__ = [
@@ -37,7 +32,6 @@ __all__ = [
     "Rejection",
     "Result",
     "Smallest",
-    "SmallestForTasks",
     "Terms",
     "Tightest",
     "Trial",
@@ -51,7 +45,6 @@ __all__ = [
     "scale",
     "schema",
     "smallest",
-    "smallest_for_tasks",
     "solve",
     "solve_phases",
     "static",

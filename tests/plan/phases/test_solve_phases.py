@@ -240,13 +240,13 @@ def test_the_cheapest_computers_for_tasks_one_at_a_time() -> None:
     def task(cpu: float) -> plan.PhasedProblem:
         return in_turn(Problem(components=(item("a", cpu),), computers=computers))
 
-    few = plan.smallest_for_tasks([task(0.5), task(0.4)], plan.solve_phases)
+    few = plan.smallest([task(0.5), task(0.4)], plan.solve_phases)
     assert few.computers == ("cheap",)
     assert few.proven
     assert [r.feasible for r in few.results] == [True, True]
-    assert plan.smallest_for_tasks(
-        [task(0.5), task(0.9)], plan.solve_phases
-    ).computers == ("dear",)
-    none = plan.smallest_for_tasks([task(0.5), task(2.0)], plan.solve_phases)
+    assert plan.smallest([task(0.5), task(0.9)], plan.solve_phases).computers == (
+        "dear",
+    )
+    none = plan.smallest([task(0.5), task(2.0)], plan.solve_phases)
     assert none.computers == ("cheap", "dear", "old")
     assert [r.feasible for r in none.results] == [True, False]

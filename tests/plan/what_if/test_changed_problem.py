@@ -54,9 +54,9 @@ def test_changes_keep_matrices_in_step(two_computers: Problem) -> None:
 
 def test_smallest_finds_the_fewest_computers(two_computers: Problem) -> None:
     """Four of 1 fit the large computer of 4."""
-    kept, result, _ = plan.smallest(two_computers, plan.solve)
-    assert kept == ("large",)
-    assert result.feasible
+    few = plan.smallest([two_computers], plan.solve)
+    assert few.computers == ("large",)
+    assert few.feasible
 
 
 def test_smallest_weighs_prices(two_computers: Problem) -> None:
@@ -69,7 +69,7 @@ def test_smallest_weighs_prices(two_computers: Problem) -> None:
             *(replace(small, name=f"small{i}") for i in range(3)),
         ),
     )
-    kept, _, _ = plan.smallest(problem, plan.solve)
+    kept, _, _ = plan.smallest([problem], plan.solve)
     assert kept == ("small0", "small1")
 
 
@@ -77,6 +77,6 @@ def test_smallest_drops_one_by_one_when_there_are_many(
     two_computers: Problem,
 ) -> None:
     many = tuple(Computer(name=f"h{i}", capacity={"cpu": 2.0}) for i in range(14))
-    kept, result, _ = plan.smallest(replace(two_computers, computers=many), plan.solve)
-    assert len(kept) == 2
-    assert result.feasible
+    few = plan.smallest([replace(two_computers, computers=many)], plan.solve)
+    assert len(few.computers) == 2
+    assert few.feasible

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations
-from typing import NamedTuple, Protocol, TypeVar
+from typing import Generic, NamedTuple, TypeVar, cast
 
 from msgspec.structs import replace
 
@@ -21,34 +21,35 @@ from poise.plan.why.conflict import is_short
 MOST_SETS = 4096
 """Of how many computers all sets are looked at: with more, one is dropped at a time."""
 
-Decide = Callable[[Problem], Result]
-DecidePhases = Callable[[PhasedProblem], PhasedResult]
+P = TypeVar("P", Problem, PhasedProblem)
+R = TypeVar("R", Result, PhasedResult)
 
 
-class Smallest(NamedTuple):
-    """The computers on which everything fits, how, and whether no cheaper set will do.
+class Smallest(NamedTuple, Generic[R]):
+    """The computers on which each problem fits, and whether no cheaper set will do.
 
-    `proven` is False where a cheaper set was given up undecided, or not looked at.
+    `results` are in the order of the problems; after one that does not fit, none
+    follow. `proven` is False where a cheaper set was given up undecided, or not looked
+    at.
     """
 
     computers: tuple[str, ...]
-    result: Result
+    results: tuple[R, ...]
     proven: bool
 
+    @property
+    def feasible(self) -> bool:
+        """Whether all fit."""
+        return all(result.feasible for result in self.results)
 
-class SmallestForTasks(NamedTuple):
-    """The computers on which each of several tasks fits; as `Smallest` otherwise.
-
-    `results` are in the order of the tasks; after one that does not fit, none follow.
-    """
-
-    computers: tuple[str, ...]
-    results: tuple[PhasedResult, ...]
-    proven: bool
+    @property
+    def stopped_by(self) -> str:
+        """Why the solver stopped that was the last."""
+        return self.results[-1].stopped_by
 
 
-def smallest(problem: Problem, decide: Decide) -> Smallest:
-    """Return the cheapest set of computers on which everything fits, and how.
+def smallest(problems: Sequence[P], decide: Callable[[P], R]) -> Smallest[R]:
+    """Return the cheapest set of computers on which each problem fits, one at a time.
 
     The price of a set is the sum of its computers' prices; with all prices 1, the
     fewest computers. With more than 12 computers, computers are dropped one at a time,
@@ -58,90 +59,54 @@ def smallest(problem: Problem, decide: Decide) -> Smallest:
 
     Parameters
     ----------
-    decide
-        Solves a problem, such as ``lambda problem: solve(problem, 0.05)``.
-    """
-    return Smallest(
-        *_cheapest(problem.computers, lambda kept: _try(problem, kept, decide))
-    )
-
-
-def smallest_for_tasks(
-    problems: Sequence[PhasedProblem], decide: DecidePhases
-) -> SmallestForTasks:
-    """Return the cheapest set of computers on which each task fits, one at a time.
-
-    Parameters
-    ----------
     problems
-        Those of the tasks, one or more, on the same computers.
+        One or more, on the same computers.
     decide
-        Solves one of them, such as `poise.plan.solve_phases`.
+        Solves one, such as ``lambda problem: solve(problem, 0.05)``.
     """
-    computers = problems[0].phases[0].problem.computers
-    kept, several, proven = _cheapest(
-        computers, lambda kept: _try_all(problems, kept, decide)
-    )
-    return SmallestForTasks(kept, several.results, proven)
+    computers = _computers(problems[0])
 
+    def attempt(kept: tuple[str, ...]) -> Smallest[R] | None:
+        """Solve with some computers only; None: they clearly cannot do."""
+        smaller = [_on(problem, kept) for problem in problems]
+        if any(problem is None for problem in smaller):
+            return None
+        results: list[R] = []
+        for problem in smaller:
+            results.append(decide(cast("P", problem)))
+            if not results[-1].feasible:
+                break
+        return Smallest(kept, tuple(results), results[-1].proven)
 
-class _Answer(Protocol):
-    @property
-    def feasible(self) -> bool: ...
-    @property
-    def proven(self) -> bool: ...
-    @property
-    def stopped_by(self) -> str: ...
-
-
-A = TypeVar("A", bound=_Answer)
-Try = Callable[[tuple[str, ...]], A | None]
-"""Solves with some computers only; None: they clearly cannot do. Never None for all."""
-
-
-class _Several(NamedTuple):
-    """The answers for tasks up to the first that does not fit."""
-
-    results: tuple[PhasedResult, ...]
-
-    @property
-    def feasible(self) -> bool:
-        return all(result.feasible for result in self.results)
-
-    @property
-    def proven(self) -> bool:
-        return self.results[-1].proven
-
-    @property
-    def stopped_by(self) -> str:
-        return self.results[-1].stopped_by
-
-
-def _cheapest(
-    computers: tuple[Computer, ...], attempt: Try[A]
-) -> tuple[tuple[str, ...], A, bool]:
     if 2 ** len(computers) <= MOST_SETS:
         return _cheapest_first(computers, attempt)
     return _drop_one_by_one(computers, attempt)
 
 
-def _cheapest_first(
-    computers: tuple[Computer, ...], attempt: Try[A]
-) -> tuple[tuple[str, ...], A, bool]:
+def _computers(problem: Problem | PhasedProblem) -> tuple[Computer, ...]:
+    if isinstance(problem, PhasedProblem):
+        problem = problem.phases[0].problem
+    return problem.computers
+
+
+Try = Callable[[tuple[str, ...]], Smallest[R] | None]
+
+
+def _cheapest_first(computers: tuple[Computer, ...], attempt: Try[R]) -> Smallest[R]:
     proven = True
     every = tuple(h.name for h in computers)
     for kept in _by_price(computers):
-        answer = attempt(kept)
-        if answer is None:
+        found = attempt(kept)
+        if found is None:
             continue
-        if answer.feasible or kept == every:
-            return kept, answer, proven
-        proven = proven and answer.proven
-        if answer.stopped_by == "interrupted":
+        if found.feasible or kept == every:
+            return found._replace(proven=proven)
+        proven = proven and found.proven
+        if found.stopped_by == "interrupted":
             break
     whole = attempt(every)
     assert whole is not None  # noqa: S101 - of all computers none was dropped
-    return every, whole, proven
+    return whole._replace(proven=proven)
 
 
 def _by_price(computers: tuple[Computer, ...]) -> Iterator[tuple[str, ...]]:
@@ -152,8 +117,14 @@ def _by_price(computers: tuple[Computer, ...]) -> Iterator[tuple[str, ...]]:
     yield from sorted(sets, key=lambda kept: (sum(price[h] for h in kept), len(kept)))
 
 
-def _on(problem: Problem, kept: tuple[str, ...]) -> Problem | None:
+def _on(problem: P, kept: tuple[str, ...]) -> P | None:
     """Return the problem on these computers; None when they clearly cannot do."""
+    if isinstance(problem, PhasedProblem):
+        parts = [(p, _on(p.problem, kept)) for p in problem.phases]
+        phases = [replace(p, problem=part) for p, part in parts if part is not None]
+        if len(phases) < len(parts):
+            return None
+        return replace(problem, phases=tuple(phases))
     dropped = [h.name for h in problem.computers if h.name not in kept]
     if not dropped:
         return problem
@@ -167,40 +138,14 @@ def _on(problem: Problem, kept: tuple[str, ...]) -> Problem | None:
     return smaller
 
 
-def _try(problem: Problem, kept: tuple[str, ...], decide: Decide) -> Result | None:
-    smaller = _on(problem, kept)
-    return None if smaller is None else decide(smaller)
-
-
-def _try_all(
-    problems: Sequence[PhasedProblem], kept: tuple[str, ...], decide: DecidePhases
-) -> _Several | None:
-    smaller = []
-    for problem in problems:
-        parts = [(p, _on(p.problem, kept)) for p in problem.phases]
-        phases = [replace(p, problem=part) for p, part in parts if part is not None]
-        if len(phases) < len(parts):
-            return None
-        smaller.append(replace(problem, phases=tuple(phases)))
-    results: list[PhasedResult] = []
-    for problem in smaller:
-        results.append(decide(problem))
-        if not results[-1].feasible:
-            break
-    return _Several(tuple(results))
-
-
-def _drop_one_by_one(
-    computers: tuple[Computer, ...], attempt: Try[A]
-) -> tuple[tuple[str, ...], A, bool]:
-    kept = tuple(h.name for h in computers)
-    best = attempt(kept)
+def _drop_one_by_one(computers: tuple[Computer, ...], attempt: Try[R]) -> Smallest[R]:
+    best = attempt(tuple(h.name for h in computers))
     assert best is not None  # noqa: S101 - of all computers none was dropped
     for computer in sorted(computers, key=lambda h: -h.price):
+        kept = best.computers
         if len(kept) == 1 or not best.feasible or best.stopped_by == "interrupted":
             break
-        fewer = tuple(name for name in kept if name != computer.name)
-        answer = attempt(fewer)
-        if answer is not None and answer.feasible:
-            kept, best = fewer, answer
-    return kept, best, False
+        found = attempt(tuple(name for name in kept if name != computer.name))
+        if found is not None and found.feasible:
+            best = found
+    return best._replace(proven=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from typing import Any
 
 from rich.console import Console, RenderableType
 from rich.markup import escape
@@ -67,9 +68,7 @@ def show(result: plan.Result, console: Console) -> None:
         console.print(part, highlight=False)
 
 
-def show_smallest(
-    few: plan.Smallest | plan.SmallestForTasks, price: float, console: Console
-) -> None:
+def show_smallest(few: plan.Smallest[Any], price: float, console: Console) -> None:
     """Print on which computers everything fits, and for what price."""
     known = "no cheaper set will do" if few.proven else "a cheaper set may do"
     names = ", ".join(few.computers)

@@ -88,13 +88,12 @@ def _answer_smallest(
 ) -> bool:
     """Print the cheapest computers on which each task fits; return whether all do."""
     problems = [*tasks.values()]
-    few = plan.smallest_for_tasks(problems, solve)
-    feasible = all(result.feasible for result in few.results)
+    few = plan.smallest(problems, solve)
     known = problems[0].phases[0].problem.computers
     price = sum(h.price for h in known if h.name in few.computers)
     if json:
         answer: dict[str, Any] = {
-            "feasible": feasible,
+            "feasible": few.feasible,
             "computers": few.computers,
             "price": price,
             "smallest_proven": few.proven,
@@ -104,11 +103,11 @@ def _answer_smallest(
             },
         }
         print_json(answer)
-        return feasible
+        return few.feasible
     console = Console()
-    if feasible:
+    if few.feasible:
         show_smallest(few, price, console)
     for task, result in zip(tasks, few.results, strict=False):
         console.print(f"\n[bold]{task}[/]", highlight=False)
         show_phases(result, console)
-    return feasible
+    return few.feasible

@@ -296,13 +296,15 @@ def _plan_one(
         results = {name: how.solve(problem, name) for name in names}
         _answer_comparison(problem, results, json=json)
         return any(result.feasible for result in results.values())
-    few = plan.smallest(problem, how.solve) if smallest else None
-    result = few.result if few else how.solve(problem)
+    few = plan.smallest([problem], how.solve) if smallest else None
+    result = few.results[0] if few else how.solve(problem)
     _answer(_on_computers(problem, few), result, few, explain, json=json)
     return result.feasible
 
 
-def _on_computers(problem: plan.Problem, few: plan.Smallest | None) -> plan.Problem:
+def _on_computers(
+    problem: plan.Problem, few: plan.Smallest[plan.Result] | None
+) -> plan.Problem:
     """Return the problem on the computers that were chosen."""
     kept = few.computers if few else ()
     dropped = [h.name for h in problem.computers if kept and h.name not in kept]
@@ -312,7 +314,7 @@ def _on_computers(problem: plan.Problem, few: plan.Smallest | None) -> plan.Prob
 def _answer(
     problem: plan.Problem,
     result: plan.Result,
-    few: plan.Smallest | None,
+    few: plan.Smallest[plan.Result] | None,
     explain: str | None,
     *,
     json: bool,
