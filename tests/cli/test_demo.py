@@ -10,16 +10,16 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from poise.cli.command.run_time import demo as demo_command
 from poise.session.reports.run_report import ComponentReport, RunReport
+from poise.session.scenes.home_robot import find_trouble
 from poise.wire.records.status import Summary, TimerStatus
 from tests.waiting import LONG
 
 SHORT = """
-from poise.cli.command.run_time import demo
 from poise.cli.main import main
+from poise.session.scenes import home_robot
 
-demo._DRIVE, demo._MOVE_AT, demo._CALLS = 3.0, 1.0, 1.0
+home_robot.DRIVE, home_robot.MOVE_AT, home_robot.CALLS = 3.0, 1.0, 1.0
 main()
 """
 
@@ -97,7 +97,7 @@ def test_a_drive_without_a_result_is_trouble() -> None:
     static = drive("static", missed=100, is_at_goal=False)
     missing = "the simulator ended without a result"
     silent = replace(static, simulation={}, invalid=missing)
-    assert demo_command.find_trouble((static, auto)) == ""
-    assert missing in demo_command.find_trouble((silent, auto))
-    assert "static placement" in demo_command.find_trouble((auto, auto))
-    assert "failed: navigation" in demo_command.find_trouble((static, static))
+    assert find_trouble((static, auto)) == ""
+    assert missing in find_trouble((silent, auto))
+    assert "static placement" in find_trouble((auto, auto))
+    assert "failed: navigation" in find_trouble((static, static))

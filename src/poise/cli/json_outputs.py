@@ -28,6 +28,7 @@ from poise.manage.tasks.report import TaskReport
 from poise.model.policy.policy import Policy
 from poise.plan.result_records import Conflict, GreedyStep, Stopped, Terms, Tightest
 from poise.session.calibration.calibrate import Calibration
+from poise.session.experiment.summary import ExperimentReport
 from poise.session.reports.run_report import RunReport
 from poise.session.running_robots.local_robots import Robots
 from poise.session.running_robots.rates import Rate
@@ -181,7 +182,7 @@ OUTPUTS: Mapping[str, Sequence[Any]] = {
     "repository list": [list[Listed]],
     "repository show": [Shown],
     "run": [RunReport],
-    "demo": [DemoReport, *_SCENES],
+    "demo": [DemoReport, ExperimentReport, *_SCENES],
     "emulate list": [list[ListedSet]],
     "list": [Robots],
     "echo": [Passed],

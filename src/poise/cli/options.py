@@ -29,6 +29,7 @@ RobotTask = Annotated[
 _PLACEMENT = typer.Option(
     "--placement",
     help="auto, greedy: Poise decides; static: home computers; round-robin; "
+    "whole-functions; "
     "random:SEED; or a file with `component: computer`.",
 )
 Method = Annotated[str, _PLACEMENT]

@@ -76,7 +76,7 @@ class Up(Running):
 
     def __init__(self, started: Started, manager: Manager, samples: Samples) -> None:
         super().__init__(started.run.robot.name)
-        self._started = started
+        self.started = started
         self._manager = manager
         self._samples = samples
         self._error: Exception | None = None
@@ -106,7 +106,7 @@ class Up(Running):
         ``running.emulated["left"].popen(["stress", "--cpu", "1"])`` starts a program
         that competes with the robot's components.
         """
-        return self._started.computers.emulated
+        return self.started.computers.emulated
 
     def wait(self, seconds: float | None = None) -> bool:
         """Wait up to `seconds` [s] until the robot is stopped; return whether it is.
@@ -130,7 +130,7 @@ class Up(Running):
             self._ended.set()
 
     def _keep_up(self) -> None:
-        world = self._started.world
+        world = self.started.world
         try:
             while not self._manager.is_stopping:
                 self._manager.work(_LOOK_EVERY)

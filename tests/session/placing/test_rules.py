@@ -45,6 +45,36 @@ def test_round_robin_deals_components_in_turn(robot: Robot) -> None:
     assert placed.method == "round-robin"
 
 
+def test_whole_functions_share_a_computer_but_for_devices() -> None:
+    """The larger function comes first; of the second, one component has no choice."""
+
+    def function(name: str, **cpu: float) -> Architecture:
+        components = tuple(
+            ComponentEntry(
+                name=each,
+                demand={"cpu": share},
+                only=("left",) if each.startswith("held") else (),
+            )
+            for each, share in cpu.items()
+        )
+        return Architecture(
+            name=name, function=name, home="left", components=components
+        )
+
+    robot = Robot(
+        name="ruled",
+        computers=tuple(
+            Computer(name=name, capacity={"cpu": 1.0}) for name in ("left", "right")
+        ),
+        architectures=(
+            function("small", a=0.1, held=0.1),
+            function("large", b=0.3, c=0.3),
+        ),
+    )
+    where = poise.place(robot, method="whole-functions").where
+    assert where == {"a": "right", "held": "left", "b": "left", "c": "left"}
+
+
 def test_a_random_placement_is_the_same_for_the_same_seed(robot: Robot) -> None:
     found = [poise.place(robot, method=f"random:{n}").where for n in (*range(9), 0)]
     assert found[0] == found[-1]

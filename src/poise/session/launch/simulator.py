@@ -63,6 +63,11 @@ class SimulatorProcess:
         # not waited for, its number stays its own, and its group's
         return self._process.returncode is not None or self._is_over(0.0)
 
+    def waited(self) -> float:
+        """Return how long it was ready to run and got no CPU [s], while it runs."""
+        file = Path("/proc", str(self._process.pid), "schedstat")
+        return int(file.read_text().split()[1]) / 1e9
+
     def result(self) -> Mapping[str, Any]:
         """End it, if it has not, and return the JSON object of its last line.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from itertools import cycle
 from pathlib import Path
 
@@ -13,15 +13,14 @@ from poise import plan
 from poise.errors import UsageError
 from poise.model.robot import Robot
 
-RULES = ("static", "round-robin", "random:SEED", "FILE")
+RULES = ("static", "round-robin", "whole-functions", "random:SEED", "FILE")
 """What may place instead of a solver. `FILE` (.yaml or .json) has
 ``component: computer``, or is what ``poise plan --json`` printed."""
 
 
 def is_rule(name: str) -> bool:
     """Return whether a name is one of `RULES`."""
-    is_known = name in {"static", "round-robin"} or name.startswith("random:")
-    return is_known or is_file(name)
+    return name in RULES[:3] or name.startswith("random:") or is_file(name)
 
 
 def is_file(name: str) -> bool:
@@ -33,7 +32,9 @@ def by_rule(rule: str, robot: Robot, problem: plan.Problem) -> dict[str, str]:
     """Return component -> computer as a rule has it.
 
     It may break limits. ``round-robin`` deals the components to the computers in turn,
-    ``random:SEED`` at random; both put no component where it may not run.
+    ``random:SEED`` at random, and ``whole-functions`` keeps what belongs to a function
+    on one computer, the largest function first, where most CPU is left. None puts a
+    component where it may not run.
 
     Raises
     ------
@@ -48,10 +49,34 @@ def by_rule(rule: str, robot: Robot, problem: plan.Problem) -> dict[str, str]:
     if rule == "round-robin":
         turns = {each: cycle(each) for each in choices.values()}
         return {name: next(turns[choices[name]]) for name in static}
+    if rule == "whole-functions":
+        return _whole(problem, static, choices)
     if rule.startswith("random:"):
         chance = random.Random(_seed(rule))  # noqa: S311 - nothing secret
         return {name: chance.choice(choices[name]) for name in static}
     return _checked(rule, _read(Path(rule)), choices)
+
+
+def _whole(
+    problem: plan.Problem,
+    wanted: Collection[str],
+    choices: Mapping[str, tuple[str, ...]],
+) -> dict[str, str]:
+    """Return where functions go, as a person would deal them out."""
+    cpu = {each.name: each.demand.get("cpu", 0.0) for each in problem.components}
+    left = {c.name: c.capacity.get("cpu", 0.0) * c.speed for c in problem.computers}
+    functions = [
+        [name for name in each.components if name in wanted]
+        for each in problem.architectures
+    ]
+    placement = {}
+    for function in sorted(functions, key=lambda f: -sum(cpu[name] for name in f)):
+        best = max(left, key=lambda computer: left[computer])
+        for name in function:
+            here = choices[name]
+            placement[name] = best if best in here else here[0]
+            left[placement[name]] -= cpu[name]
+    return placement
 
 
 def _seed(rule: str) -> int:

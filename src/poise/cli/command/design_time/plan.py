@@ -52,8 +52,8 @@ def plan_command(
     method: Annotated[
         str,
         typer.Option(
-            help="auto, greedy, exact, search; static, round-robin, random:SEED "
-            "or a file with `component: computer`."
+            help="auto, greedy, exact, search; static, round-robin, "
+            "whole-functions, random:SEED or a file with `component: computer`."
         ),
     ] = "auto",
     budget: Annotated[

@@ -65,7 +65,12 @@ def page(report: RunReport) -> str:
         "<h2>All figures</h2>",
         report.html(),
     ]
-    return _PAGE.format(title=escape(title), body="\n".join(parts))
+    return document(title, "\n".join(parts))
+
+
+def document(title: str, body: str) -> str:
+    """Return an HTML page with our style."""
+    return _PAGE.format(title=escape(title), body=body)
 
 
 def _events(report: RunReport) -> list[Entry]:
@@ -136,7 +141,7 @@ def _worst(report: RunReport, entries: Mapping[int, Entry]) -> Iterator[str]:
             )
         )
     head = "timer or chain, computer", "missed", "p99, deadline", "at its worst"
-    yield _table(head, rows)
+    yield html_table(head, rows)
     if more := missed[_MOST_DEADLINES:]:
         names = ", ".join(each.name for each in more)
         yield f"<p>{len(more)} more missed some: {escape(names)}</p>"
@@ -169,10 +174,10 @@ def _journal(entries: Mapping[int, Entry], began: float) -> str:
         (str(n), f"{entry.at - began:.1f} s", entry.kind, escape(entry.what))
         for n, entry in entries.items()
     ]
-    return _table(("#", "at", "kind", "what"), rows)
+    return html_table(("#", "at", "kind", "what"), rows)
 
 
-def _table(head: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
+def html_table(head: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a table of cells that are HTML."""
     heads = "".join(f"<th>{name}</th>" for name in head)
     lines = ("".join(f"<td>{cell}</td>" for cell in row) for row in rows)

@@ -1,0 +1,97 @@
+"""Makes the runs of an experiment, and goes on where one was ended."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+from msgspec.structs import replace
+
+from poise.errors import UsageError
+from poise.model.robot import Robot
+from poise.session.callbacks import Check, Say
+from poise.session.experiment.measure import measure
+from poise.session.experiment.page import experiment_page
+from poise.session.experiment.results import Result, append, read, remaining
+from poise.session.experiment.summary import ExperimentReport, summarised
+from poise.session.experiment.trials import Extent, named, schedule
+from poise.session.writable import to_write
+from poise.units import counted
+
+RAW = "results.jsonl"
+PAGE = "report.html"
+_SECONDS = 20.0
+"""How long each run is measured [s]."""
+
+
+def experiment(
+    robot: Robot,
+    task: str,
+    extent: Extent,
+    folder: Path,
+    *,
+    seconds: float = _SECONDS,
+    say: Say,
+    check: Check,
+) -> ExperimentReport:
+    """Make all runs that `folder` has no valid result of; write the page; report.
+
+    Ctrl-C (`KeyboardInterrupt`) ends it after the page of what is known was written.
+
+    Raises
+    ------
+    UsageError
+        The folder cannot be written, or has results of something else.
+    """
+    raw = folder / RAW
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{folder} cannot be written: {error.strerror}") from error
+    to_write(raw)
+    trials = schedule(extent)
+    results = [each for each in read(raw) if each.trial in trials]
+    todo = remaining(trials, results)
+    if results:
+        say(f"{raw} has {counted(len(results), 'run')}; {len(todo)} are to be made")
+    renamed = replace(robot, name=f"{robot.name}-{os.getpid()}")
+    began = time.monotonic()
+    try:
+        for done, trial in enumerate(todo, 1):
+            arm = named(extent.arms, trial.arm)
+            condition = named(extent.conditions, trial.condition)
+            result = measure(renamed, task, arm, condition, trial.seed, seconds, check)
+            append(raw, result)
+            results.append(result)
+            left = (time.monotonic() - began) / done * (len(todo) - done)
+            say(f"{done} of {len(todo)}, {_minutes(left)} left: {_told(result)}")
+    finally:
+        report = ExperimentReport(
+            robot=robot.name,
+            seconds=seconds,
+            planned=len(trials),
+            arms=summarised(
+                results,
+                [each.name for each in extent.arms],
+                [each.name for each in extent.conditions],
+                robot.functions_of(task),
+            ),
+        )
+        page = experiment_page(report, extent, results)
+        (folder / PAGE).write_text(page, encoding="utf-8")
+    return report
+
+
+def _minutes(seconds: float) -> str:
+    return f"about {seconds / 60:.0f} min" if seconds > 90 else f"{seconds:.0f} s"  # noqa: PLR2004
+
+
+def _told(result: Result) -> str:
+    """Return a result for people."""
+    trial = result.trial
+    what = f"{trial.arm}, {trial.condition}, seed {trial.seed}"
+    if result.invalid:
+        return f"{what}: invalid, {result.invalid}"
+    failed = [name for name, works in result.functions.items() if not works]
+    return f"{what}: {', '.join(failed) + ' failed' if failed else 'all worked'}"

@@ -1,0 +1,101 @@
+"""A small experiment with real processes: a run that breaks, and going on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import poise
+from poise.session.callbacks import nothing
+from poise.session.experiment.experiment import PAGE, RAW, experiment
+from poise.session.experiment.results import read
+from poise.session.experiment.summary import ArmSummary
+from poise.session.experiment.trials import ARMS, CONDITIONS, Extent, named
+from tests.session.emulated_robot import written
+from tests.waiting import LONG
+
+WORK = """
+from poise import Component, every
+
+
+class Worker(Component):
+    @every(0.05, deadline=0.05)
+    def tick(self) -> None:
+        pass
+"""
+WORLD = '''
+"""A world that dies in seed 1 while the file `deadly` is there."""
+
+import json
+import pathlib
+import signal
+import sys
+
+signal.signal(signal.SIGTERM, signal.SIG_IGN)  # its input ends as well
+
+print("ready", flush=True)
+if "1" in sys.argv and pathlib.Path("deadly").exists():
+    sys.exit("the world fell apart")
+sys.stdin.read()
+print(json.dumps({"functions": {"work": True}, "path": [1, 2], "path_error": 0.5}))
+'''
+ROBOT = """
+robot: {name}
+computers:
+  left: {{cpu: 0.2, memory: 512 MiB}}
+  right: {{cpu: 0.2, memory: 512 MiB}}
+architectures:
+  work:
+    function: work
+    home: left
+    components:
+      a: {{implementation: "tried_work:Worker", cpu: 5%}}
+      b: {{implementation: "tried_work:Worker", cpu: 5%}}
+tasks:
+  work: {{actions: [{{name: work, functions: [work]}}]}}
+simulator: {{command: "python {folder}/world.py"}}
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(LONG)
+def test_a_run_whose_world_died_is_made_again(tmp_path: Path) -> None:
+    (tmp_path / "world.py").write_text(WORLD)
+    (tmp_path / "deadly").touch()
+    robot = poise.load(written(tmp_path, "tried", "tried_work", WORK, ROBOT))
+    extent = Extent(
+        arms=(named(ARMS, "Poise, adapts"),), conditions=CONDITIONS[:1], base_seeds=2
+    )
+    folder, said = tmp_path / "results", list[str]()
+
+    def make() -> ArmSummary:
+        report = experiment(
+            robot, "work", extent, folder, seconds=0.5, say=said.append, check=nothing
+        )
+        (arm,) = report.arms
+        return arm
+
+    arm = make()
+    assert arm.runs == 2
+    assert arm.invalid >= 1, said
+    broken = read(folder / RAW)[1]
+    assert "the simulated world ended after" in broken.invalid
+    assert "2 of 2" in said[-1]
+
+    (tmp_path / "deadly").unlink()
+    before = {each.trial for each in read(folder / RAW) if not each.invalid}
+    arm = make()
+    results = read(folder / RAW)
+    assert not before & {each.trial for each in results[2:]}
+    valid = [each for each in results if not each.invalid]
+    assert arm.success["work"].of == len(valid)
+    measured = [each for each in results if each.seconds]  # valid or not
+    assert measured
+    for each in measured:
+        assert each.functions == {"work": True}
+        assert each.world == {"path_error": 0.5}
+        assert each.timers.keys() == {"a.tick", "b.tick"}
+        assert each.cpu_share.keys() == {"left", "right"}
+        assert each.placement.keys() == {"a", "b"}
+    assert f"{len(valid)} valid runs of 2" in (folder / PAGE).read_text()

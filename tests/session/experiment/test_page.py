@@ -1,0 +1,79 @@
+"""The experiment's page stands alone."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+from xml.etree import ElementTree as ET
+
+import msgspec
+
+from poise.session.experiment.page import experiment_page
+from poise.session.experiment.results import Missed, Result
+from poise.session.experiment.summary import ExperimentReport, summarised
+from poise.session.experiment.trials import SHORT, USUAL, Extent, schedule
+
+
+def page_of(extent: Extent, invalid: str = "") -> str:
+    results = [
+        Result(
+            trial=trial,
+            at=0.0,
+            invalid=invalid,
+            functions={"navigation": trial.arm != "static"},
+            chains={"pose": Missed(of=10, missed=2, median=0.1, p99=0.2)},
+            timers={"a.<b>": Missed(of=10, missed=1)},
+            cpu_share={"main": 0.5},
+            world={"path_error": 0.031, "said": "</script>"},
+        )
+        for trial in schedule(extent)
+    ]
+    arms = [each.name for each in extent.arms]
+    conditions = [each.name for each in extent.conditions]
+    report = ExperimentReport(
+        robot="tried",
+        seconds=20.0,
+        planned=len(results),
+        arms=summarised(results, arms, conditions, ["navigation"]),
+    )
+    return experiment_page(report, extent, results)
+
+
+def pictures(page: str) -> list[ET.Element]:
+    return [ET.fromstring(each) for each in re.findall("<svg.*?</svg>", page)]
+
+
+def test_it_needs_no_other_file_and_has_the_raw_data() -> None:
+    page = page_of(SHORT)
+    HTMLParser().feed(page)
+    assert not re.search(r"(src|href)=|https?:|@import", page)
+    raw = page.split('id="results">')[1].split("</script>")[0].strip()
+    results = [msgspec.json.decode(line, type=Result) for line in raw.splitlines()]
+    assert [each.trial for each in results] == schedule(SHORT)
+    assert results[0].world["said"] == "</script>"
+    assert "3.1 cm" in page
+    assert "a.&lt;b&gt;" in page
+
+
+def test_it_draws_an_interval_for_each_arm_and_function() -> None:
+    (dots,) = pictures(page_of(SHORT))
+    titles = [each.text for each in dots.iter("title")]
+    assert titles[0] == "static: 0% (0% to 66%)"
+    assert titles[1:] == [
+        f"{a}: 100% (34% to 100%)" for a in ("random", "greedy", "Poise")
+    ]
+
+
+def test_it_draws_where_each_arm_breaks() -> None:
+    dots, works, misses = pictures(page_of(USUAL))
+    assert dots is not None
+    for picture in (works, misses):
+        lines = [each.get("points", "").split() for each in picture.iter("polyline")]
+        assert len(lines) == 8
+        assert {len(points) for points in lines} == {6}
+
+
+def test_without_a_valid_run_it_says_so() -> None:
+    page = page_of(SHORT, invalid="this machine was too busy")
+    assert "0 valid runs of 8" in page
+    assert "no valid run" in page

@@ -1,0 +1,104 @@
+"""Which runs are made, in which order, of which robot."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import groupby
+
+import pytest
+
+from poise.model.robot import (
+    Architecture,
+    ComponentEntry,
+    Computer,
+    Link,
+    Robot,
+    Simulator,
+)
+from poise.session.experiment.trials import (
+    ARMS,
+    BASE,
+    CONDITIONS,
+    FULL,
+    SHORT,
+    USUAL,
+    Condition,
+    Extent,
+    as_it_runs,
+    named,
+    schedule,
+    under,
+)
+
+ROBOT = Robot(
+    name="tried",
+    computers=(Computer(name="left", capacity={"cpu": 1.0}, speed=0.5),),
+    links=(Link(between=("left", "right"), bandwidth=1e7),),
+    architectures=(
+        Architecture(
+            name="all",
+            function="all",
+            home="left",
+            priority=7,
+            components=(ComponentEntry(name="localiser", parameters={"kept": 1}),),
+        ),
+    ),
+    simulator=Simulator(command=("world",)),
+)
+
+
+@pytest.mark.parametrize("extent", [USUAL, FULL, SHORT])
+def test_random_and_no_adaptation_are_always_tried(extent: Extent) -> None:
+    names = {arm.name for arm in extent.arms}
+    assert names >= {"static", "random", "Poise"}
+    assert not named(extent.arms, "Poise").adapts
+    assert extent.conditions[0].name == BASE
+
+
+def test_each_arm_runs_as_often_as_the_extent_says() -> None:
+    counts = Counter((each.arm, each.condition) for each in schedule(FULL))
+    assert {c for (_, cond), c in counts.items() if cond == BASE} == {79}
+    assert {c for (_, cond), c in counts.items() if cond != BASE} == {10}
+    assert len(counts) == len(ARMS) * len(CONDITIONS)
+    assert len(schedule(SHORT)) == 8
+
+
+def test_arms_take_turns_in_an_order_of_their_own() -> None:
+    """Of each seed and condition all arms run before the next; orders differ."""
+    trials = schedule(USUAL)
+    assert trials == schedule(USUAL)
+    orders = [
+        tuple(each.arm for each in group)
+        for _, group in groupby(trials, lambda t: (t.seed, t.condition))
+    ]
+    assert {frozenset(order) for order in orders} == {frozenset(a.name for a in ARMS)}
+    assert all(len(order) == len(ARMS) for order in orders)
+    assert len(set(orders)) > len(orders) / 2
+    seeds = [each.seed for each in trials]
+    assert seeds == sorted(seeds)
+
+
+def test_a_load_makes_computers_slower_and_a_link_narrower() -> None:
+    known = under(ROBOT, Condition(name="both", load=2.0, bandwidth=5.0))
+    assert [each.speed for each in known.computers] == [0.25]
+    assert [each.bandwidth for each in known.links] == [5.0]
+    assert under(ROBOT, CONDITIONS[0]) == ROBOT
+
+
+def test_what_overruns_is_known_to_no_planner() -> None:
+    overrun = Condition(name="over", parameters={"localiser": {"particles": 9}})
+    assert under(ROBOT, overrun) == ROBOT
+    runs = as_it_runs(ROBOT, named(ARMS, "Poise"), overrun, 3)
+    (localiser,) = runs.components()
+    assert localiser.parameters == {"kept": 1, "particles": 9}
+    assert runs.simulator is not None
+    assert runs.simulator.command == ("world", "--endless", "--seed", "3")
+    assert runs.architectures[0].priority == 7
+
+
+def test_static_has_no_priorities_and_nice_has() -> None:
+    plain, nice = (
+        as_it_runs(ROBOT, named(ARMS, name), CONDITIONS[0], 0).architectures[0]
+        for name in ("static", "static, nice")
+    )
+    assert (plain.priority, nice.priority) == (0, 7)
