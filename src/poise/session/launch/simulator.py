@@ -15,6 +15,7 @@ from typing import Any
 
 from poise.errors import RobotError, RunError
 from poise.model.robot import Robot
+from poise.priority import ahead
 from poise.runtime.hosting.command_line import die_with_parent, program
 from poise.runtime.waker import wait_readable
 from poise.session.callbacks import Check, nothing
@@ -142,16 +143,17 @@ def _start(
     command: tuple[str, ...], robot_folder: str, folder: Path
 ) -> subprocess.Popen[bytes]:
     try:
-        return subprocess.Popen(  # noqa: S603, the robot file's own command
-            [program(command[0], robot_folder or "."), *command[1:]],
-            cwd=robot_folder or None,
-            env={**os.environ, "POISE_RUN": str(folder)},
-            stdin=subprocess.PIPE,  # its end tells the world that we are gone
-            stdout=subprocess.PIPE,
-            start_new_session=True,
-            # safe beside other threads: it takes no lock that one of them may hold
-            preexec_fn=die_with_parent,  # noqa: PLW1509
-        )
+        with ahead():  # it is to keep up with the clock, as the real world does
+            return subprocess.Popen(  # noqa: S603, the robot file's own command
+                [program(command[0], robot_folder or "."), *command[1:]],
+                cwd=robot_folder or None,
+                env={**os.environ, "POISE_RUN": str(folder)},
+                stdin=subprocess.PIPE,  # its end tells the world that we are gone
+                stdout=subprocess.PIPE,
+                start_new_session=True,
+                # safe beside other threads: it takes no lock that one of them may hold
+                preexec_fn=die_with_parent,  # noqa: PLW1509
+            )
     except OSError as error:
         raise RobotError(f"simulator '{command[0]}' cannot start: {error}") from error
 
