@@ -96,7 +96,7 @@ def test_a_wrong_name_is_a_wrong_argument() -> None:
         poise.place(hello(), "dance")
     with pytest.raises(
         poise.UsageError,
-        match=r"no method 'fast' .*, static, round-robin, random:SEED, FILE\)",
+        match=r"no method 'fast' .*, round-robin, whole-functions, random:SEED, FILE\)",
     ):
         poise.place(hello(), method="fast")
 

@@ -153,7 +153,8 @@ def place(  # noqa: PLR0913 - each is a choice of the user
         Its name; None: all functions of the robot.
     method
         ``auto``, ``greedy``, ``exact`` or ``search``; ``static``: every architecture on
-        its home; ``round-robin``; ``random:SEED``; or a file with
+        its home; ``round-robin``; ``whole-functions``;
+        ``random:SEED``; or a file with
         ``component: computer``.
     budget
         Time to decide [s]; None: 0.1, and 0.3 for a task of several phases.
