@@ -43,7 +43,6 @@ def test_cuts_out_one_sentence() -> None:
     assert [part.ends for part in heard].count(True) == 1
     assert {type(part.ends) for part in heard} == {bool}, "else no message takes it"
     assert heard[-1].ends
-    assert {type(part.ends) for part in heard} == {bool}  # as the port wants it
     length = sum(len(part.samples) for part in heard)
     assert length == pytest.approx(len(samples), abs=0.5 * SAMPLE_RATE)
 
