@@ -48,14 +48,19 @@ class Computer(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     name: str
     capacity: Annotated[Mapping[str, float], entries(CapacityKeys)] = {}
     speed: Annotated[
-        Amount, says("How fast one core is; the reference computer's are 1.", gt=0)
+        Amount,
+        says(
+            "How fast one core is; the reference computer's are 1. It scales cpu only.",
+            gt=0,
+        ),
     ] = 1.0
     reserve: Annotated[
         Mapping[str, float],
         RESERVE,
         says(
             "The share that placements leave free: 5% of cpu and memory, or by "
-            "resource, as in {cpu: 5%, disk: 10%}."
+            "resource, as in {cpu: 5%, disk: 10%}. A countable resource such as a GPU "
+            "is kept whole unless it is named."
         ),
     ] = {}
     price: Annotated[
@@ -64,7 +69,10 @@ class Computer(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     ] = 1.0
     address: Annotated[
         Address | None,
-        says("Host or host:port of its agent. Without it the computer is emulated."),
+        says(
+            "Host of its agent: 10.0.0.1, robot.local:7500 or [fd00::2]:7500; port "
+            "7447 unless given. Either all computers have one, or all are emulated."
+        ),
     ] = None
 
     def usable(self, resource: str) -> float:
@@ -98,7 +106,7 @@ class Link(Struct, frozen=True, kw_only=True):
     bandwidth: Annotated[
         Bandwidth,
         says(
-            "Each way: 100 Mbit/s. Without it there is no limit.",
+            "Each way: 100 Mbit/s. Without it, or without a link, there is no limit.",
             gt=0,
             is_nullable=True,
         ),

@@ -74,7 +74,9 @@ class Chain(Struct, frozen=True, kw_only=True):
     through: Annotated[
         tuple[Name, ...], says("The components, first to last.", min_length=2)
     ]
-    deadline: Annotated[Seconds, says("200 ms.", gt=0)]
+    deadline: Annotated[
+        Seconds, says("The oldest that data may be at its last use.", gt=0)
+    ]
 
 
 class Objective(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -195,7 +195,11 @@ class Architecture(Struct, frozen=True, kw_only=True):
         Share, says("How well it provides its function: above 0, up to 1.", gt=0, le=1)
     ] = 1.0
     home: Annotated[
-        Name | None, says("The computer on which static placement puts it.")
+        Name | None,
+        says(
+            "The computer on which static placement puts it; required outside the "
+            "sequencing layer."
+        ),
     ] = None
     exclusive: Annotated[
         bool, says("Whether only one action may use its function at a time.")

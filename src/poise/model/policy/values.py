@@ -1,6 +1,6 @@
 """What policies may ask of the parts of a running robot: one record for each kind.
 
-These are the names in conditions; `docs/policies.md` lists them.
+These are the names in conditions; the reference of the documentation site lists them.
 """
 
 from __future__ import annotations
