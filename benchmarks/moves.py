@@ -27,7 +27,8 @@ from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import Run
 from poise.manage.journal import Journal
-from poise.manage.migration.move import MoveReport, move
+from poise.manage.migration.move import move
+from poise.manage.migration.report import MigrationReport
 from poise.model import load
 from poise.session.launch.computers import computers_of
 
@@ -69,7 +70,7 @@ def totals(run: Run, component: str) -> dict[str, float]:
 
 def storm(
     run: Run, moves: int, limit: float, chance: random.Random, killing: int = 0
-) -> list[MoveReport]:
+) -> list[MigrationReport]:
     """Move components at random, `moves` times or for `limit` [s].
 
     Parameters
@@ -77,7 +78,7 @@ def storm(
     killing
         Kill a container at a random moment of every so many moves; 0: of none.
     """
-    reports: list[MoveReport] = []
+    reports: list[MigrationReport] = []
     until = time.monotonic() + limit
     while len(reports) < moves and time.monotonic() < until:
         component = chance.choice(COMPONENTS)
@@ -202,7 +203,7 @@ def main() -> None:
         **big,
     }
     for report in failed[:5]:
-        sys.stderr.write(f"{report.component}: {report.reason}\n")
+        sys.stderr.write(f"{report.what}: {report.reason}\n")
     if options.json:
         sys.stdout.write(json.dumps(result, indent=2) + "\n")
     else:

@@ -10,7 +10,7 @@ import typer
 from poise.cli.command.run_time.running_robot import balance_command, move_command
 from poise.manage.adaptation.replan import Proposal
 from poise.manage.control_socket.records import Moved, Rebalanced
-from poise.manage.migration.move import MoveReport
+from poise.manage.migration.report import MigrationReport
 from poise.manage.migration.transition import TransitionStep
 from poise.manage.migration.transition_run import TransitionReport
 from poise.plan import Terms
@@ -40,10 +40,10 @@ def test_why_it_was_called_off_is_told_as_it_is(
 def test_an_outcome_that_was_rolled_back_is_json_too(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    report = MoveReport(
-        component="eye",
-        source="a",
-        target="b",
+    report = MigrationReport(
+        what="eye",
+        before={"eye": "a"},
+        after={"eye": "b"},
         committed=False,
         reason=WHY,
         downtime=0.0,

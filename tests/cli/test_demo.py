@@ -53,7 +53,7 @@ def test_drives_moves_and_calls(tmp_path: Path) -> None:
             each for each in drive["components"] if each["name"] == "motion_controller"
         )
         assert navigator["measures"]["pose_age"]["count"] > 0
-    assert report["scene"]["move"]["component"] == "localiser"
+    assert report["scene"]["move"]["what"] == "localiser"
     assert {"direct", "message"} == report["calls"].keys()
     assert all(call["count"] > 0 for call in report["calls"].values())
     assert (tmp_path / "poise-demo.svg").read_text().count("<polyline") == 10

@@ -265,7 +265,7 @@ def test_steps_taken_are_taken_back_when_one_fails(robot: Path) -> None:
         steps = plan_transition(model, TOGETHER, then)
         by_name = sorted(steps, key=lambda step: step.component)  # what fails goes last
         report = transit(robot_up.run, tuple(by_name))
-        assert [m.component for m in report.moves] == ["first", "second", "first"]
+        assert [m.what for m in report.moves] == ["first", "second", "first"]
         assert not report.committed
         assert "not from elsewhere" in report.reason
         assert robot_up.run.placement() == TOGETHER

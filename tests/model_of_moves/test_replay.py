@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from poise.manage.migration.coordinator import MigrationReport
+from poise.manage.migration.report import MigrationReport
 from poise.wire.migration_phases import Phase
 from poise.wire.records.migration import StepTaken
 from tests.model_of_moves.replay import replay
@@ -36,7 +36,13 @@ def report(
         StepTaken(who, step, phase, float(k), k + 0.5)  # type: ignore[arg-type] # some are unknown
         for k, (who, step, phase) in enumerate(steps)
     )
-    return MigrationReport(committed=committed, steps=taken)
+    return MigrationReport(
+        what="one",
+        before={"one": "a"},
+        after={"one": "b"},
+        committed=committed,
+        steps=taken,
+    )
 
 
 def test_the_model_knows_a_move() -> None:

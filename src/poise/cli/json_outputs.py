@@ -21,8 +21,7 @@ from poise.estimate.success.learning import Belief
 from poise.manage.adaptation.what_if import WhatIf
 from poise.manage.control_socket.records import Rebalanced, RobotStatus
 from poise.manage.journal import Entry
-from poise.manage.migration.move import MoveReport
-from poise.manage.migration.replacement import ReplaceReport
+from poise.manage.migration.report import MigrationReport
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.tasks.report import TaskReport
 from poise.model.policy.policy import Policy
@@ -193,8 +192,8 @@ OUTPUTS: Mapping[str, Sequence[Any]] = {
     "task show": [TaskReport],
     **{f"task {act}": [TaskReport] for act in ("start", "pause", "resume", "cancel")},
     "status": [RobotStatus],
-    "move": [MoveReport, WhatIf],
-    "replace": [MoveReport, ReplaceReport],
+    "move": [MigrationReport, WhatIf],
+    "replace": [MigrationReport],
     "balance": [Rebalanced],
     "journal": [Journal],
 }

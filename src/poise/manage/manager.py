@@ -36,7 +36,6 @@ from poise.manage.control_socket.records import (
     Rebalanced,
     Refusal,
     ReplaceCommand,
-    Replaced,
     Result,
     RobotStatus,
     StatusCommand,
@@ -295,7 +294,7 @@ class Manager:
             case ReplaceCommand(component, by, adapt, fresh) if ":" in by:
                 return Moved(replace(run, component, by, adapt, fresh=fresh))
             case ReplaceCommand(what, by, adapt, fresh):
-                return Replaced(replace_architecture(run, what, by, adapt, fresh=fresh))
+                return Moved(replace_architecture(run, what, by, adapt, fresh=fresh))
             case TaskCommand(verb, task, priority):
                 self.tasks.command(verb, task, priority)
                 return TaskDone(self.tasks.report(task))

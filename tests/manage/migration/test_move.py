@@ -30,7 +30,8 @@ from poise.manage.migration.coordinator import (
     PREPARE_LIMIT,
     RESUME_LIMIT,
 )
-from poise.manage.migration.move import MoveReport, move, replace
+from poise.manage.migration.move import move, replace
+from poise.manage.migration.report import MigrationReport
 from poise.model.robot import (
     Architecture,
     ComponentEntry,
@@ -445,7 +446,7 @@ def mortal(mortals: TwoAgents, request: pytest.FixtureRequest) -> Iterator[Movin
     yield from _world(mortals, request.node.name)
 
 
-def assert_bounded(report: MoveReport) -> None:
+def assert_bounded(report: MigrationReport) -> None:
     """Allow the downtime its limits, and time on a machine that is busy otherwise."""
     assert report.downtime < DOWNTIME_LIMIT + RESUME_LIMIT + 2.0
 

@@ -275,7 +275,7 @@ class Adaptation:
     ) -> TransitionReport:
         self._move_limits.note(steps, now)
         report = transit(self._run, steps)
-        self._downtimes |= {m.component: m.downtime for m in report.moves}
+        self._downtimes |= {m.what: m.downtime for m in report.moves}
         return report
 
     def _report(self, symptoms: tuple[Symptom, ...]) -> None:

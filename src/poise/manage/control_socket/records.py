@@ -12,8 +12,7 @@ from poise.estimate.profile import ConnectorProfile
 from poise.manage.adaptation.replan import Proposal
 from poise.manage.adaptation.what_if import WhatIf
 from poise.manage.journal import Entry
-from poise.manage.migration.move import MoveReport
-from poise.manage.migration.replacement import ReplaceReport
+from poise.manage.migration.report import MigrationReport
 from poise.manage.migration.transition_run import TransitionReport
 from poise.manage.observe.chains import ChainReport
 from poise.manage.observe.deviations import Deviation
@@ -178,21 +177,15 @@ class StopReport(Struct, frozen=True, tag=True):
 
 
 class Moved(Struct, frozen=True, tag=True):
-    """The outcome of a move, or of a new implementation."""
+    """The outcome of a move or a replacement."""
 
-    report: MoveReport
+    report: MigrationReport
 
 
 class JournalEntries(Struct, frozen=True, tag=True):
     """Entries of the journal, oldest first."""
 
     entries: tuple[Entry, ...]
-
-
-class Replaced(Struct, frozen=True, tag=True):
-    """The outcome of the replacement of an architecture."""
-
-    report: ReplaceReport
 
 
 class Rebalanced(Struct, frozen=True, tag=True):
@@ -231,7 +224,6 @@ Result = (
     RobotStatus
     | StopReport
     | Moved
-    | Replaced
     | Rebalanced
     | TaskDone
     | TapReading

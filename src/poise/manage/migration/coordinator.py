@@ -13,15 +13,16 @@ from __future__ import annotations
 import itertools
 import secrets
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
-from msgspec import Struct
+from msgspec import structs
 
 from poise.errors import RunError
 from poise.manage.agent_connections.statuses import calling_ports, components_of
 from poise.manage.deploy.deployment_plan import Incarnation
 from poise.manage.deploy.running_components import Run
 from poise.manage.migration.plan import MigrationPlan, PlacedStep
+from poise.manage.migration.report import MigrationReport
 from poise.manage.observe.deviations import explain
 from poise.priority import first
 from poise.wire.address import LOST_AFTER
@@ -54,59 +55,24 @@ REMOVE_LIMIT = 2.0
 _numbers = itertools.count(secrets.randbits(48))
 
 
-class MigrationReport(Struct, frozen=True, kw_only=True):
-    """How a migration went.
-
-    Parameters
-    ----------
-    committed
-        Whether the targets run now; else the sources do, as before.
-    reason
-        Why not.
-    downtime
-        How long the components were paused [s].
-    phases
-        How long each phase took [s].
-    steps
-        What containers did, by container in the order of their answers.
-    """
-
-    committed: bool = False
-    reason: str = ""
-    downtime: float = 0.0
-    phases: Mapping[str, float] = {}
-    steps: tuple[StepTaken, ...] = ()
-
-    @property
-    def prepared(self) -> float:
-        """How long it took before the pause [s]."""
-        return self.phases.get("prepare", 0.0)
-
-    @property
-    def times(self) -> str:
-        """Downtime and phases in words."""
-        phases = ", ".join(f"{n} {s * 1e3:.1f}" for n, s in self.phases.items())
-        return f"downtime {self.downtime * 1e3:.1f} ms ({phases} ms)"
-
-
 class Migration:
     """Targets take the place of sources, or do not. Use it once.
 
     Parameters
     ----------
-    what
-        For people: ``component 'localiser'``.
+    report
+        What it is about; where all was and is to be.
     """
 
     def __init__(
         self,
         run: Run,
-        what: str,
+        report: MigrationReport,
         sources: Sequence[Incarnation],
         targets: Sequence[Incarnation],
     ) -> None:
         self._run = run
-        self._what = what
+        self._report = report
         self._sources = sources
         self._targets = targets
         gone = {each.component for each in sources}
@@ -122,7 +88,7 @@ class Migration:
             run.gateways(),
         )
         self._number = 0
-        self._phases = MigrationPhases("manager", f"migration of {what}")
+        self._phases = MigrationPhases("manager", f"migration of {report.name}")
         self._taken: list[StepTaken] = []
         self._late: list[PlacedStep] = []
 
@@ -146,7 +112,8 @@ class Migration:
         self._remove(self._targets if reason else self._sources)
         if reason:
             reason = self._with_losses(reason)
-        return MigrationReport(
+        return structs.replace(
+            self._report,
             committed=not reason,
             reason=reason,
             downtime=downtime,
@@ -296,7 +263,7 @@ class Migration:
         return "; ".join([reason, *(text for text in new if text not in reason)])
 
     def _note_failure(self, reason: str) -> None:
-        self._run.journal.note("failed", f"migration of {self._what}: {reason}")
+        self._run.journal.note("failed", f"migration of {self._report.name}: {reason}")
 
     def _raise_on_failed(self) -> bool:
         run = self._run

@@ -13,31 +13,15 @@ from msgspec import structs
 from poise.errors import RunError, UsageError
 from poise.manage.deploy.deployment_plan import Incarnation
 from poise.manage.deploy.running_components import ACTIVE_LIMIT, READY_LIMIT, Run
-from poise.manage.journal import Kind
-from poise.manage.migration.coordinator import Migration, MigrationReport
+from poise.manage.migration.coordinator import Migration
+from poise.manage.migration.report import MigrationReport
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import ComponentEntry, Layer
 
 
-class MoveReport(MigrationReport, frozen=True, kw_only=True):
-    """How the move of a component went, or its replacement on its computer.
-
-    Parameters
-    ----------
-    source, target
-        The computers from which it was to go, and to which.
-    cold
-        Whether it was stopped and started, as command-line components are; `downtime`
-        is how long it was away then.
-    """
-
-    component: str
-    source: str
-    target: str
-    cold: bool = False
-
-
-def move(run: Run, component: str, computer: str, *, force: bool = False) -> MoveReport:
+def move(
+    run: Run, component: str, computer: str, *, force: bool = False
+) -> MigrationReport:
     """Move a running component to a computer; it stays where it is when that fails.
 
     Parameters
@@ -73,7 +57,7 @@ def replace(
     adapt: str = "",
     *,
     fresh: bool = False,
-) -> MoveReport:
+) -> MigrationReport:
     """Swap a running component's implementation for another with fitting ports.
 
     Parameters
@@ -110,29 +94,30 @@ def replace(
         fresh=fresh,
         gently=True,
     )
-    return _migrate(run, old, new)
+    return _migrate(run, old, new, implementation)
 
 
-def _migrate(run: Run, old: Incarnation, new: Incarnation) -> MoveReport:
-    is_command = bool(_component(run, old.component).command)
-    if is_command:
-        done = _move_cold(run, old, new)
-    else:
-        what = f"component '{old.component}'"
-        done = Migration(run, what, (old,), (new,)).run()
-    report = MoveReport(
-        component=old.component,
-        source=old.computer,
-        target=new.computer,
-        cold=is_command,
-        **structs.asdict(done),
+def _migrate(
+    run: Run, old: Incarnation, new: Incarnation, by: str = ""
+) -> MigrationReport:
+    report = MigrationReport(
+        what=old.component,
+        by=by,
+        before={old.component: old.computer},
+        after={old.component: new.computer},
+        cold=bool(_component(run, old.component).command),
     )
-    kind: Kind = "done" if report.committed else "failed"
-    run.journal.note(kind, _sentence(report), move=report)
+    if report.cold:
+        report = _move_cold(run, report, old, new)
+    else:
+        report = Migration(run, report, (old,), (new,)).run()
+    report.note_in(run.journal)
     return report
 
 
-def _move_cold(run: Run, old: Incarnation, new: Incarnation) -> MigrationReport:
+def _move_cold(
+    run: Run, report: MigrationReport, old: Incarnation, new: Incarnation
+) -> MigrationReport:
     """Stop a command and start it elsewhere, or here again.
 
     Its process has no state that could be transferred, and must not run twice. So the
@@ -147,12 +132,15 @@ def _move_cold(run: Run, old: Incarnation, new: Incarnation) -> MigrationReport:
         except RunError as error:
             run.tell(run.placed.values())
             seconds = time.monotonic() - started
-            return MigrationReport(reason=str(error), phases={"prepare": seconds})
+            phases = {"prepare": seconds}
+            return structs.replace(report, reason=str(error), phases=phases)
         stopped = time.monotonic()
         reason = _swap(run, old, new)
     except RunError as error:
-        return MigrationReport(reason=f"telling what should run: {error}")
-    return MigrationReport(
+        reason = f"telling what should run: {error}"
+        return structs.replace(report, reason=reason)
+    return structs.replace(
+        report,
         committed=not reason,
         reason=reason,
         downtime=time.monotonic() - stopped,
@@ -215,17 +203,3 @@ def _layer(run: Run, component: str) -> Layer:
 
 def _component(run: Run, name: str) -> ComponentEntry:
     return next(each for each in run.robot.components() if each.name == name)
-
-
-def _sentence(report: MoveReport) -> str:
-    if report.source == report.target:
-        done = "replaced" if report.committed else "did not replace"
-        down = f"; {report.times}"
-        why = down if report.committed else f": {report.reason}"
-        return f"{done} component '{report.component}' on '{report.source}'{why}"
-    way = f"component '{report.component}' from '{report.source}' to '{report.target}'"
-    if report.committed and report.cold:
-        return f"moved {way} by a cold move; downtime {report.downtime:.2f} s"
-    if report.committed:
-        return f"moved {way}; {report.times}"
-    return f"did not move {way}: {report.reason}"

@@ -10,30 +10,16 @@ from msgspec import structs
 from poise import plan
 from poise.errors import UsageError
 from poise.manage.agent_connections.statuses import calling_ports, components_of
-from poise.manage.deploy.deployment_plan import Incarnation, Placement
+from poise.manage.deploy.deployment_plan import Incarnation
 from poise.manage.deploy.running_components import Run
-from poise.manage.journal import Kind
-from poise.manage.migration.coordinator import Migration, MigrationReport
+from poise.manage.migration.coordinator import Migration
+from poise.manage.migration.report import MigrationReport
 from poise.model.robot import Architecture, Robot
-
-
-class ReplaceReport(MigrationReport, frozen=True, kw_only=True):
-    """How the replacement of an architecture `by` another went.
-
-    Parameters
-    ----------
-    placement
-        Where the components of `by` run, or would have.
-    """
-
-    architecture: str
-    by: str
-    placement: Placement
 
 
 def replace_architecture(
     run: Run, architecture: str, by: str, adapt: str = "", *, fresh: bool = False
-) -> ReplaceReport:
+) -> MigrationReport:
     """Replace a running architecture by another that provides the same function.
 
     What waits at its ports goes to the alternative where the same source is joined to
@@ -71,16 +57,14 @@ def replace_architecture(
         )
         for component in new.components
     ]
-    what = f"architecture '{architecture}'"
-    done = Migration(run, what, sources, targets).run()
-    report = ReplaceReport(
-        architecture=architecture,
+    report = MigrationReport(
+        what=architecture,
         by=by,
-        placement=where,
-        **structs.asdict(done),
+        before={each.component: each.computer for each in sources},
+        after=where,
     )
-    kind: Kind = "done" if report.committed else "failed"
-    run.journal.note(kind, _sentence(report), replacement=report)
+    report = Migration(run, report, sources, targets).run()
+    report.note_in(run.journal)
     return report
 
 
@@ -188,10 +172,3 @@ def _architecture(robot: Robot, name: str) -> Architecture:
     if name in {component.name for component in robot.components()}:
         text += "; to swap this component, name its new class, as package.module:Class"
     raise UsageError(text)
-
-
-def _sentence(report: ReplaceReport) -> str:
-    what = f"architecture '{report.architecture}' by '{report.by}'"
-    if report.committed:
-        return f"replaced {what}; {report.times}"
-    return f"did not replace {what}: {report.reason}"

@@ -11,7 +11,8 @@ from msgspec import Struct, structs
 from poise.errors import RunError, UsageError
 from poise.manage.deploy.deployment_plan import Incarnation
 from poise.manage.deploy.running_components import ACTIVE_LIMIT, READY_LIMIT, Run
-from poise.manage.migration.move import MoveReport, move
+from poise.manage.migration.move import move
+from poise.manage.migration.report import MigrationReport
 from poise.manage.migration.transition import TransitionStep
 from poise.units import counted
 
@@ -38,7 +39,7 @@ class TransitionReport(Struct, frozen=True, kw_only=True):
     steps: tuple[TransitionStep, ...]
     committed: bool
     reason: str = ""
-    moves: tuple[MoveReport, ...] = ()
+    moves: tuple[MigrationReport, ...] = ()
 
 
 def start_together(
@@ -167,7 +168,7 @@ class _Transition:
     """Takes the steps of one transition; a step that fails changes nothing."""
 
     def __init__(self, run: Run) -> None:
-        self.moves: list[MoveReport] = []
+        self.moves: list[MigrationReport] = []
         self._run = run
         # what is started again may have been replaced since the robot began
         self._implementations: dict[str, str] = {}

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from rich.markup import escape
 
 from poise.manage.adaptation.replan import Proposal
 from poise.manage.adaptation.what_if import WhatIf
 from poise.manage.control_socket.records import Rebalanced
-from poise.manage.migration.move import MoveReport
-from poise.manage.migration.replacement import ReplaceReport
+from poise.manage.migration.report import MigrationReport
 from poise.manage.migration.transition_run import TransitionReport
 from poise.units import format_bytes, format_seconds
 
-Outcome = MoveReport | ReplaceReport | Rebalanced
+Outcome = MigrationReport | Rebalanced
 
 
 def outcome_lines(outcome: Outcome) -> Iterator[str]:
@@ -27,20 +26,19 @@ def outcome_lines(outcome: Outcome) -> Iterator[str]:
         yield escape(outcome_sentence(outcome))
 
 
-def outcome_sentence(report: MoveReport | ReplaceReport) -> str:
+def outcome_sentence(report: MigrationReport) -> str:
     """Return what was done, or why it was not, in a sentence."""
-    if isinstance(report, MoveReport):
-        stays = f"{report.component} stays on {report.source}"
-        runs = f"{report.component} runs on {report.target}"
-    else:
-        stays, runs = f"{report.architecture} goes on", f"{report.by} runs"
     if not report.committed:
-        return f"{stays}: {report.reason}"
-    downtime = format_seconds(report.downtime)
-    if isinstance(report, MoveReport) and report.cold:
+        return f"{_places(report.before, 'stays')}: {report.reason}"
+    runs, downtime = _places(report.after, "runs"), format_seconds(report.downtime)
+    if report.cold:
         return f"{runs} now; it was stopped and started, downtime {downtime}"
     prepared = format_seconds(report.prepared)
     return f"{runs} now; prepared in {prepared}, downtime {downtime}"
+
+
+def _places(placement: Mapping[str, str], verb: str) -> str:
+    return " and ".join(f"{name} {verb} on {at}" for name, at in placement.items())
 
 
 def what_if_lines(what_if: WhatIf) -> Iterator[str]:

@@ -24,7 +24,6 @@ from poise.manage.control_socket.records import (
     RebalanceCommand,
     Rebalanced,
     ReplaceCommand,
-    Replaced,
     Result,
     RobotStatus,
     StatusCommand,
@@ -33,8 +32,7 @@ from poise.manage.control_socket.records import (
     TapCommand,
 )
 from poise.manage.journal import Entry
-from poise.manage.migration.move import MoveReport
-from poise.manage.migration.replacement import ReplaceReport
+from poise.manage.migration.report import MigrationReport
 from poise.session.render.moves import Outcome, outcome_sentence
 from poise.session.render.printable import Shown
 from poise.session.render.status import status_parts
@@ -46,7 +44,6 @@ _LOOK_EVERY = 0.25
 __all__ = ["Entry", "RolledBack", "Running", "Status", "WhatIf", "connect"]
 
 R = TypeVar("R", bound=Result)
-M = TypeVar("M", bound=MoveReport | ReplaceReport)
 
 
 class RolledBack(RunError):
@@ -96,7 +93,9 @@ class Running:
         status = self._send(StatusCommand(), RobotStatus)
         return Status(**asdict(status))
 
-    def move(self, component: str, computer: str, *, force: bool = False) -> MoveReport:
+    def move(
+        self, component: str, computer: str, *, force: bool = False
+    ) -> MigrationReport:
         """Move a component to another computer, with its state.
 
         Parameters
@@ -109,8 +108,7 @@ class Running:
         RolledBack
             It failed; the component goes on where it was.
         """
-        report = self._send(MoveCommand(component, computer, force), Moved).report
-        return _committed(report)
+        return self._migrate(MoveCommand(component, computer, force))
 
     def what_if(self, component: str, computer: str) -> WhatIf:
         """Return what a move would change; nothing happens."""
@@ -128,7 +126,7 @@ class Running:
 
     def replace(
         self, what: str, by: str, *, adapt: str = "", fresh: bool = False
-    ) -> MoveReport | ReplaceReport:
+    ) -> MigrationReport:
         """Swap a component's implementation, or an architecture for another.
 
         Parameters
@@ -147,13 +145,7 @@ class Running:
         RolledBack
             It failed; all goes on as before.
         """
-        command = ReplaceCommand(what, by, adapt, fresh)
-        report: MoveReport | ReplaceReport
-        if ":" in by:
-            report = self._send(command, Moved).report
-        else:
-            report = self._send(command, Replaced).report
-        return _committed(report)
+        return self._migrate(ReplaceCommand(what, by, adapt, fresh))
 
     def balance(self, *, cost: float = 0.01, dry_run: bool = False) -> Rebalanced:
         """Place the robot again, from what its components need now.
@@ -252,17 +244,17 @@ class Running:
         if remaining:
             raise RunError("\n".join(remaining))
 
+    def _migrate(self, command: MoveCommand | ReplaceCommand) -> MigrationReport:
+        report = self._send(command, Moved).report
+        if not report.committed:
+            raise RolledBack(outcome_sentence(report), report)
+        return report
+
     def _send(self, command: Command, type_: type[R]) -> R:
         result = send_command(self.name, command)
         if not isinstance(result, type_):
             raise RunError(f"the manager answered {result!r} to {command!r}")
         return result
-
-
-def _committed(report: M) -> M:
-    if not report.committed:
-        raise RolledBack(outcome_sentence(report), report)
-    return report
 
 
 def connect(name: str | None = None) -> Running:

@@ -13,7 +13,8 @@ from rich.markup import escape
 from poise.errors import RunError
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import Run
-from poise.manage.migration.move import MoveReport, move
+from poise.manage.migration.move import move
+from poise.manage.migration.report import MigrationReport
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, nothing
 from poise.session.placing.placement import Placement, place
@@ -46,7 +47,7 @@ class Scene(Struct, frozen=True, kw_only=True):
         move began, until a second after it ended, and from then on.
     """
 
-    move: MoveReport
+    move: MigrationReport
     before: tuple[int, int]
     during: tuple[int, int]
     after: tuple[int, int]
@@ -120,7 +121,7 @@ class _Mover:
 
     def __init__(self, target: str) -> None:
         self._target = target
-        self._report: MoveReport | None = None
+        self._report: MigrationReport | None = None
         self._ended = 0.0
         self._counts: list[tuple[int, int]] = [(0, 0)]
 
@@ -168,8 +169,8 @@ def told(scene: Scene) -> str:
     parts = ("before", scene.before), ("during", scene.during), ("after", scene.after)
     missed = ", ".join(f"{name} {m} of {of}" for name, (m, of) in parts)
     return (
-        f"{_MOVED} went from {report.source} to {report.target}; downtime "
-        f"{format_seconds(report.downtime)}; deadlines missed: {missed}; goal "
+        f"{_MOVED} went from {report.before[_MOVED]} to {report.after[_MOVED]}; "
+        f"downtime {format_seconds(report.downtime)}; deadlines missed: {missed}; goal "
         f"{'reached' if scene.goal_reached else 'not reached'}"
     )
 
