@@ -26,6 +26,7 @@ from poise.clock import SystemClock
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
 from poise.manage.migration.move import move
 from poise.manage.migration.report import MigrationReport
@@ -55,7 +56,7 @@ def running(name: str, placement: dict[str, str]) -> Iterator[tuple[Run, Path]]:
         run = Run(robot, placement, agents, journal, str(folder))
         run.start()
         yield run, folder
-        run.stop()
+        stop(run)
 
 
 def totals(run: Run, component: str) -> dict[str, float]:

@@ -34,6 +34,7 @@ from poise.errors import PoiseError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.stop import stop
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal, read_journal
 from poise.manage.migration.move import move
@@ -237,7 +238,7 @@ def main() -> None:
                 sys.stderr.write(f"\r{len(found)} managers")
         with manager(computers.endpoints, folder) as (run, _, _there):
             counts = count(run, folder)
-            run.stop()
+            stop(run)
     result = summary([each for each in found if each], counts)
     result["killed_while_taking_over"] = found.count(None)
     if options.json:

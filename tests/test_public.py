@@ -23,7 +23,7 @@ PUBLIC = {
         "CalleeError",
         "Component",
         "Drawing",
-        "Entry",
+        "JournalEntry",
         "FileProblem",
         "Message",
         "Placement",

@@ -8,8 +8,8 @@ import pytest
 from msgspec.structs import replace
 
 from poise.errors import RunError, UsageError
+from poise.manage.tasks.progress import TaskState
 from poise.manage.tasks.report import TaskReport
-from poise.manage.tasks.tasks import TaskState
 from poise.session.running_robots.running import Running
 from poise.session.running_robots.tasks import RunningTasks
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from poise.errors import UsageError as UsageError
     from poise.estimate.success import Situation as Situation
     from poise.estimate.success.learning import note_outcome as note_outcome
-    from poise.manage.journal import Entry as Entry
+    from poise.manage.journal import JournalEntry as JournalEntry
     from poise.manage.journal import read_journal as read_journal
     from poise.model.policy.seen import PolicyAction as PolicyAction
     from poise.model.policy.seen import Seen as Seen
@@ -67,7 +67,7 @@ else:
         "CalleeError": "errors",
         "Component": "runtime.component.component",
         "Drawing": "session.diagrams.draw",
-        "Entry": "manage.journal",
+        "JournalEntry": "manage.journal",
         "FileProblem": "errors",
         "Message": "runtime.component.ports",
         "Placement": "session.placing.placement",

@@ -13,7 +13,7 @@ import pytest
 from poise.emulate import look
 from poise.manage.control_socket.client import send_command
 from poise.manage.control_socket.records import RobotStatus, StatusCommand
-from poise.manage.journal import Entry, Journal
+from poise.manage.journal import Journal, JournalEntry
 from tests.command import robot_up, run_poise
 from tests.waiting import wait_long
 
@@ -75,7 +75,7 @@ def pid() -> int:
     return computer.containers[0].pid if computer.containers else 0
 
 
-def journal(up: Path) -> list[Entry]:
+def journal(up: Path) -> list[JournalEntry]:
     """Return what went wrong and right."""
     entries = Journal(up / "journal")
     try:
@@ -84,7 +84,7 @@ def journal(up: Path) -> list[Entry]:
         entries.close()
 
 
-def break_by(up: Path, harm: Callable[[int], object]) -> list[Entry]:
+def break_by(up: Path, harm: Callable[[int], object]) -> list[JournalEntry]:
     """Let a container break; return what was journalled when it runs again."""
     before, known = pid(), len(journal(up))
     harm(before)

@@ -20,7 +20,7 @@ from poise.estimate.profile import Profile
 from poise.estimate.success.learning import Belief
 from poise.manage.adaptation.what_if import WhatIf
 from poise.manage.control_socket.records import Rebalanced, RobotStatus
-from poise.manage.journal import Entry
+from poise.manage.journal import JournalEntry
 from poise.manage.migration.report import MigrationReport
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.tasks.report import TaskReport
@@ -65,7 +65,7 @@ class Fired(TypedDict):
 class Journal(TypedDict):
     """What `poise journal` shows."""
 
-    entries: list[Entry]
+    entries: list[JournalEntry]
 
 
 class Passed(TypedDict):

@@ -46,7 +46,7 @@ CREATE TABLE IF NOT EXISTS entries (
 """
 
 
-class Entry(Struct, frozen=True):
+class JournalEntry(Struct, frozen=True):
     """An entry of the journal; `at` in seconds since 1970.
 
     `number` counts the entries of one file; 0: it is not read from one.
@@ -84,14 +84,14 @@ class Journal:
     """
 
     def __init__(
-        self, path: Path | str, show: Callable[[Entry], object] | None = None
+        self, path: Path | str, show: Callable[[JournalEntry], object] | None = None
     ) -> None:
         self._path = None if path == ":memory:" else Path(path)
         self._show = show
         self._database: sqlite3.Connection | None = None
         self._inode = 0
         self._num_missing = 0
-        self._recent: deque[Entry] = deque(maxlen=_MOST_RECENT)
+        self._recent: deque[JournalEntry] = deque(maxlen=_MOST_RECENT)
         self.trouble: str = ""
         """Why entries are not written; empty: they are."""
         try:
@@ -107,14 +107,14 @@ class Journal:
                     "folder that is there, may be written, and has room"
                 ) from error
 
-    def recent(self) -> tuple[Entry, ...]:
+    def recent(self) -> tuple[JournalEntry, ...]:
         """Return the last entries without their facts; any thread may ask."""
         return tuple(self._recent.copy())
 
     def note(self, kind: Kind, what: str, **facts: object) -> None:
         """Add an entry: `what` for people, `facts` for machines."""
-        entry = Entry(time.time(), kind, what, facts)
-        self._recent.append(Entry(entry.at, kind, what, None))
+        entry = JournalEntry(time.time(), kind, what, facts)
+        self._recent.append(JournalEntry(entry.at, kind, what, None))
         if self._show is not None:
             self._show(entry)
         try:
@@ -133,7 +133,7 @@ class Journal:
             self.trouble, self._num_missing = "", 0
             self.note("right", text)
 
-    def entries(self, after: int = 0, most: int = _ALL) -> list[Entry]:
+    def entries(self, after: int = 0, most: int = _ALL) -> list[JournalEntry]:
         """Return entries, oldest first: the last `most` with numbers above `after`.
 
         From any thread.
@@ -171,7 +171,7 @@ class Journal:
         self._database, self._inode = database, _inode(self._path)
         return database
 
-    def _write(self, entry: Entry) -> None:
+    def _write(self, entry: JournalEntry) -> None:
         if self._database is not None and _inode(self._path) != self._inode:
             self.close()  # SQLite would go on to write a file that nobody finds
             self._open()
@@ -256,7 +256,7 @@ def _inode(path: Path | None) -> int:
         return 0
 
 
-def read_journal(path: Path | str, after: int = 0) -> list[Entry]:
+def read_journal(path: Path | str, after: int = 0) -> list[JournalEntry]:
     """Return the entries of a journal, oldest first, also while a manager writes it.
 
     Parameters
@@ -284,13 +284,13 @@ def read_journal(path: Path | str, after: int = 0) -> list[Entry]:
 
 def _entries(
     database: sqlite3.Connection, after: int = 0, most: int = _ALL
-) -> list[Entry]:
+) -> list[JournalEntry]:
     rows = database.execute(
         "SELECT at, kind, what, facts, id FROM (SELECT * FROM entries WHERE id > ? "
         "ORDER BY id DESC LIMIT ?) ORDER BY id",
         (after, most),
     )
     return [
-        Entry(at, kind, what, msgspec.json.decode(facts), number)
+        JournalEntry(at, kind, what, msgspec.json.decode(facts), number)
         for at, kind, what, facts, number in rows
     ]

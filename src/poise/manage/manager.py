@@ -47,6 +47,7 @@ from poise.manage.control_socket.records import (
 )
 from poise.manage.deploy.lost_computers import LostComputers
 from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.stop import stop
 from poise.manage.migration.move import move, replace
 from poise.manage.migration.replacement import replace_architecture
 from poise.manage.observe.chains import ChainAges, chain_reports
@@ -56,8 +57,8 @@ from poise.manage.observe.own_troubles import OwnTroubles
 from poise.manage.observe.recording import Recording
 from poise.manage.observe.watch import Watch
 from poise.manage.prefetch.prefetch import Prefetch
+from poise.manage.tasks.progress import Saved
 from poise.manage.tasks.task_manager import TaskManager
-from poise.manage.tasks.tasks import Saved
 from poise.model.policy.seen import Seen
 from poise.model.robot import Computer
 from poise.wire.records.samples import AgentSample
@@ -235,7 +236,7 @@ class Manager:
         self._stopping.set()
         self._adaptation.close()
         try:
-            self._run.stop()
+            stop(self._run)
         except RunError as error:
             remaining = (str(error),)
             raise

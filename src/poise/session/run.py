@@ -12,7 +12,7 @@ from poise.manage.adaptation.facts import Facts
 from poise.manage.deploy.deactivation import drain
 from poise.manage.deploy.lost_computers import LostComputers
 from poise.manage.deploy.running_components import Run
-from poise.manage.journal import Entry, Journal
+from poise.manage.journal import Journal, JournalEntry
 from poise.manage.tasks.task_manager import TaskManager
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
@@ -104,7 +104,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         return reported(up, placed, tasks.reports, seen, entries)
 
 
-def _saying(say: Say) -> Callable[[Entry], object]:
+def _saying(say: Say) -> Callable[[JournalEntry], object]:
     """Return what says the entries about what is wrong, and that it is right again."""
     return lambda each: say(str(each)) if each.kind in {"wrong", "right"} else None
 

@@ -8,7 +8,7 @@ from collections import deque
 from msgspec import Struct
 
 from poise.errors import PoiseError
-from poise.session.running_robots.running import Entry, Running, Status
+from poise.session.running_robots.running import JournalEntry, Running, Status
 
 MOST_ENTRIES = 500
 """So many decisions are kept."""
@@ -30,7 +30,7 @@ class Look(Struct, frozen=True, kw_only=True):
     """
 
     status: Status | None = None
-    entries: tuple[Entry, ...] = ()
+    entries: tuple[JournalEntry, ...] = ()
     trouble: str = ""
     since: float = 0.0
 
@@ -46,7 +46,7 @@ class LiveReader:
 
     def __init__(self, robot: str | None = None) -> None:
         self.running = Running(robot)
-        self._entries: deque[Entry] = deque(maxlen=MOST_ENTRIES)
+        self._entries: deque[JournalEntry] = deque(maxlen=MOST_ENTRIES)
         self._look = Look()
 
     def look(self) -> Look:

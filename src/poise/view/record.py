@@ -12,7 +12,7 @@ from msgspec import Struct
 
 from poise.errors import PoiseError, RunError
 from poise.session.callbacks import Check, Say
-from poise.session.running_robots.running import Entry, Status
+from poise.session.running_robots.running import JournalEntry, Status
 from poise.view.live import LiveReader
 from poise.view.mcap_file import McapFile, schema_like, schema_of
 from poise.view.robot_view import (
@@ -173,7 +173,7 @@ class Recorder:
             for row in rows:
                 file.add(f"{part}/{row.name}", _SCHEMAS[type(row)], at, row)
 
-    def _write_entry(self, file: McapFile, entry: Entry) -> None:
+    def _write_entry(self, file: McapFile, entry: JournalEntry) -> None:
         if (entry.at, entry.number) <= self._last_entry:
             return
         self._last_entry = entry.at, entry.number

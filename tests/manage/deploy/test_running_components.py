@@ -9,6 +9,7 @@ import pytest
 from poise.errors import RunError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
 from poise.wire.records.status import ComponentStatus, Fault
@@ -48,7 +49,7 @@ def test_starts_everything_inactive_first(robot: Robot, agents: FakeAgents) -> N
 def test_stops_everything(robot: Robot, agents: FakeAgents) -> None:
     run, _ = run_of(robot, agents)
     run.start()
-    run.stop()
+    stop(run)
     assert all(not status.containers for status in agents.statuses().values())
 
 
@@ -117,7 +118,7 @@ def test_stops_the_others_when_one_refuses(robot: Robot, agents: FakeAgents) -> 
     run.start()
     agents.refusing.add("left")
     with pytest.raises(RunError, match="'left' refused"):
-        run.stop()
+        stop(run)
     assert not agents.statuses()["right"].containers
 
 
@@ -126,7 +127,7 @@ def test_what_does_not_stop_is_named(robot: Robot, agents: FakeAgents) -> None:
     run.start()
     agents.deaf.add("left")
     with pytest.raises(RunError, match="everything on 'left' still ran 5 s"):
-        run.stop()
+        stop(run)
 
 
 def test_a_stop_says_what_still_runs_out_of_reach(
@@ -137,7 +138,7 @@ def test_a_stop_says_what_still_runs_out_of_reach(
     agents.gone.add("right")
     agents.refusing.add("right")
     with pytest.raises(RunError, match=r"'right' is out of reach since .* thinker may"):
-        run.stop()
+        stop(run)
     assert not agents.statuses()["left"].containers
     assert journal.entries()[-1].kind == "failed"
 
@@ -149,7 +150,7 @@ def test_a_stop_reaches_a_computer_that_comes_back_meanwhile(
     run.start()
     agents.gone.add("right")
     agents.returns = True
-    run.stop()
+    stop(run)
     assert not agents.statuses()["right"].containers
 
 
@@ -180,7 +181,7 @@ def test_a_cancelled_wait_ends(robot: Robot, agents: FakeAgents) -> None:
     run.cancel()
     with pytest.raises(RunError, match="the robot is being stopped"):
         run.wait([run.placed["grabber"]], 1.0)
-    run.stop()
+    stop(run)
     assert not agents.statuses()["left"].containers
 
 

@@ -10,14 +10,15 @@ from msgspec import structs
 from poise.errors import TakenOver
 from poise.estimate.profile.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.deploy.deployment_plan import DeploymentPlan, Incarnation
+from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import Run
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal
 from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.recording import Recording
-from poise.manage.tasks.tasks import Saved
+from poise.manage.tasks.progress import Saved
 from poise.model.robot import Robot
 from poise.wire.records.requests import ManagerId
 from tests.manage.conftest import FakeAgents
@@ -98,6 +99,34 @@ def test_starts_layers_that_never_stop(robot: Robot) -> None:
     fixed = tuple(structs.replace(each, layer="reactive") for each in others)
     run = serving_tasks(structs.replace(robot, architectures=(eye, *fixed)))
     assert run.placement()["thinker"] == "right"
+
+
+def test_what_may_not_run_where_it_was_found_restarts_where_it_may(
+    robot: Robot,
+) -> None:
+    moved = robot.with_components(
+        lambda c: (
+            structs.replace(c, only=("right",), devices=())
+            if c.name == "grabber"
+            else c
+        )
+    )
+    assert serving_tasks(moved).placement()["grabber"] == "right"
+
+
+def test_what_is_lacking_starts_where_there_is_room(robot: Robot) -> None:
+    needs = {"grabber": 0.6, "heavy": 0.6}
+    free = robot.with_components(
+        lambda c: structs.replace(
+            c, only=(), devices=(), demand={"cpu": needs.get(c.name, 0.0)}
+        )
+    )
+    cores = tuple(
+        structs.replace(c, capacity={"cpu": 1.0}, speed=1.0) for c in free.computers
+    )
+    placement = serving_tasks(structs.replace(free, computers=cores)).placement()
+    assert placement["grabber"] == "left"
+    assert placement["heavy"] == "right"
 
 
 def test_a_manager_that_has_a_successor_leaves_the_robot_as_it_is(

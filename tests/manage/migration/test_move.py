@@ -24,6 +24,7 @@ from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.requests import AgentRequests
 from poise.manage.agent_connections.statuses import components_of, connectors_of
 from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
 from poise.manage.migration.coordinator import (
     DOWNTIME_LIMIT,
@@ -432,7 +433,7 @@ def _world(pair: TwoAgents, name: str) -> Iterator[MovingRobot]:
     world = MovingRobot(pair.folder, pair.agents, journal, name)
     yield world
     with contextlib.suppress(RunError):  # of an agent that the test killed
-        world.run.stop()
+        stop(world.run)
     journal.close()
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from poise.manage.deploy.deployment_plan import DeploymentPlan, Incarnation
+from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.migration.plan import MigrationPlan
 from poise.model.robot import (
     Architecture,

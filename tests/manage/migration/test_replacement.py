@@ -12,6 +12,7 @@ from poise.errors import UsageError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
 from poise.manage.migration.move import replace
 from poise.manage.migration.replacement import replace_architecture
@@ -238,7 +239,7 @@ def world(pair: tuple[Path, Agents], tmp_path: Path) -> Iterator[RobotWithAltern
     world.run.start()
     world.works()
     yield world
-    world.run.stop()
+    stop(world.run)
     world.journal.close()
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from poise.manage.deploy.deployment_plan import DeploymentPlan, Incarnation
+from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.observe.deviations import (
     Deviation,
     find_deviations,

@@ -10,6 +10,7 @@ from msgspec.structs import replace
 
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
 from poise.manage.observe.loads import Load
 from poise.manage.prefetch.prefetch import TRY_AGAIN, Prefetch
@@ -189,5 +190,5 @@ def test_what_is_dropped_unused_counts_as_wasted(rig: Rig, robot: Robot) -> None
 
 def test_a_stop_ends_what_is_prepared(rig: Rig) -> None:
     rig.look(NEXT)
-    rig.run.stop()
+    stop(rig.run)
     assert rig.told("right") == []

@@ -15,9 +15,10 @@ from poise.manage.adaptation.facts import Facts
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.running_components import Run
 from poise.manage.journal import Journal
+from poise.manage.tasks.progress import Saved
 from poise.manage.tasks.saved import goes_on_with
 from poise.manage.tasks.task_manager import TaskManager
-from poise.manage.tasks.tasks import Saved, Tasks
+from poise.manage.tasks.tasks import Tasks
 from poise.model.robot import (
     Action,
     Architecture,

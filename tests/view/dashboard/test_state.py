@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from poise.manage.journal import Entry
+from poise.manage.journal import JournalEntry
 from poise.session.running_robots.running import Status
 from poise.view.dashboard.state import PageState, changes, why
 from poise.view.live import Look
@@ -109,8 +109,8 @@ def test_a_decision_says_what_its_policy_saw_and_what_it_gains() -> None:
             "cost": 0.31,
         },
     }
-    assert why(Entry(0.0, "decided", "1 step", facts)) == (
+    assert why(JournalEntry(0.0, "decided", "1 step", facts)) == (
         "policy 'overload' saw: name left, share 0.988; F = 0.5 becomes 0.25; "
         "gain 6.00, cost 0.31 core-seconds"
     )
-    assert not why(Entry(0.0, "seen", "something", {}))
+    assert not why(JournalEntry(0.0, "seen", "something", {}))

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from poise import plan
 from poise.errors import RobotError
 from poise.estimate.demands import shifted_cpu_demand
-from poise.manage.migration.transition import Placement, TransitionStep, plan_transition
+from poise.manage.migration.transition import TransitionStep, plan_transition
 from poise.manage.observe.estimates import DemandEstimate
 from poise.model.robot import ComponentEntry, Computer, Robot
 
@@ -72,7 +72,7 @@ class Proposal(Struct, frozen=True, kw_only=True):
     shifted: Mapping[str, PresentDemand]
     now: plan.Terms
     then: plan.Terms
-    placement: Placement
+    placement: Mapping[str, str]
     trouble: str = ""
     steps: tuple[TransitionStep, ...] = ()
     proven: bool = False
@@ -82,7 +82,7 @@ class Proposal(Struct, frozen=True, kw_only=True):
 def propose(
     robot: Robot,
     task: str,
-    now: Placement,
+    now: Mapping[str, str],
     demand_estimates: Iterable[DemandEstimate],
     move: float,
     *,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 
-from poise.manage.deploy.deployment_plan import Incarnation
+from poise.manage.deploy.incarnation import Incarnation
 from poise.wire.records.status import AgentStatus, ComponentStatus, ConnectorStatus
 
 Statuses = Mapping[str, AgentStatus]

@@ -11,7 +11,7 @@ from poise.errors import PoiseError, RobotError, RunError, UsageError
 from poise.estimate.profile import ConnectorProfile
 from poise.manage.adaptation.replan import Proposal
 from poise.manage.adaptation.what_if import WhatIf
-from poise.manage.journal import Entry
+from poise.manage.journal import JournalEntry
 from poise.manage.migration.report import MigrationReport
 from poise.manage.migration.transition_run import TransitionReport
 from poise.manage.observe.chains import ChainReport
@@ -163,7 +163,7 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
     demand_estimates: tuple[DemandEstimate, ...] = ()
     chains: tuple[ChainReport, ...] = ()
     capacities: Mapping[str, Mapping[str, float]] = {}
-    recent: tuple[Entry, ...] = ()
+    recent: tuple[JournalEntry, ...] = ()
     tasks: tuple[TaskReport, ...] = ()
     prefetch: PrefetchReport = PrefetchReport()
     loads: Mapping[str, Load] = {}
@@ -185,7 +185,7 @@ class Moved(Struct, frozen=True, tag=True):
 class JournalEntries(Struct, frozen=True, tag=True):
     """Entries of the journal, oldest first."""
 
-    entries: tuple[Entry, ...]
+    entries: tuple[JournalEntry, ...]
 
 
 class Rebalanced(Struct, frozen=True, tag=True):

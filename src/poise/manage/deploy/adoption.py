@@ -10,7 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from msgspec import Struct, structs
 
-from poise.manage.deploy.deployment_plan import DeploymentPlan, Incarnation
+from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.manage.deploy.incarnation import Incarnation
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
 from poise.wire.records.deployment import ComponentSpec, Deployment

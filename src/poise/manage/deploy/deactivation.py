@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
 from functools import partial
-from typing import TYPE_CHECKING
 
 from poise.manage.agent_connections.statuses import (
     Statuses,
@@ -12,12 +11,11 @@ from poise.manage.agent_connections.statuses import (
     components_of,
     connectors_of,
 )
-from poise.manage.deploy.deployment_plan import Incarnation, name_of
+from poise.manage.deploy.deployment_plan import name_of
+from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.running_components import Run
 from poise.manage.deploy.topological_order import levels
 from poise.wire.records.status import ConnectorStatus
-
-if TYPE_CHECKING:
-    from poise.manage.deploy.running_components import Run
 
 Leads = list[tuple[str, str]]
 """Pairs of components of which the first calls the second, or publishes to it."""

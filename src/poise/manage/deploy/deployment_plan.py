@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import pairwise
 from pathlib import PurePath
 
-from msgspec import Struct, structs
+from msgspec import structs
 
 from poise.manage.deploy.cpu_weights import cpu_weights
+from poise.manage.deploy.incarnation import Incarnation
 from poise.model.pinned import leased_components
 from poise.model.robot import (
     Action,
@@ -27,7 +28,6 @@ from poise.wire.records.deployment import (
     ConnectorSpec,
     ContainerSpec,
     Deployment,
-    Goal,
 )
 
 FILLS_INTERPRETER = 0.5
@@ -39,47 +39,6 @@ _STRANGERS = {"stay", "inactive"}
 
 _NOT_KNOWN = "0.0.0.0:1"
 """The gateway of a computer that was never reached: nobody is there."""
-
-Placement = Mapping[str, str]
-
-
-class Incarnation(Struct, frozen=True, kw_only=True):
-    """A component on a computer. While it moves or is replaced there are two.
-
-    Parameters
-    ----------
-    epoch
-        Tells the incarnations of a component apart; the later one has the higher.
-    implementation
-        Instead of the robot file's; empty: that one.
-    adapt
-        ``package.module:function`` that turns the state of the implementation before
-        into one for this; empty: it is the same.
-    fresh
-        Whether it begins without state.
-    gently
-        Whether it is prepared with the CPU time that others leave.
-    unjoined
-        Whether no connector ends at it: it waits, and others do not reach it.
-    turn, action
-        The number of the action that it is to end, which grows, and its name.
-    """
-
-    component: str
-    computer: str
-    epoch: int = 0
-    goal: Goal = "active"
-    implementation: str = ""
-    adapt: str = ""
-    fresh: bool = False
-    gently: bool = False
-    unjoined: bool = False
-    turn: int = 0
-    action: str = ""
-
-    def with_goal(self, goal: Goal) -> Incarnation:
-        """Return the same with another goal."""
-        return structs.replace(self, goal=goal)
 
 
 class DeploymentPlan:

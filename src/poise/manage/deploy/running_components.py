@@ -5,7 +5,6 @@ It believes only what agents observed.
 
 from __future__ import annotations
 
-import contextlib
 import threading
 from collections.abc import Callable, Collection, Iterable, Mapping
 
@@ -21,13 +20,8 @@ from poise.manage.agent_connections.statuses import (
     missing,
     unreached,
 )
-from poise.manage.deploy.deactivation import deactivate_callers
-from poise.manage.deploy.deployment_plan import (
-    DeploymentPlan,
-    Incarnation,
-    Placement,
-    name_of,
-)
+from poise.manage.deploy.deployment_plan import DeploymentPlan, name_of
+from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.journal import Journal
 from poise.manage.observe.faults import fault_sentence, faults_after, last_numbers
 from poise.manage.prefetch.report import Switches
@@ -40,8 +34,6 @@ READY_LIMIT = 20.0
 """All components are configured and all connectors joined within this time [s]."""
 ACTIVE_LIMIT = 10.0
 STOP_LIMIT = 5.0
-RETURN_LIMIT = 3.0
-"""A stop waits this long for computers that are out of reach [s]."""
 
 
 class Run:
@@ -60,7 +52,7 @@ class Run:
     def __init__(
         self,
         robot: Robot,
-        placement: Placement,
+        placement: Mapping[str, str],
         agents: Agents,
         journal: Journal,
         folder: str,
@@ -99,7 +91,8 @@ class Run:
         """What the agents should run; during a move also what is prepared."""
         self._told: dict[str, Deployment] = {}
         self._is_cancelled = threading.Event()
-        self._has_stopped = False
+        self.is_left = False
+        """Whether it was stopped, or is left to another manager."""
         self.excused: set[str] = set()
         """Computers that may be out of reach: `raise_on_lost` ignores them."""
 
@@ -146,42 +139,7 @@ class Run:
 
     def leave(self) -> None:
         """Leave the robot as it is: a stop does nothing from now on."""
-        self._has_stopped = True
-
-    def stop(self) -> None:
-        """Stop everything, callers first, on all computers that are reached.
-
-        Computers that come back within `RETURN_LIMIT` are stopped, too. Harmless when
-        repeated.
-
-        Raises
-        ------
-        RunError
-            Something still runs: after `STOP_LIMIT`, or out of reach.
-        """
-        if self._has_stopped:
-            return
-        self._has_stopped = True
-        self.excused |= self.agents.out_of_reach().keys()
-        with contextlib.suppress(RunError):  # it is only for quiet
-            deactivate_callers(self)
-        reached = self.computers()
-        self._reclaim({name for name in reached if not self.agents.obey(name)})
-        self.end_all(reached)
-        away = {computer.name for computer in self.robot.computers} - reached
-        if away:
-            self.agents.wait_news(lambda: away <= self.computers(), RETURN_LIMIT)
-            returned = away & self.computers()
-            self._reclaim(returned)
-            self.end_all(returned)
-        text = "; ".join(
-            f"{sentence}; `poise stop --file FILE` ends it once '{name}' is reached"
-            for name, sentence in self.unreached().items()
-        )
-        if text:
-            self.journal.note("failed", f"stopped, but: {text}")
-            raise RunError(f"stopped, but: {text}")
-        self.journal.note("done", "everything stopped")
+        self.is_left = True
 
     def unreached(self) -> dict[str, str]:
         """Return what is known of each computer that is out of reach, in words."""
@@ -199,10 +157,10 @@ class Run:
 
         Raise RunError when its agent obeys another manager, or does not answer.
         """
-        self._reclaim({computer})
+        self.reclaim({computer})
         self.tell(self.placed.values())
 
-    def _reclaim(self, computers: Iterable[str]) -> None:
+    def reclaim(self, computers: Iterable[str]) -> None:
         """Claim again those whose agents were restarted, and tell all of them again."""
         for computer in computers:
             if not self.agents.obey(computer) or not self.agents.holds_lease(computer):

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import secrets
 import time
 from collections.abc import Mapping, Sequence
 
-from poise.errors import PoiseError, RunError
+from poise.errors import PoiseError, RobotError, RunError
+from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.shortages.room import placed_beside
 from poise.manage.deploy.adoption import (
     Adoption,
     Found,
@@ -15,7 +18,7 @@ from poise.manage.deploy.adoption import (
     found_in,
     is_half_done,
 )
-from poise.manage.deploy.deployment_plan import Incarnation
+from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import ACTIVE_LIMIT, READY_LIMIT, Run
 from poise.manage.migration.transition import plan_transition
 from poise.manage.migration.transition_run import transit
@@ -103,25 +106,34 @@ def _take_over(
 def _at_work(run: Run, found: Sequence[Found]) -> dict[str, str]:
     """Return what works, with what its architectures lack, and layers that never stop.
 
-    What is lacking may be at work on a computer that is out of reach: it counts as
-    there, if it is allowed there, so that it is not started twice. What only rests
-    ends.
+    What works stays where it is, if it still may. What is lacking may be at work on a
+    computer that is out of reach: it counts as there, if it is allowed there, so that
+    it is not started twice. Else it goes where there is room. What only rests ends.
     """
     allowed, planned = allowed_computers(run.robot), run.placement()
     away = {c.name for c in run.robot.computers} - (run.computers() - run.excused)
     works = {e.name: e.computer for e in found if e.spec.goal != "inactive"}
-    where: dict[str, str] = {}
+    homes: dict[str, tuple[str, ...]] = {}
     for architecture in run.robot.architectures:
         names = [component.name for component in architecture.components]
         stays = architecture.layer != "sequencing" and planned.keys() >= set(names)
         if not stays and works.keys().isdisjoint(names):
             continue
         for name in names:
-            first = planned.get(name, min(allowed[name]))
-            lost = allowed[name] & away
-            elsewhere = first if first in lost or not lost else min(lost)
-            where[name] = works.get(name, elsewhere)
-    return where
+            may = allowed[name] & away or allowed[name]
+            if works.get(name) in allowed[name]:
+                homes[name] = (works[name],)
+            elif planned.get(name) in may:
+                homes[name] = (planned[name],)
+            else:
+                homes[name] = tuple(sorted(may))
+    facts = Facts(robot=run.robot, task="", placement=planned)
+    with contextlib.suppress(RobotError):  # all is as full as it was
+        return {
+            **{name: may[0] for name, may in homes.items()},
+            **placed_beside(facts, homes).placement,
+        }
+    return {name: may[0] for name, may in homes.items()}
 
 
 def _is_committed(run: Run, deployments: Mapping[str, Deployment]) -> bool:

@@ -19,7 +19,7 @@ from msgspec import structs
 
 from poise.errors import RunError
 from poise.manage.agent_connections.statuses import calling_ports, components_of
-from poise.manage.deploy.deployment_plan import Incarnation
+from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import Run
 from poise.manage.migration.plan import MigrationPlan, PlacedStep
 from poise.manage.migration.report import MigrationReport

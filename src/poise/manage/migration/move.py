@@ -11,7 +11,7 @@ import time
 from msgspec import structs
 
 from poise.errors import RunError, UsageError
-from poise.manage.deploy.deployment_plan import Incarnation
+from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import ACTIVE_LIMIT, READY_LIMIT, Run
 from poise.manage.migration.coordinator import Migration
 from poise.manage.migration.report import MigrationReport

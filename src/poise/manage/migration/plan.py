@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
 
-from poise.manage.deploy.deployment_plan import DeploymentPlan, Incarnation, name_of
+from poise.manage.deploy.deployment_plan import DeploymentPlan, name_of
+from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.topological_order import levels
 from poise.model.robot import Connector
 from poise.wire.records.migration import Step, StepName

@@ -10,7 +10,7 @@ from msgspec import structs
 from poise import plan
 from poise.errors import UsageError
 from poise.manage.agent_connections.statuses import calling_ports, components_of
-from poise.manage.deploy.deployment_plan import Incarnation
+from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import Run
 from poise.manage.migration.coordinator import Migration
 from poise.manage.migration.report import MigrationReport

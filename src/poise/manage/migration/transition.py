@@ -20,8 +20,6 @@ from poise.units import format_amount
 
 _SLACK = 1e-9
 
-Placement = Mapping[str, str]
-
 
 class TransitionStep(Struct, frozen=True, kw_only=True):
     """One step of a transition.
@@ -50,7 +48,7 @@ class TransitionStep(Struct, frozen=True, kw_only=True):
 
 
 def plan_transition(
-    robot: Robot, now: Placement, then: Placement
+    robot: Robot, now: Mapping[str, str], then: Mapping[str, str]
 ) -> tuple[TransitionStep, ...]:
     """Return the steps from placement `now` to `then`.
 
@@ -66,7 +64,9 @@ def plan_transition(
 
 
 class _Planner:
-    def __init__(self, robot: Robot, now: Placement, then: Placement) -> None:
+    def __init__(
+        self, robot: Robot, now: Mapping[str, str], then: Mapping[str, str]
+    ) -> None:
         self._components = {c.name: c for c in robot.components()}
         self._usable = {
             h.name: {r: h.usable(r) for r in h.capacity} for h in robot.computers
@@ -86,7 +86,7 @@ class _Planner:
             self._start(name, why)
         return tuple(self._steps)
 
-    def _check(self, then: Placement) -> None:
+    def _check(self, then: Mapping[str, str]) -> None:
         loads = self._loads(then)
         for computer, usable in self._usable.items():
             for resource, used in loads[computer].items():
@@ -151,7 +151,7 @@ class _Planner:
             for resource, amount in self._components[name].demand.items()
         )
 
-    def _loads(self, placement: Placement) -> dict[str, dict[str, float]]:
+    def _loads(self, placement: Mapping[str, str]) -> dict[str, dict[str, float]]:
         loads: dict[str, dict[str, float]] = {name: {} for name in self._usable}
         for name, computer in placement.items():
             load = loads[computer]

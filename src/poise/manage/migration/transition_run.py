@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from msgspec import Struct, structs
 
 from poise.errors import RunError, UsageError
-from poise.manage.deploy.deployment_plan import Incarnation
+from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import ACTIVE_LIMIT, READY_LIMIT, Run
 from poise.manage.migration.move import move
 from poise.manage.migration.report import MigrationReport

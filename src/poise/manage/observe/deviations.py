@@ -12,7 +12,8 @@ from poise.manage.agent_connections.statuses import (
     components_of,
     connectors_of,
 )
-from poise.manage.deploy.deployment_plan import DeploymentPlan, Incarnation, name_of
+from poise.manage.deploy.deployment_plan import DeploymentPlan, name_of
+from poise.manage.deploy.incarnation import Incarnation
 from poise.wire.records.status import AgentStatus, ComponentStatus, ContainerHealth
 
 _CRASH_LOOP = 3

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from poise.errors import RunError
 from poise.manage.agent_connections.statuses import components_of
-from poise.manage.deploy.deployment_plan import Incarnation
+from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import Run
 from poise.manage.observe.loads import Load
 from poise.manage.prefetch.choice import Choice, choose

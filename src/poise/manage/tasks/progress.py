@@ -1,4 +1,4 @@
-"""How far the steps of one task are. Pure; times are given, in [s since 1970].
+"""How far a task and its steps are. Pure; times are given, in [s since 1970].
 
 The records of progress mirror the steps: they can be sent to agents and read again by
 the next manager.
@@ -7,6 +7,7 @@ the next manager.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from typing import Literal
 
 from msgspec import Struct
 
@@ -26,6 +27,9 @@ from poise.model.tasks.steps import (
 Choose = Callable[[Choice, bool], int]
 """Returns the index of the step of a choice that is done; True: only looks ahead."""
 Say = Callable[[str], object]
+TaskState = Literal["going", "waiting", "paused", "done", "failed", "cancelled"]
+"""`waiting`: for what other tasks use, or for room; `paused`: because it was asked."""
+OVER = {"done", "failed", "cancelled"}
 
 
 class Progress(Struct, kw_only=True, omit_defaults=True):
@@ -78,6 +82,47 @@ class Try(Struct, frozen=True, kw_only=True):
     def number(self) -> int:
         """What tells it apart from all other tries."""
         return self.progress.number
+
+
+class TaskRecord(Struct, kw_only=True):
+    """One task since it was started.
+
+    Parameters
+    ----------
+    order
+        Later tasks have a higher one.
+    why
+        What it waits for, or why it ended so; else empty.
+    since
+        When its state began.
+    """
+
+    name: str
+    priority: int
+    order: int
+    state: TaskState = "going"
+    why: str = ""
+    began: float
+    since: float
+    progress: Progress
+
+
+class Saved(Struct, kw_only=True):
+    """All that the next manager needs to go on with the tasks."""
+
+    records: list[TaskRecord] = []
+    number: int = 0
+
+
+class Ended(Struct, frozen=True, kw_only=True):
+    """An action that has ended."""
+
+    task: str
+    name: str
+    action: str
+    functions: tuple[str, ...]
+    done: bool
+    why: str
 
 
 class Steps:

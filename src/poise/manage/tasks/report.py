@@ -6,8 +6,8 @@ from collections.abc import Callable, Collection
 
 from msgspec import Struct
 
-from poise.manage.tasks.progress import Try
-from poise.manage.tasks.tasks import TaskRecord, Tasks, TaskState
+from poise.manage.tasks.progress import TaskRecord, TaskState, Try
+from poise.manage.tasks.tasks import Tasks
 
 
 class ActionReport(Struct, frozen=True, kw_only=True):

@@ -13,10 +13,10 @@ from poise.manage.adaptation.facts import Facts
 from poise.manage.deploy.running_components import Run
 from poise.manage.tasks.learned_choice import situation_of
 from poise.manage.tasks.likely import PlanOverTime
-from poise.manage.tasks.progress import Try
+from poise.manage.tasks.progress import TaskRecord, Try
 from poise.manage.tasks.room import Room, room_for
 from poise.manage.tasks.serving import Serving
-from poise.manage.tasks.tasks import TaskRecord, Tasks
+from poise.manage.tasks.tasks import Tasks
 
 
 class RoomForTasks:

@@ -10,7 +10,8 @@ import msgspec
 from poise.errors import UsageError
 from poise.manage.deploy.running_components import Run
 from poise.manage.journal import Journal
-from poise.manage.tasks.tasks import OVER, Saved, Tasks
+from poise.manage.tasks.progress import OVER, Saved
+from poise.manage.tasks.tasks import Tasks
 
 
 def goes_on_with(run: Run, asked: Tasks, journal: Journal) -> Saved:

@@ -23,12 +23,12 @@ from poise.manage.prefetch.switch import switch
 from poise.manage.tasks.hearing import Heard, Hearing
 from poise.manage.tasks.learned_choice import choose, note_ending, situation_of
 from poise.manage.tasks.likely import Likely, PlanOverTime, likely_next
-from poise.manage.tasks.progress import Try
+from poise.manage.tasks.progress import OVER, Ended, Saved, TaskRecord, Try
 from poise.manage.tasks.report import TaskReport, task_reports
 from poise.manage.tasks.room import Room, beyond_memory
 from poise.manage.tasks.room_for_tasks import RoomForTasks
 from poise.manage.tasks.serving import Serving
-from poise.manage.tasks.tasks import OVER, Ended, Saved, TaskRecord, Tasks
+from poise.manage.tasks.tasks import Tasks
 from poise.model.policy.condition import parse_condition
 from poise.model.policy.values import SUBJECTS
 from poise.model.robot import Architecture

@@ -6,70 +6,34 @@ Times are given, in [s since 1970].
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Literal
 
-from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.errors import UsageError
-from poise.manage.tasks.progress import Choose, Progress, Steps, Try
+from poise.manage.tasks.progress import (
+    OVER,
+    Choose,
+    Ended,
+    Progress,
+    Saved,
+    Steps,
+    TaskRecord,
+    TaskState,
+    Try,
+)
 from poise.model.robot import Robot
 from poise.model.suggest import did_you_mean
 from poise.model.tasks.exclusive import clashes
 from poise.model.tasks.steps import Until
 
-TaskState = Literal["going", "waiting", "paused", "done", "failed", "cancelled"]
-"""`waiting`: for what other tasks use, or for room; `paused`: because it was asked."""
 _SAYINGS = {
     "paused": "is paused",
     "done": "is done",
     "failed": "is given up",
     "cancelled": "is cancelled",
 }
-OVER = {"done", "failed", "cancelled"}
 MOST_OVER = 20
 """So many tasks that are over are remembered."""
-
-
-class TaskRecord(Struct, kw_only=True):
-    """One task since it was started.
-
-    Parameters
-    ----------
-    order
-        Later tasks have a higher one.
-    why
-        What it waits for, or why it ended so; else empty.
-    since
-        When its state began.
-    """
-
-    name: str
-    priority: int
-    order: int
-    state: TaskState = "going"
-    why: str = ""
-    began: float
-    since: float
-    progress: Progress
-
-
-class Saved(Struct, kw_only=True):
-    """All that the next manager needs to go on with the tasks."""
-
-    records: list[TaskRecord] = []
-    number: int = 0
-
-
-class Ended(Struct, frozen=True, kw_only=True):
-    """An action that has ended."""
-
-    task: str
-    name: str
-    action: str
-    functions: tuple[str, ...]
-    done: bool
-    why: str
 
 
 class Tasks:

@@ -17,6 +17,7 @@ from poise.clock import SystemClock
 from poise.errors import RobotError, RunError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
@@ -200,8 +201,8 @@ def _running(run: Run, check: Check, begin: Callable[[Run], object]) -> Iterator
     except BaseException:
         # the first error is the one to raise; what it leaves on real computers is said
         try:
-            run.stop()
+            stop(run)
         except RunError as left:
             log.warning("%s", left)
         raise
-    run.stop()
+    stop(run)

@@ -12,7 +12,7 @@ from rich.console import RenderableType
 from poise.errors import RunError
 from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.deploy.deactivation import unprocessed
-from poise.manage.journal import Entry
+from poise.manage.journal import JournalEntry
 from poise.manage.observe.chains import ChainReport, chain_reports
 from poise.manage.observe.faults import faults_after
 from poise.manage.tasks.report import TaskReport
@@ -124,7 +124,7 @@ class RunReport(Shown, Struct, frozen=True, kw_only=True):
     connectors: tuple[ConnectorStatus, ...]
     began: float = 0.0
     history: tuple[Moment, ...] = ()
-    journal: tuple[Entry, ...] = ()
+    journal: tuple[JournalEntry, ...] = ()
     chains: tuple[ChainReport, ...] = ()
     tasks: tuple[TaskReport, ...] = ()
     put_aside: tuple[str, ...] = ()
@@ -228,7 +228,7 @@ def reported(
     placed: Placement,
     tasks: tuple[TaskReport, ...],
     seen: MeasuredRun,
-    journal: tuple[Entry, ...],
+    journal: tuple[JournalEntry, ...],
 ) -> RunReport:
     """Return the report of a run whose components are inactive by now."""
     final = up.run.agents.statuses()

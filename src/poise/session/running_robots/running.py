@@ -31,7 +31,7 @@ from poise.manage.control_socket.records import (
     StopReport,
     TapCommand,
 )
-from poise.manage.journal import Entry
+from poise.manage.journal import JournalEntry
 from poise.manage.migration.report import MigrationReport
 from poise.session.render.moves import Outcome, outcome_sentence
 from poise.session.render.printable import Shown
@@ -41,7 +41,7 @@ from poise.wire.records.taps import SHOWN_ITEMS, TapReading
 
 _LOOK_EVERY = 0.25
 """What goes out over a connector is fetched after this time [s]."""
-__all__ = ["Entry", "RolledBack", "Running", "Status", "WhatIf", "connect"]
+__all__ = ["JournalEntry", "RolledBack", "Running", "Status", "WhatIf", "connect"]
 
 R = TypeVar("R", bound=Result)
 
@@ -114,7 +114,7 @@ class Running:
         """Return what a move would change; nothing happens."""
         return self._send(MoveCommand(component, computer, dry=True), WhatIf)
 
-    def journal(self, after: int = 0) -> tuple[Entry, ...]:
+    def journal(self, after: int = 0) -> tuple[JournalEntry, ...]:
         """Return the last entries of its journal, oldest first: 500 at most.
 
         Parameters

@@ -15,8 +15,8 @@ from poise.manage.control_socket.records import (
     TaskCommand,
     TaskDone,
 )
+from poise.manage.tasks.progress import OVER
 from poise.manage.tasks.report import TaskReport
-from poise.manage.tasks.tasks import OVER
 
 _LOOK_EVERY = 0.05
 

@@ -13,7 +13,7 @@ from nicegui import run, ui
 
 from poise.errors import PoiseError
 from poise.session.render.moves import outcome_sentence, what_if_lines
-from poise.session.running_robots.running import Entry, Running, WhatIf
+from poise.session.running_robots.running import JournalEntry, Running, WhatIf
 from poise.view.dashboard.state import Page, why
 from poise.wire.records.output import OutputLine
 
@@ -85,7 +85,7 @@ class Actions:
             self._follow_log(name)
             ui.button("Close", on_click=dialog.close).props("no-caps")
 
-    def show_entry(self, entry: Entry) -> None:
+    def show_entry(self, entry: JournalEntry) -> None:
         """Show a decision, why it was taken, and what else there was."""
         facts = entry.facts if isinstance(entry.facts, dict) else {}
         decision = facts.get("decision") or {}

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from poise.session.running_robots.running import Entry
+from poise.session.running_robots.running import JournalEntry
 from poise.view.live import Look
 from poise.view.robot_view import Reader
 
@@ -103,7 +103,7 @@ def _entries(look: Look) -> Records:
     }
 
 
-def why(entry: Entry) -> str:
+def why(entry: JournalEntry) -> str:
     """Return why something was decided, in words; empty: the sentence says all."""
     facts: Mapping[str, Any] = entry.facts if isinstance(entry.facts, dict) else {}
     parts = [

@@ -11,7 +11,7 @@ import pytest
 from msgspec.structs import replace
 
 import poise
-from poise.manage.journal import Entry
+from poise.manage.journal import JournalEntry
 from poise.model import load
 from poise.model.robot import Computer, Robot
 from poise.session.reports.history import MOST, History, Moment
@@ -76,9 +76,9 @@ REPORT = RunReport(
         Moment(at=1006.0, cpu_share={"left": 0.96}, missed={"eye.tick": 0.4, "z": 0.2}),
     ),
     journal=(
-        Entry(999.0, "decided", "before <it> began", {}),
-        Entry(1005.5, "wrong", "a load came", {}),
-        Entry(1019.0, "seen", "much later", {}),
+        JournalEntry(999.0, "decided", "before <it> began", {}),
+        JournalEntry(1005.5, "wrong", "a load came", {}),
+        JournalEntry(1019.0, "seen", "much later", {}),
     ),
 )
 

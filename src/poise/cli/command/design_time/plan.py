@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import typer
 from rich.console import Console
 
-from poise import plan, units
+from poise import plan
 from poise.cli.command.design_time.phases import plan_phases
+from poise.cli.command.design_time.what_if import changed_problem
 from poise.cli.completion import in_file
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import AsJson, busy, print_json
@@ -19,7 +19,7 @@ from poise.errors import UsageError
 from poise.estimate.success import Situation
 from poise.estimate.success.learning import actions_in, learned
 from poise.model import load
-from poise.model.robot import Computer, Robot
+from poise.model.robot import Robot
 from poise.plan.phases.solve import BUDGET as PHASES_BUDGET
 from poise.plan.planner import BUDGET
 from poise.session.placing.placement import has_order, ruled, ruled_phases
@@ -136,7 +136,7 @@ def plan_command(
         return found.robot
 
     def changed(problem: plan.Problem) -> plan.Problem:
-        return _changed(problem, without or [], add or [], scale or [])
+        return changed_problem(problem, without or [], add or [], scale or [])
 
     if smallest and robot is not None and not tasks:
         tasks = [each.name for each in robot.tasks]
@@ -348,55 +348,3 @@ def _answer_comparison(
         print_json({"results": {name: r.to_dict() for name, r in results.items()}})
     else:
         show_comparison(problem, results, Console())
-
-
-def _changed(
-    problem: plan.Problem, without: list[str], add: list[str], scale: list[str]
-) -> plan.Problem:
-    """Return the problem without computers, with others, and with other capacities."""
-    if without:
-        problem = plan.without(problem, without)
-    for text in add:
-        problem = plan.add(problem, _computer(text))
-    if scale:
-        problem = plan.scale(problem, dict(_factor(text) for text in scale))
-    return problem
-
-
-def _computer(text: str) -> Computer:
-    """Return the computer that ``NAME:cpu=2,memory=4GiB`` describes."""
-    name, colon, rest = text.partition(":")
-    if not name or not colon:
-        raise UsageError(f"--add {text!r}: write NAME:cpu=2,memory=4GiB")
-    pairs = [_pair(f"--add {text!r}", part) for part in rest.split(",") if part]
-    return Computer(
-        name=name,
-        capacity={key: _amount(f"--add {text!r}", key, value) for key, value in pairs},
-    )
-
-
-def _factor(text: str) -> tuple[str, float]:
-    """Return the name and the factor of ``NAME=0.5``."""
-    name, value = _pair(f"--scale {text!r}", text)
-    try:
-        number = float(value)
-    except ValueError:
-        number = -1.0
-    if not (isfinite(number) and number >= 0):
-        raise UsageError(f"--scale {text!r}: {value!r} is not a number >= 0")
-    return name, number
-
-
-def _pair(option: str, text: str) -> tuple[str, str]:
-    key, equals, value = text.partition("=")
-    if not key or not equals:
-        raise UsageError(f"{option}: {text!r} is not NAME=VALUE")
-    return key.strip(), value.strip()
-
-
-def _amount(option: str, resource: str, value: str) -> float:
-    known = {"cpu": units.CORES, "memory": units.BYTES}
-    try:
-        return units.parse(value, known.get(resource, units.NUMBER))
-    except ValueError as error:
-        raise UsageError(f"{option}: {error}") from None

@@ -13,7 +13,7 @@ from rich.markup import escape
 
 from poise.cli.options import AsJson, print_json
 from poise.errors import UsageError
-from poise.manage.journal import KINDS, Entry, read_journal
+from poise.manage.journal import KINDS, JournalEntry, read_journal
 from poise.session.render.printable import console_to
 
 _LOOK_EVERY = 0.2
@@ -52,7 +52,7 @@ def journal_command(
     if follow and as_json:
         raise UsageError("--follow and --json together: JSON is one whole object")
 
-    def fits(entry: Entry) -> bool:
+    def fits(entry: JournalEntry) -> bool:
         named = about is None or about in entry.what
         return named and (not kind or entry.kind in kind)
 
@@ -72,7 +72,7 @@ def journal_command(
             _show(console, [entry for entry in new if fits(entry)], facts=facts)
 
 
-def _show(console: Console, entries: list[Entry], *, facts: bool) -> None:
+def _show(console: Console, entries: list[JournalEntry], *, facts: bool) -> None:
     for entry in entries:
         style = _COLOURS.get(entry.kind, "")
         console.print(escape(f"{entry.kind:8}{entry}"), style=style)

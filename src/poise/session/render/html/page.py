@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING, NamedTuple
 
-from poise.manage.journal import Entry
+from poise.manage.journal import JournalEntry
 from poise.session.render.html.time_line import time_line
 from poise.units import counted, format_seconds
 
@@ -118,7 +118,7 @@ def _deadlines(report: RunReport) -> Iterator[_Deadline]:
         yield _Deadline(chain.name, chain.deadline, *counts)
 
 
-def _worst(report: RunReport, entries: Mapping[int, Entry]) -> Iterator[str]:
+def _worst(report: RunReport, entries: Mapping[int, JournalEntry]) -> Iterator[str]:
     """Yield the deadlines that were missed most, and what happened around them."""
     missed = sorted(
         (each for each in _deadlines(report) if each.missed),
@@ -148,7 +148,7 @@ def _worst(report: RunReport, entries: Mapping[int, Entry]) -> Iterator[str]:
 
 
 def _around(
-    name: str, moment: Moment, entries: Mapping[int, Entry], began: float
+    name: str, moment: Moment, entries: Mapping[int, JournalEntry], began: float
 ) -> str:
     """Return what else there was in the second when a timer or chain missed most."""
     cpu = ", ".join(
@@ -169,7 +169,7 @@ def _around(
     return "<br>".join(escape(line) for line in lines if line)
 
 
-def _journal(entries: Mapping[int, Entry], began: float) -> str:
+def _journal(entries: Mapping[int, JournalEntry], began: float) -> str:
     rows = [
         (str(n), f"{entry.at - began:.1f} s", entry.kind, escape(entry.what))
         for n, entry in entries.items()

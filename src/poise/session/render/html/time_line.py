@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
-from poise.manage.journal import Entry
+from poise.manage.journal import JournalEntry
 
 if TYPE_CHECKING:
     from poise.session.reports.history import Moment
@@ -21,7 +21,7 @@ _MISSED = "worst missed"
 
 def time_line(
     moments: Sequence[Moment],
-    entries: Mapping[int, Entry],
+    entries: Mapping[int, JournalEntry],
     began: float,
     seconds: float,
 ) -> str:
@@ -67,7 +67,7 @@ def _axis(end: float, height: int) -> Iterator[str]:
 
 
 def _marks(
-    entries: Mapping[int, Entry], began: float, end: float, height: int
+    entries: Mapping[int, JournalEntry], began: float, end: float, height: int
 ) -> Iterator[str]:
     for number, entry in entries.items():
         if entry.at < began:
