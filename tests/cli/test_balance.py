@@ -9,7 +9,7 @@ import typer
 
 from poise.cli.command.run_time.running_robot import balance_command, move_command
 from poise.manage.adaptation.replan import Proposal
-from poise.manage.control_socket.records import Moved, Rebalanced
+from poise.manage.control_socket.records import Rebalanced
 from poise.manage.migration.report import MigrationReport
 from poise.manage.migration.transition import TransitionStep
 from poise.manage.migration.transition_run import TransitionReport
@@ -49,7 +49,7 @@ def test_an_outcome_that_was_rolled_back_is_json_too(
         downtime=0.0,
     )
     monkeypatch.setattr(
-        "poise.session.running_robots.running.send_command", lambda *_: Moved(report)
+        "poise.session.running_robots.running.send_command", lambda *_: report
     )
     with pytest.raises(typer.Exit):
         move_command("eye", "b", as_json=True)

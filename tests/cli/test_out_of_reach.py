@@ -17,10 +17,10 @@ from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.control_socket.client import send_command
 from poise.manage.control_socket.records import (
     MoveCommand,
-    Moved,
     RobotStatus,
     StatusCommand,
 )
+from poise.manage.migration.report import MigrationReport
 from poise.model.robot import Computer, Robot
 from poise.wire.records.status import ConnectorStatus
 from tests.command import POISE, run_poise
@@ -292,8 +292,8 @@ def test_the_first_move_after_a_short_cut_works(field: Field, up: Up) -> None:
         threading.Event().wait(CUT)
         field.set_cable(name, "up")
         moved = send_command(field.name, MoveCommand("source", there))
-        assert isinstance(moved, Moved)
-        assert moved.report.committed, moved.report.reason
+        assert isinstance(moved, MigrationReport)
+        assert moved.committed, moved.reason
         up.wait_for(rf"\d\d:\d\d:\d\d moved component 'source' from .* to '{there}'")
         assert at(field, "source") == there
     assert run_poise("status").returncode == 0

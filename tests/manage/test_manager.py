@@ -11,7 +11,6 @@ from poise.manage.agent_connections.agents import Agents
 from poise.manage.control_socket.records import (
     LogCommand,
     MoveCommand,
-    Moved,
     Refusal,
     StatusCommand,
     StopCommand,
@@ -20,6 +19,7 @@ from poise.manage.control_socket.records import (
 from poise.manage.deploy.running_components import Run
 from poise.manage.journal import Journal
 from poise.manage.manager import Manager
+from poise.manage.migration.report import MigrationReport
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.recording import Recording
 from poise.manage.tasks.tasks import Tasks
@@ -55,8 +55,8 @@ class Managed:
         future = self.manager.submit(COMMAND)
         self.manager.work(0.0)
         result = future.result(0.0)
-        assert isinstance(result, Moved)
-        assert not result.report.committed
+        assert isinstance(result, MigrationReport)
+        assert not result.committed
         return [entry.what for entry in self.journal.entries()[before:]]
 
 

@@ -18,11 +18,10 @@ from concurrent.futures import Future
 from msgspec import structs
 
 from poise.errors import PoiseError, RunError, TakenOver
-from poise.manage.adaptation.admission import check_move
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.loop import Adaptation
-from poise.manage.adaptation.replan import with_present_demands
 from poise.manage.adaptation.shortages.put_aside import PutAside
+from poise.manage.adaptation.what_if import check_move
 from poise.manage.agent_connections.output import read_log
 from poise.manage.agent_connections.taps import read_tap
 from poise.manage.control_socket.records import (
@@ -31,7 +30,6 @@ from poise.manage.control_socket.records import (
     JournalEntries,
     LogCommand,
     MoveCommand,
-    Moved,
     RebalanceCommand,
     Rebalanced,
     Refusal,
@@ -287,15 +285,12 @@ class Manager:
                 return self._adaptation.what_if(component, computer)
             case MoveCommand(component, computer, force):
                 if not force:
-                    robot = with_present_demands(
-                        run.robot, self._estimates.demand_estimates()
-                    )
-                    check_move(robot, run.placement(), component, computer)
-                return Moved(move(run, component, computer, force=force))
+                    check_move(self._facts(), component, computer)
+                return move(run, component, computer, force=force)
             case ReplaceCommand(component, by, adapt, fresh) if ":" in by:
-                return Moved(replace(run, component, by, adapt, fresh=fresh))
+                return replace(run, component, by, adapt, fresh=fresh)
             case ReplaceCommand(what, by, adapt, fresh):
-                return Moved(replace_architecture(run, what, by, adapt, fresh=fresh))
+                return replace_architecture(run, what, by, adapt, fresh=fresh)
             case TaskCommand(verb, task, priority):
                 self.tasks.command(verb, task, priority)
                 return TaskDone(self.tasks.report(task))

@@ -301,6 +301,17 @@ class Robot(Struct, frozen=True, kw_only=True):
             yield from architecture.connectors
         yield from self.connectors
 
+    def architecture_of(self, component: str) -> Architecture:
+        """Return the architecture that has a component; KeyError when there is none."""
+        for architecture in self.architectures:
+            if any(each.name == component for each in architecture.components):
+                return architecture
+        raise KeyError(component)
+
+    def component(self, name: str) -> ComponentEntry:
+        """Return the component called `name`; KeyError when there is none."""
+        return _named(tuple(self.components()), name)
+
     def task(self, name: str) -> Task:
         """Return the task called `name`; KeyError when there is none."""
         return _named(self.tasks, name)

@@ -8,8 +8,7 @@ import msgspec
 import pytest
 
 from poise.clock import SystemClock
-from poise.manage.agent_connections.messages import reading
-from poise.manage.agent_connections.reports import MOST_REFUSED, AgentReports
+from poise.manage.agent_connections.reports import MOST_REFUSED, AgentReports, reading
 from poise.wire.records.status import AgentStatus
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
+from poise.manage.agent_connections.statuses import connectors_of
 from poise.model.robot import Computer, Robot
 from poise.session.reports.history import cpu_shares
 from poise.session.reports.run_errors import ComponentError, HungHandler
 from poise.session.reports.run_report import (
     RunReport,
     component_reports,
-    connector_reports,
 )
 from poise.wire.records.status import (
     AgentStatus,
@@ -67,7 +67,7 @@ def test_a_components_cpu_is_of_the_run_alone() -> None:
 
 
 def test_every_end_of_a_connector_is_reported() -> None:
-    assert [c.name for c in connector_reports(END)] == ["x"]
+    assert [c.name for c in connectors_of(END)] == ["x"]
 
 
 GOOD = RunReport(

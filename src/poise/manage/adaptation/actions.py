@@ -10,13 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from poise.errors import RunError, UsageError
-from poise.manage.adaptation.admission import check_move
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.move_limits import MoveLimits
 from poise.manage.adaptation.policy.evaluation import Symptom
-from poise.manage.adaptation.replan import with_present_demands
 from poise.manage.adaptation.shortages.crash_loops import CrashLoops, components_in
 from poise.manage.adaptation.shortages.put_aside import PutAside
+from poise.manage.adaptation.what_if import check_move
 from poise.manage.deploy.running_components import Run
 from poise.manage.migration.move import move
 from poise.manage.migration.replacement import replace_architecture
@@ -65,8 +64,7 @@ class Actions:
                 raise RunError("the move is over the budget of a minute")
             if target in self._limits.barred(now).get(component, ()):
                 raise RunError(f"'{component}' left '{target}' only lately")
-            robot = with_present_demands(facts.robot, facts.demand_estimates)
-            check_move(robot, facts.placement, component, target)
+            check_move(facts, component, target)
         step = TransitionStep(
             kind="move", component=component, source=source, target=target
         )

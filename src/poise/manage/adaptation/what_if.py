@@ -9,7 +9,6 @@ from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import RobotError, UsageError
-from poise.manage.adaptation.admission import new_breaks
 from poise.manage.adaptation.decision import DOWNTIME, MOVE, cost_of, starts_of
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.replan import with_present_demands
@@ -102,7 +101,7 @@ def what_if(
         target=computer,
         now=now.objective,
         then=then.objective,
-        breaks=tuple(new_breaks(robot, before, component, computer)),
+        breaks=tuple(_new_breaks(robot, before, component, computer)),
         trouble=now.reason,
         loads={
             name: (_load(demands, before, name), _load(demands, after, name))
@@ -215,3 +214,38 @@ def _load(
     demands: Mapping[str, float], placement: Mapping[str, str], computer: str
 ) -> float:
     return sum(demands[name] for name, at in placement.items() if at == computer)
+
+
+def check_move(facts: Facts, component: str, computer: str) -> None:
+    """Raise UsageError when a component does not fit on a computer beside what runs.
+
+    Limits that are broken without it do not count.
+    """
+    known = {each.name for each in facts.robot.computers}
+    if component not in facts.placement or computer not in known:
+        return  # the move itself says so
+    robot = with_present_demands(facts.robot, facts.demand_estimates)
+    if new := _new_breaks(robot, facts.placement, component, computer):
+        raise UsageError(
+            f"component '{component}' does not fit on '{computer}' ({'; '.join(new)}); "
+            "`--force` moves it nevertheless"
+        )
+
+
+def _new_breaks(
+    robot: Robot, placement: Mapping[str, str], component: str, computer: str
+) -> list[str]:
+    """Return the limits that a component would break there, in the planner's words."""
+    others = {name: at for name, at in placement.items() if name != component}
+    before = _broken(robot, others)
+    after = _broken(robot, {**others, component: computer})
+    return [limit for limit in after if limit not in before]
+
+
+def _broken(robot: Robot, placement: Mapping[str, str]) -> list[str]:
+    """Return the limits that a placement breaks, in the planner's words."""
+    if not placement:
+        return []
+    problem = plan.keep_components(plan.problem_of(robot), placement.keys())
+    reason = plan.evaluate(problem, placement).reason
+    return reason.split("; ") if reason else []

@@ -11,12 +11,8 @@ from poise.endpoint import Endpoint
 from poise.errors import RunError
 from poise.manage.agent_connections.checkpoint_copies import CheckpointCopies
 from poise.manage.agent_connections.heartbeats import AgentHeartbeats
-from poise.manage.agent_connections.messages import (
-    has_ended,
-    manager_id,
-    reading,
-)
-from poise.manage.agent_connections.reports import AgentReports
+from poise.manage.agent_connections.identity import has_ended, manager_id
+from poise.manage.agent_connections.reports import AgentReports, reading
 from poise.manage.agent_connections.requests import (
     ANSWER_LIMIT,
     LOOK_EVERY,

@@ -9,13 +9,17 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
+from typing import TypeVar
 
+import msgspec
 import zenoh
 
 from poise.clock import Clock
 from poise.errors import RunError
 from poise.wire.control_session import parse_identity
 from poise.wire.records.status import AgentStatus
+
+S = TypeVar("S")
 
 MOST_REFUSED = 100
 """At most this many different sentences about refused records are kept."""
@@ -168,3 +172,20 @@ class AgentReports:
     def _note_news(self) -> None:
         self._version += 1
         self._changed.notify_all()
+
+
+def reading(
+    type_: type[S], take: Callable[[S], object], refuse: Callable[[str], object]
+) -> Callable[..., None]:
+    """Return what takes the records of a type from agents, and refuses others."""
+    decode = msgspec.msgpack.Decoder(type_).decode
+
+    def hear(sample: zenoh.Sample) -> None:
+        try:
+            record = decode(sample.payload.to_bytes())
+        except msgspec.DecodeError as error:
+            refuse(f"a record at {sample.key_expr} was refused: {error}")
+        else:
+            take(record)
+
+    return hear

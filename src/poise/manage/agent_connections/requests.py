@@ -12,7 +12,6 @@ import zenoh
 from zenoh.handlers import Callback
 
 from poise.clock import Clock
-from poise.manage.agent_connections.messages import answer_of, note
 from poise.manage.agent_connections.reports import AgentReports
 from poise.wire.records.requests import (
     Accepted,
@@ -122,7 +121,7 @@ class AgentRequests:
         pending, deadline = set(asked), self._clock.now() + _LAST_REPLY
         deadline += max((limit for _, _, limit in asked.values()), default=0.0)
         for key, (computer, request, limit) in asked.items():
-            take = partial(note, replies, key)
+            take = partial(_note, replies, key)
             token = self._tokens.get(computer, 0)
             self._session.get(
                 f"{self._prefix}/agent/{computer}",
@@ -145,7 +144,7 @@ class AgentRequests:
                 key, reply = next(iter(gone or pending)), None
             if key in pending:
                 pending.discard(key)
-                yield key, answer_of(reply)
+                yield key, _answer_of(reply)
 
     def _is_reached(self, computer: str) -> bool:
         return computer in self._reports.reached()
@@ -161,3 +160,25 @@ class AgentRequests:
         ):
             return "is out of reach"
         return f"did not answer within {limit:g} s"
+
+
+def _note(
+    replies: SimpleQueue[tuple[K, zenoh.Reply | None]],
+    key: K,
+    reply: zenoh.Reply | None = None,
+) -> None:
+    """Store a reply, or None at the end of replies; for zenoh's threads."""
+    replies.put((key, reply))
+
+
+def _answer_of(reply: zenoh.Reply | None) -> Answer | None:
+    """Return an agent's answer: None when it gave none, `Refused` when it is none."""
+    if reply is None or reply.ok is None:
+        return None
+    try:
+        answer: Answer = msgspec.msgpack.decode(
+            reply.ok.payload.to_bytes(), type=Answer
+        )
+    except msgspec.DecodeError as error:
+        return Refused(f"not an answer: {error}")
+    return answer

@@ -20,9 +20,16 @@ _WORKING = {
 
 def components_of(statuses: Statuses) -> Iterator[ComponentStatus]:
     """Yield the components in all statuses."""
-    for status in statuses.values():
+    for _, component in located(statuses):
+        yield component
+
+
+def located(statuses: Statuses) -> Iterator[tuple[str, ComponentStatus]]:
+    """Yield the components in all statuses with their computers, by computer."""
+    for computer, status in sorted(statuses.items()):
         for container in status.containers:
-            yield from container.components
+            for component in container.components:
+                yield computer, component
 
 
 def calling_ports(statuses: Statuses) -> set[tuple[str, str]]:

@@ -176,12 +176,6 @@ class StopReport(Struct, frozen=True, tag=True):
     remaining: tuple[str, ...] = ()
 
 
-class Moved(Struct, frozen=True, tag=True):
-    """The outcome of a move or a replacement."""
-
-    report: MigrationReport
-
-
 class JournalEntries(Struct, frozen=True, tag=True):
     """Entries of the journal, oldest first."""
 
@@ -223,7 +217,7 @@ class TaskDone(Struct, frozen=True, tag=True):
 Result = (
     RobotStatus
     | StopReport
-    | Moved
+    | MigrationReport
     | Rebalanced
     | TaskDone
     | TapReading

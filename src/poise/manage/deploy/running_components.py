@@ -17,6 +17,7 @@ from poise.manage.agent_connections.statuses import (
     components_of,
     containers_left,
     gateways,
+    located,
     missing,
     unreached,
 )
@@ -362,13 +363,12 @@ class Run:
     def _raise_on_trouble(self) -> bool:
         self.look()
         prepared = {(name, each.epoch) for name, each in self.prepared.items()}
-        for computer, status in self.agents.statuses().items():
-            for component in components_of({computer: status}):
-                is_prepared = (component.name, component.epoch) in prepared
-                if component.state == "failed" and not is_prepared:
-                    what = f"component '{component.name}' on '{computer}' failed"
-                    self.journal.note("failed", what)
-                    raise RunError(f"{what}:\n{component.error}")
+        for computer, component in located(self.agents.statuses()):
+            is_prepared = (component.name, component.epoch) in prepared
+            if component.state == "failed" and not is_prepared:
+                what = f"component '{component.name}' on '{computer}' failed"
+                self.journal.note("failed", what)
+                raise RunError(f"{what}:\n{component.error}")
         return False
 
     def raise_on_unreached(self, incarnations: Iterable[Incarnation]) -> None:

@@ -16,7 +16,6 @@ from poise.manage.deploy.running_components import ACTIVE_LIMIT, READY_LIMIT, Ru
 from poise.manage.migration.coordinator import Migration
 from poise.manage.migration.report import MigrationReport
 from poise.model.check.allowed_computers import allowed_computers
-from poise.model.robot import ComponentEntry, Layer
 
 
 def move(
@@ -76,12 +75,12 @@ def replace(
         There is no such component, or its layer stays as it is.
     """
     old = _placed(run, component)
-    if (layer := _layer(run, component)) != "sequencing":
+    if (layer := run.robot.architecture_of(component).layer) != "sequencing":
         raise UsageError(
             f"component '{component}' is in the {layer} layer, which stays as it is: "
             "stop the robot to change it"
         )
-    if _component(run, component).command:
+    if run.robot.component(component).command:
         raise UsageError(
             f"component '{component}' is a command line: it has no implementation"
         )
@@ -105,7 +104,7 @@ def _migrate(
         by=by,
         before={old.component: old.computer},
         after={old.component: new.computer},
-        cold=bool(_component(run, old.component).command),
+        cold=bool(run.robot.component(old.component).command),
     )
     if report.cold:
         report = _move_cold(run, report, old, new)
@@ -177,7 +176,7 @@ def _check_target(run: Run, component: str, computer: str, *, force: bool) -> No
     known = [each.name for each in run.robot.computers]
     if computer not in known:
         raise UsageError(f"no computer '{computer}' (there are {', '.join(known)})")
-    layer = _layer(run, component)
+    layer = run.robot.architecture_of(component).layer
     if layer != "sequencing" and not force:
         raise UsageError(
             f"component '{component}' is in the {layer} layer, which does not move; "
@@ -189,17 +188,5 @@ def _check_target(run: Run, component: str, computer: str, *, force: bool) -> No
             f"component '{component}' may not run on '{computer}', only on "
             f"{' or '.join(allowed) or 'none'}"
         )
-    if not _component(run, component).movable:
+    if not run.robot.component(component).movable:
         raise UsageError(f"component '{component}' is not movable (robot file)")
-
-
-def _layer(run: Run, component: str) -> Layer:
-    return next(
-        a.layer
-        for a in run.robot.architectures
-        if component in {c.name for c in a.components}
-    )
-
-
-def _component(run: Run, name: str) -> ComponentEntry:
-    return next(each for each in run.robot.components() if each.name == name)

@@ -10,7 +10,7 @@ from poise.manage.journal import Journal
 from poise.wire.records.migration import StepTaken
 
 
-class MigrationReport(Struct, frozen=True, kw_only=True):
+class MigrationReport(Struct, frozen=True, tag=True, kw_only=True):
     """How a move went, or the replacement of a component's code or an architecture.
 
     Parameters

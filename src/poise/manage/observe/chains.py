@@ -8,7 +8,7 @@ from itertools import pairwise
 
 from msgspec import Struct
 
-from poise.manage.agent_connections.statuses import Statuses, connectors_of
+from poise.manage.agent_connections.statuses import Statuses, connectors_of, located
 from poise.manage.observe.deadline_misses import OVER, is_late
 from poise.model.robot import Chain, Robot
 from poise.units import format_seconds
@@ -128,12 +128,10 @@ class ChainAge(Struct, frozen=True, kw_only=True):
 def chain_reports(robot: Robot, statuses: Statuses) -> tuple[ChainReport, ...]:
     """Return the chains all of whose components run, in the robot file's order."""
     running: dict[str, tuple[str, ComponentStatus]] = {}
-    for computer, status in statuses.items():
-        for container in status.containers:
-            for component in container.components:
-                known = running.get(component.name)
-                if known is None or known[1].epoch <= component.epoch:
-                    running[component.name] = computer, component
+    for computer, component in located(statuses):
+        known = running.get(component.name)
+        if known is None or known[1].epoch <= component.epoch:
+            running[component.name] = computer, component
     ends = {(end.name, end.end): end for end in connectors_of(statuses)}
     return tuple(
         _report(robot, chain, running, ends)

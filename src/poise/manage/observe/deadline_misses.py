@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
 
 from msgspec import Struct
 
-from poise.wire.records.status import AgentStatus, TimerStatus
+from poise.manage.agent_connections.statuses import Statuses, located
+from poise.wire.records.status import TimerStatus
 
 _SEVERAL, _MISSED = 2, 0.2
 """A timer is late that misses as many deadlines, and this share of them."""
@@ -61,9 +61,7 @@ class DeadlineMisses:
     def __init__(self) -> None:
         self._totals: dict[tuple[str, int, str], deque[tuple[float, int, int]]] = {}
 
-    def look(
-        self, statuses: Mapping[str, AgentStatus], now: float
-    ) -> tuple[Misses, ...]:
+    def look(self, statuses: Statuses, now: float) -> tuple[Misses, ...]:
         """Return the timers with a deadline that were due lately.
 
         Parameters
@@ -73,30 +71,27 @@ class DeadlineMisses:
         """
         found, before = [], self._totals
         self._totals = {}
-        for computer, status in statuses.items():
-            for container in status.containers:
-                for component in container.components:
-                    for timer in component.timers:
-                        if timer.deadline is None:
-                            continue
-                        key = component.name, component.epoch, timer.name
-                        totals = before.get(key, deque())
-                        self._totals[key] = totals
-                        seconds = max(OVER, 2 * timer.period)
-                        released, missed = _count(totals, timer, now, seconds)
-                        if released:
-                            found.append(
-                                Misses(
-                                    component=component.name,
-                                    computer=computer,
-                                    timer=timer.name,
-                                    released=released,
-                                    missed=missed,
-                                    seconds=seconds,
-                                    deadline=timer.deadline,
-                                    takes=timer.duration.p99,
-                                )
-                            )
+        for computer, component in located(statuses):
+            for timer in component.timers:
+                if timer.deadline is None:
+                    continue
+                key = component.name, component.epoch, timer.name
+                totals = self._totals[key] = before.get(key, deque())
+                seconds = max(OVER, 2 * timer.period)
+                released, missed = _count(totals, timer, now, seconds)
+                if released:
+                    found.append(
+                        Misses(
+                            component=component.name,
+                            computer=computer,
+                            timer=timer.name,
+                            released=released,
+                            missed=missed,
+                            seconds=seconds,
+                            deadline=timer.deadline,
+                            takes=timer.duration.p99,
+                        )
+                    )
         return tuple(found)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -11,6 +11,7 @@ from msgspec import Struct
 from poise.errors import RunError, UsageError
 from poise.estimate.profile import KindCosts
 from poise.estimate.profile import file as profile_file
+from poise.manage.agent_connections.statuses import Statuses, located
 from poise.manage.journal import Journal
 from poise.manage.observe.recording import Recording
 from poise.model.robot import Robot
@@ -20,7 +21,6 @@ from poise.session.calibration.robots import pairs, yardsticks
 from poise.session.callbacks import Check, nothing
 from poise.session.launch.start import Sampling, started
 from poise.session.profiles import check_keepable, read_profile, store_of
-from poise.wire.records.status import AgentStatus
 
 _WARM_UP = 1.0
 _SPREAD = 0.05
@@ -134,7 +134,7 @@ def _speeds(
     with started(bare, placement, journal, _silent, check=check) as up:
         up.watch(_WARM_UP)
         up.watch(seconds)
-        measured = _measures(up.run.agents.statuses().values())
+        measured = _measures(up.run.agents.statuses())
     if reference not in measured:
         raise RunError(f"'{reference}' was too busy to be measured; try again")
     unit = max(measured[reference]) / robot.computer(reference).speed
@@ -149,13 +149,11 @@ def _speeds(
     return speeds, doubts
 
 
-def _measures(statuses: Iterable[AgentStatus]) -> dict[str, tuple[float, ...]]:
+def _measures(statuses: Statuses) -> dict[str, tuple[float, ...]]:
     """Return computer -> the largest score of each series of its yardstick."""
     return {
-        status.computer: tuple(component.measures[each].maximum for each in SCORES)
-        for status in statuses
-        for container in status.containers
-        for component in container.components
+        computer: tuple(component.measures[each].maximum for each in SCORES)
+        for computer, component in located(statuses)
         if component.measures.keys() >= set(SCORES)
     }
 

@@ -216,7 +216,7 @@ def _needed(
 
 def _required(robot: Robot, name: str) -> set[str]:
     """Return the names of a component's required ports."""
-    component = next(c for c in robot.components() if c.name == name)
+    component = robot.component(name)
     if not component.implementation:
         return {port.name for port in component.ports if port.kind == "requires"}
     search_also(robot.repository)

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from poise.manage.observe.faults import combined
 from poise.session.render.shared_tables.chains import chain_tables
-from poise.session.render.shared_tables.clocks import clock_table
+from poise.session.render.shared_tables.clocks import clock_tables
 from poise.session.render.shared_tables.columns import table
 from poise.session.render.shared_tables.connectors import connector_tables
 from poise.session.render.shared_tables.tasks import task_lines
@@ -26,14 +26,10 @@ if TYPE_CHECKING:
 def report_parts(report: RunReport) -> Iterator[RenderableType]:
     """Yield where the components ran, what they used, and how timers kept up."""
     yield _component_table(report)
-    measures = _measure_table(report)
-    if measures.row_count:
-        yield measures
+    yield from _measure_tables(report)
     yield from chain_tables(report.chains)
     yield from connector_tables(report.connectors)
-    clocks = clock_table(report.clocks)
-    if clocks.row_count:
-        yield clocks
+    yield from clock_tables(report.clocks)
     shares = ", ".join(
         f"{name} {share:.0%}" for name, share in report.cpu_share.items()
     )
@@ -108,11 +104,12 @@ def _add_component(rows: Table, component: ComponentReport) -> None:
         head = ("", "")
 
 
-def _measure_table(report: RunReport) -> Table:
+def _measure_tables(report: RunReport) -> Iterator[Table]:
     rows = table("measure", "count", "mean", "median", "p99", "maximum")
     for component in report.components:
         for name, summary in component.measures.items():
             values = summary.mean, summary.median, summary.p99, summary.maximum
             numbers = (f"{value:.4g}" for value in values)
             rows.add_row(f"{component.name} {name}", str(summary.count), *numbers)
-    return rows
+    if rows.row_count:
+        yield rows

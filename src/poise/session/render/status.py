@@ -10,11 +10,11 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from poise.manage.agent_connections.statuses import connectors_of
+from poise.manage.agent_connections.statuses import connectors_of, located
 from poise.manage.control_socket.records import RobotStatus
 from poise.manage.observe.estimates import DemandEstimate
 from poise.session.render.shared_tables.chains import chain_tables
-from poise.session.render.shared_tables.clocks import clock_table
+from poise.session.render.shared_tables.clocks import clock_tables
 from poise.session.render.shared_tables.columns import table
 from poise.session.render.shared_tables.connectors import connector_tables
 from poise.session.render.shared_tables.tasks import task_lines
@@ -41,13 +41,10 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
     yield component_table(status)
     for remark in remarks(status):
         yield f"[yellow]{remark}[/]"
-    yield from _switch_lines(status)
     yield from chain_tables(status.chains)
     yield from connector_tables(connectors_of(status.computers))
     known = {name: each.clocks for name, each in sorted(status.computers.items())}
-    clocks = clock_table(known)
-    if clocks.row_count:
-        yield clocks
+    yield from clock_tables(known)
     yield computer_table(status)
     if means := {
         n: c.cpu_weights for n, c in status.computers.items() if c.cpu_weights
@@ -101,12 +98,6 @@ def container_lines(answer: RobotStatus) -> Iterator[str]:
             )
 
 
-def _switch_lines(answer: RobotStatus) -> Iterator[str]:
-    """Give how long switches to actions took."""
-    if switches := str(answer.prefetch):
-        yield f"switches to actions: {switches}"
-
-
 def _clock(moment: float) -> str:
     return time.strftime("%H:%M:%S", time.localtime(moment))
 
@@ -123,10 +114,8 @@ def _each(
     answer: RobotStatus,
 ) -> Iterator[tuple[str, ComponentStatus, DemandEstimate | None]]:
     demand_estimates = {each.component: each for each in answer.demand_estimates}
-    for computer, status in sorted(answer.computers.items()):
-        for container in status.containers:
-            for component in container.components:
-                yield computer, component, demand_estimates.get(component.name)
+    for computer, component in located(answer.computers):
+        yield computer, component, demand_estimates.get(component.name)
 
 
 def _remarks(

@@ -10,7 +10,12 @@ from msgspec import Struct
 from rich.console import RenderableType
 
 from poise.errors import RunError
-from poise.manage.agent_connections.statuses import Statuses
+from poise.manage.agent_connections.statuses import (
+    Statuses,
+    components_of,
+    connectors_of,
+    located,
+)
 from poise.manage.deploy.deactivation import unprocessed
 from poise.manage.journal import JournalEntry
 from poise.manage.observe.chains import ChainReport, chain_reports
@@ -248,7 +253,7 @@ def reported(
         seconds=seen.seconds,
         cpu_share=cpu_shares(robot, seen.begin, seen.end, up.computers.faster),
         components=component_reports(seen.begin, final),
-        connectors=connector_reports(final),
+        connectors=tuple(connectors_of(final)),
         began=seen.began,
         history=seen.history,
         journal=journal,
@@ -271,20 +276,8 @@ def reported(
 def component_reports(begin: Statuses, end: Statuses) -> tuple[ComponentReport, ...]:
     """Return a report for every component in the last statuses."""
     return tuple(
-        _component(component, computer, status, begin.get(computer))
-        for computer, status in end.items()
-        for container in status.containers
-        for component in container.components
-    )
-
-
-def connector_reports(end: Statuses) -> tuple[ConnectorStatus, ...]:
-    """Return what every end of every connector counted."""
-    return tuple(
-        connector
-        for status in end.values()
-        for container in status.containers
-        for connector in container.connectors
+        _component(component, computer, end[computer], begin.get(computer))
+        for computer, component in located(end)
     )
 
 
@@ -312,8 +305,5 @@ def _component(
 
 
 def _cpu_before(name: str, first: AgentStatus | None) -> float:
-    for container in first.containers if first else ():
-        for component in container.components:
-            if component.name == name:
-                return component.cpu
-    return 0.0
+    there = components_of({first.computer: first}) if first else ()
+    return next((each.cpu for each in there if each.name == name), 0.0)

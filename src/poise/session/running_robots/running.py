@@ -20,7 +20,6 @@ from poise.manage.control_socket.records import (
     LogCommand,
     LogReading,
     MoveCommand,
-    Moved,
     RebalanceCommand,
     Rebalanced,
     ReplaceCommand,
@@ -245,7 +244,7 @@ class Running:
             raise RunError("\n".join(remaining))
 
     def _migrate(self, command: MoveCommand | ReplaceCommand) -> MigrationReport:
-        report = self._send(command, Moved).report
+        report = self._send(command, MigrationReport)
         if not report.committed:
             raise RolledBack(outcome_sentence(report), report)
         return report

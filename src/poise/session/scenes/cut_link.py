@@ -7,6 +7,7 @@ from collections import Counter
 
 from msgspec import Struct
 
+from poise.manage.agent_connections.statuses import located
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say
 from poise.session.emulated import emulated
@@ -99,9 +100,6 @@ def _active(running: Running) -> Counter[str]:
     status = running.status()
     return Counter(
         component.name
-        for computer, report in status.computers.items()
-        if computer not in status.out_of_reach
-        for container in report.containers
-        for component in container.components
-        if component.state == "active"
+        for computer, component in located(status.computers)
+        if computer not in status.out_of_reach and component.state == "active"
     )

@@ -7,6 +7,7 @@ import time
 from msgspec import Struct
 
 from poise.emulate.kept.background_load import background_load
+from poise.manage.agent_connections.statuses import components_of
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say
 from poise.session.placing.placement import place
@@ -98,15 +99,13 @@ class Deadlines:
     def look(self) -> bool:
         """Count what came since the last look; return whether a deadline was missed."""
         missed = 0
-        for status in self._running.status().computers.values():
-            for container in status.containers:
-                for component in container.components:
-                    for timer in component.timers:
-                        key = component.name, component.epoch, timer.name
-                        released, late = self._before.get(key, (0, 0))
-                        self.released += timer.releases - released
-                        missed += timer.missed - late
-                        self._before[key] = timer.releases, timer.missed
+        for component in components_of(self._running.status().computers):
+            for timer in component.timers:
+                key = component.name, component.epoch, timer.name
+                released, late = self._before.get(key, (0, 0))
+                self.released += timer.releases - released
+                missed += timer.missed - late
+                self._before[key] = timer.releases, timer.missed
         self.missed += missed
         return missed > 0
 

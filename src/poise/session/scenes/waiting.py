@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 
 from poise.errors import RunError
-from poise.manage.agent_connections.statuses import components_of
+from poise.manage.agent_connections.statuses import components_of, located
 from poise.session.running_robots.running import Running
 
 WARM_UP = 4.0
@@ -19,11 +19,8 @@ def active_components(running: Running, lost: str = "") -> list[str]:
     """Return the active components of all computers but a lost one."""
     return [
         component.name
-        for computer, report in running.status().computers.items()
-        if computer != lost
-        for container in report.containers
-        for component in container.components
-        if component.state == "active"
+        for computer, component in located(running.status().computers)
+        if computer != lost and component.state == "active"
     ]
 
 

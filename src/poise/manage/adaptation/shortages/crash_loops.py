@@ -87,11 +87,7 @@ class CrashLoops:
         way_out = "it is taken back when its code has changed, or by `poise balance`"
         said = f" (the last time: {fault.message})" if fault else ""
         why = f"container '{container}' crashes again and again on {computers}{said}"
-        (architecture,) = (
-            a
-            for a in self._run.robot.architectures
-            if any(component.name in names for component in a.components)
-        )
+        architecture = self._run.robot.architecture_of(names[0])
         self._put_aside.bar(architecture.name)
         if any(c.name in self._run.placed for c in architecture.components):
             self._put_aside.put([architecture.name], f"{why}; {way_out}", now)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Literal
 
-from poise.manage.agent_connections.statuses import Statuses
+from poise.manage.agent_connections.statuses import Statuses, located
 from poise.manage.observe.estimates import Estimates
 from poise.wire.records.status import ComponentStatus, ConnectorStatus, Summary
 
@@ -69,10 +69,10 @@ def samples(estimates: Estimates, statuses: Statuses) -> Iterator[Sample]:
         yield "poise_connector_calls_per_second", labels, flow.calls
         yield "poise_connector_messages_per_second", labels, flow.messages
         yield "poise_connector_bytes_per_second", labels, flow.traffic
+    for computer, component in located(statuses):
+        yield from _chain_samples(component, computer)
     for computer, status in sorted(statuses.items()):
         for container in status.containers:
-            for component in container.components:
-                yield from _chain_samples(component, computer)
             for end in container.connectors:
                 labels = {"connector": end.name, "end": end.end, "computer": computer}
                 yield from _end_samples(labels, end)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 from rich.table import Table
 
@@ -11,8 +11,10 @@ from poise.units import format_seconds
 from poise.wire.records.clocks import ClockStatus
 
 
-def clock_table(clocks: Mapping[str, Mapping[str, ClockStatus]]) -> Table:
-    """Return a row for each two computers: how far the second is ahead, +- error."""
+def clock_tables(
+    clocks: Mapping[str, Mapping[str, ClockStatus]],
+) -> Iterator[Table]:
+    """Yield a row for each two computers: how far the second is ahead, +- error."""
     rows = table("clock of", "seen from", "ahead by", "quickest round trip", folds=1)
     for here, known in clocks.items():
         for there, clock in known.items():
@@ -21,7 +23,8 @@ def clock_table(clocks: Mapping[str, Mapping[str, ClockStatus]]) -> Table:
             error = format_seconds(clock.error)
             ahead = f"{_signed(clock.offset, clock.error)} ± {error}"
             rows.add_row(there, here, ahead, format_seconds(clock.trip))
-    return rows
+    if rows.row_count:
+        yield rows
 
 
 def _signed(offset: float, error: float) -> str:
