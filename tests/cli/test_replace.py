@@ -105,7 +105,7 @@ def test_the_alternative_goes_on_with_the_state_or_all_is_as_before(
 
     code, said = replace("halves", "bad", "--adapt", "replaced:misadapt")
     assert code == 1
-    assert said.startswith("halves goes on: ")
+    assert said.startswith("counter stays on left and adder stays on right: ")
     assert "LookupError: no such sum" in said
     wait_long(lambda: run_now("counter", "adder"))
     world.works()

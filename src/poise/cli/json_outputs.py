@@ -162,7 +162,7 @@ Listed = TypedDict(
 )
 
 
-class Shown(Listed):
+class Printable(Listed):
     """An architecture of `poise repository show`."""
 
     learned: list[Belief]
@@ -179,7 +179,7 @@ OUTPUTS: Mapping[str, Sequence[Any]] = {
     "policy": [list[Policy], list[Fired]],
     "repository": [list[Listed]],
     "repository list": [list[Listed]],
-    "repository show": [Shown],
+    "repository show": [Printable],
     "run": [RunReport],
     "demo": [DemoReport, ExperimentReport, *_SCENES],
     "emulate list": [list[ListedSet]],

@@ -36,7 +36,7 @@ class Room(Struct, frozen=True, kw_only=True):
     why: str = ""
 
 
-def room_for(
+def room_for_functions(
     facts: Facts, functions: Iterable[str], planned: Mapping[str, str]
 ) -> Room:
     """Return where functions go, beside what runs of them.

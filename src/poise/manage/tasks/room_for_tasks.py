@@ -14,7 +14,7 @@ from poise.manage.deploy.running_components import Run
 from poise.manage.tasks.learned_choice import situation_of
 from poise.manage.tasks.likely import PlanOverTime
 from poise.manage.tasks.progress import TaskRecord, Try
-from poise.manage.tasks.room import Room, room_for
+from poise.manage.tasks.room import Room, room_for_functions
 from poise.manage.tasks.serving import Serving
 from poise.manage.tasks.tasks import Tasks
 
@@ -113,4 +113,4 @@ class RoomForTasks:
             for n, at in planned.items()
             if n in runs
         }
-        return room_for(replace(facts, placement=placement), functions, hint)
+        return room_for_functions(replace(facts, placement=placement), functions, hint)

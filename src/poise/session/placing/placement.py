@@ -19,7 +19,7 @@ from poise.plan.solvers.portfolio import METHODS as SOLVERS
 from poise.session.placing.rules import RULES, by_rule, is_file, is_rule
 from poise.session.render.html.picture import planned_picture
 from poise.session.render.plan import phases_parts, plan_parts
-from poise.session.render.printable import Shown
+from poise.session.render.printable import Printable
 
 ALL = "all"
 """The name of the one phase in which all functions of the robot run."""
@@ -27,7 +27,7 @@ METHODS = (*SOLVERS, *RULES)
 """What may decide: a solver, or a rule that knows no objective."""
 
 
-class Placement(Shown, Struct, frozen=True, kw_only=True):
+class Placement(Printable, Struct, frozen=True, kw_only=True):
     """Where each component of a task runs, and why.
 
     It prints itself as a table, in a terminal and in a notebook.

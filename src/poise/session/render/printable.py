@@ -11,7 +11,7 @@ _WIDTH = 400
 """Of what is not a terminal [characters]: nothing is broken over lines there."""
 
 
-class Shown:
+class Printable:
     """Prints what `parts` returns."""
 
     __slots__ = ()

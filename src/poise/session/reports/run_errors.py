@@ -11,6 +11,7 @@ from poise.manage.agent_connections.statuses import (
     Statuses,
     components_of,
     connectors_of,
+    located,
 )
 from poise.manage.deploy.deployment_plan import name_of
 from poise.model.robot import Connector, Robot
@@ -47,8 +48,7 @@ def component_errors(statuses: Statuses) -> tuple[ComponentError, ...]:
             first=error.first,
             count=error.count,
         )
-        for computer, status in statuses.items()
-        for component in components_of({computer: status})
+        for computer, component in located(statuses)
         for error in component.error_counts
     ]
     return tuple(sorted(found, key=lambda error: error.first))
@@ -63,8 +63,7 @@ def hung_handlers(statuses: Statuses) -> tuple[HungHandler, ...]:
             handler=component.handler,
             seconds=component.handler_seconds,
         )
-        for computer, status in statuses.items()
-        for component in components_of({computer: status})
+        for computer, component in located(statuses)
         if component.handler and component.state == "active"
     )
 

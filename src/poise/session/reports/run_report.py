@@ -25,7 +25,7 @@ from poise.session.launch.start import Started
 from poise.session.placing.placement import Placement
 from poise.session.render.html.page import page
 from poise.session.render.html.picture import Hosted, picture
-from poise.session.render.printable import Shown
+from poise.session.render.printable import Printable
 from poise.session.render.report import report_parts
 from poise.session.reports.history import Moment, cpu_shares
 from poise.session.reports.run_errors import (
@@ -67,7 +67,7 @@ class ComponentReport(Struct, frozen=True, kw_only=True):
     measures: Mapping[str, Summary]
 
 
-class RunReport(Shown, Struct, frozen=True, kw_only=True):
+class RunReport(Printable, Struct, frozen=True, kw_only=True):
     """One run of a task. It prints itself as tables, in a terminal and in a notebook.
 
     Parameters

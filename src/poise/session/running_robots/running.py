@@ -33,7 +33,7 @@ from poise.manage.control_socket.records import (
 from poise.manage.journal import JournalEntry
 from poise.manage.migration.report import MigrationReport
 from poise.session.render.moves import Outcome, outcome_sentence
-from poise.session.render.printable import Shown
+from poise.session.render.printable import Printable
 from poise.session.render.status import status_parts
 from poise.session.running_robots.tasks import RunningTasks
 from poise.wire.records.taps import SHOWN_ITEMS, TapReading
@@ -59,7 +59,7 @@ class RolledBack(RunError):
         self.outcome = outcome
 
 
-class Status(Shown, RobotStatus, frozen=True, tag="RobotStatus", kw_only=True):
+class Status(Printable, RobotStatus, frozen=True, tag="RobotStatus", kw_only=True):
     """A status that prints itself as tables, in a terminal and in a notebook."""
 
     def parts(self) -> tuple[RenderableType, ...]:

@@ -13,7 +13,7 @@ from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.move_limits import MoveLimits
 from poise.manage.adaptation.policy.evaluation import Symptom
 from poise.manage.adaptation.shortages.put_aside import PutAside
-from poise.manage.adaptation.shortages.room import room_for
+from poise.manage.adaptation.shortages.room import room_for_components
 from poise.manage.deploy.running_components import Run
 from poise.manage.migration.transition import TransitionStep
 from poise.manage.migration.transition_run import start_together
@@ -60,7 +60,7 @@ class CrashLoops:
         crashed = {at: when for at, when in before.items() if now - when < FORGET_AFTER}
         crashed[symptom.computer] = now
         self._crashed[container] = crashed
-        while where := room_for(facts, names, crashed):
+        while where := room_for_components(facts, names, crashed):
             self._limits.note(_steps(facts, where), now)
             if start_together(run, where, facts.lost):
                 return

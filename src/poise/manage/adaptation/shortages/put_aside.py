@@ -16,7 +16,7 @@ from msgspec import Struct, structs
 from poise.errors import UsageError
 from poise.estimate.profile.code_version import version_of
 from poise.manage.adaptation.facts import Facts
-from poise.manage.adaptation.shortages.room import room_for
+from poise.manage.adaptation.shortages.room import room_for_components
 from poise.manage.deploy.running_components import Run
 from poise.manage.migration.transition import TransitionStep
 from poise.manage.migration.transition_run import start_together, transit
@@ -226,7 +226,7 @@ class PutAside:
             return False
         for architectures in choices:
             names = {c.name for a in architectures for c in a.components}
-            if where := room_for(facts, names):
+            if where := room_for_components(facts, names):
                 return self._start(architectures, where, now)
         self._try_at = now + self._try_again
         self._try_again = min(2 * self._try_again, LONGEST)

@@ -46,7 +46,7 @@ def placed_beside(
     return plan.solve(problem, budget=SOLVE_FOR, fewer=fewer)
 
 
-def room_for(
+def room_for_components(
     facts: Facts, components: Collection[str], not_on: Collection[str] = ()
 ) -> Mapping[str, str]:
     """Return where components fit beside all others; empty: they do not.
