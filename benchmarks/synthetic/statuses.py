@@ -24,7 +24,7 @@ from poise.manage.control_socket.records import (
     StatusCommand,
 )
 from poise.manage.control_socket.server import ControlServer
-from poise.manage.journal import Entry
+from poise.manage.journal import JournalEntry
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.observe.loads import Load
 from poise.wire.records.requests import ManagerId
@@ -57,7 +57,7 @@ def told(robot: str, components: int) -> Iterator[None]:
             case StatusCommand():
                 return status(robot, components, time.time() - since, since)
             case JournalCommand(after=after):
-                entries = (Entry(since, "decided", "it is made up", {}, 1),)
+                entries = (JournalEntry(since, "decided", "it is made up", {}, 1),)
                 return JournalEntries(entries if after < 1 else ())
         return Refusal.from_error(UsageError("this robot is made up"))
 

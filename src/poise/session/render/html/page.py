@@ -73,9 +73,11 @@ def document(title: str, body: str) -> str:
     return _PAGE.format(title=escape(title), body=body)
 
 
-def _events(report: RunReport) -> list[Entry]:
+def _events(report: RunReport) -> list[JournalEntry]:
     """Return what the manager saw and did, and the containers that ended, in turn."""
-    faults = [Entry(each.at, "wrong", each.message, {}) for each in report.faults]
+    faults = [
+        JournalEntry(each.at, "wrong", each.message, {}) for each in report.faults
+    ]
     return sorted([*report.journal, *faults], key=lambda each: each.at)
 
 
