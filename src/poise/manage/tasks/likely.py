@@ -8,8 +8,7 @@ from msgspec import Struct
 
 from poise import plan
 from poise.errors import PoiseError
-from poise.manage.tasks.progress import Try
-from poise.manage.tasks.tasks import TaskRecord
+from poise.manage.tasks.progress import TaskRecord, Try
 from poise.model.robot import Robot
 
 PLAN_FOR = 0.3
