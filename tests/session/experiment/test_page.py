@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import io
 import re
 from html.parser import HTMLParser
 from xml.etree import ElementTree as ET
 
 import msgspec
+from rich.console import Console
 
 from poise.session.experiment.page import experiment_page
 from poise.session.experiment.results import Missed, Result
 from poise.session.experiment.summary import ExperimentReport, summarised
 from poise.session.experiment.trials import SHORT, USUAL, Extent, schedule
+from poise.session.render.experiment import experiment_parts
 
 
-def page_of(extent: Extent, invalid: str = "") -> str:
+def found(extent: Extent, invalid: str = "") -> tuple[ExperimentReport, list[Result]]:
     results = [
         Result(
             trial=trial,
@@ -36,6 +39,11 @@ def page_of(extent: Extent, invalid: str = "") -> str:
         planned=len(results),
         arms=summarised(results, arms, conditions, ["navigation"]),
     )
+    return report, results
+
+
+def page_of(extent: Extent, invalid: str = "") -> str:
+    report, results = found(extent, invalid)
     return experiment_page(report, extent, results)
 
 
@@ -77,3 +85,17 @@ def test_without_a_valid_run_it_says_so() -> None:
     page = page_of(SHORT, invalid="this machine was too busy")
     assert "0 valid runs of 8" in page
     assert "no valid run" in page
+
+
+def test_a_terminal_of_80_columns_shows_what_failed() -> None:
+    report, _ = found(USUAL)
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(*experiment_parts(report), sep="\n")
+    lines = console.export_text().splitlines()
+    assert max(map(len, lines)) <= 80
+    row = r"static +0% \(0% to \d+%\) +20.0% +10 +navigation 10"
+    assert any(re.match(row, line.strip()) for line in lines)
+    names = {each.placement for each in report.arms}
+    assert {
+        name for name in names if any(line.startswith(name) for line in lines)
+    } == names

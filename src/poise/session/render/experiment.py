@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from rich.console import RenderableType
@@ -11,22 +11,23 @@ from poise.session.render.shared_tables.columns import table
 from poise.units import counted
 
 if TYPE_CHECKING:
-    from poise.session.experiment.summary import ExperimentReport
+    from poise.session.experiment.summary import ExperimentReport, Share
 
 
 def experiment_parts(report: ExperimentReport) -> Iterator[RenderableType]:
-    """Yield how often each function worked, a table for each condition."""
+    """Yield how often all functions worked, and which did not, for each condition."""
     for condition in dict.fromkeys(each.condition for each in report.arms):
-        here = [each for each in report.arms if each.condition == condition]
-        names = list(here[0].success)
-        rows = table(condition, *names, "worst chain missed", "runs")
-        for arm in here:
+        rows = table(
+            condition, "all worked", "worst chain missed", "runs", "failed", folds=4
+        )
+        for arm in (each for each in report.arms if each.condition == condition):
             missed = [m for m in arm.deadline_miss_share.values() if m is not None]
             rows.add_row(
                 arm.placement,
-                *(_share(arm.success[name].share) for name in names),
+                str(arm.all_worked),
                 f"{max(missed):.1%}" if missed else "",
                 f"{arm.runs}" + (f", {arm.invalid} invalid" if arm.invalid else ""),
+                _failures(arm.success),
             )
         yield rows
     invalid = sum(each.invalid for each in report.arms)
@@ -37,5 +38,11 @@ def experiment_parts(report: ExperimentReport) -> Iterator[RenderableType]:
         )
 
 
-def _share(share: float | None) -> str:
-    return "" if share is None else f"{share:.0%}"
+def _failures(success: Mapping[str, Share]) -> str:
+    """Return in how many valid runs each function failed, of those that did."""
+    failed = {
+        name: round((1 - each.share) * each.of)
+        for name, each in success.items()
+        if each.share is not None
+    }
+    return ", ".join(f"{name} {count}" for name, count in failed.items() if count)

@@ -161,6 +161,10 @@ def _experiment(
         print_json(report)
     else:
         console.print(*experiment_parts(report), sep="\n")
+    if silent := [each for each in report.arms if each.runs == each.invalid]:
+        what = ", ".join(f"{each.placement} ({each.condition})" for each in silent)
+        Console(stderr=True).print(f"no valid run of {what}", soft_wrap=True)
+        raise typer.Exit(1)
 
 
 def _play(scene: str, examples: Path, *, as_json: bool) -> None:
