@@ -21,6 +21,9 @@ PROBLEM = """
 """
 
 
+BALANCED = {"a": 0.3, "b": 0.1, "c": 0.2, "d": 0.2}
+
+
 def call(*arguments: object) -> Result:
     app = typer.Typer()
     app.command()(plan_command)
@@ -262,3 +265,12 @@ def test_all_of_a_task_at_once(phases_file: Path) -> None:
         call(phases_file, "--task", "serve", "--at-once", "--json").stdout
     )
     assert answer["placement"].keys() == {"eyes", "wheels"}
+
+
+def test_rounding_is_no_cost(tmp_path: Path) -> None:
+    components = [{"name": n, "demand": {"cpu": cpu}} for n, cpu in BALANCED.items()]
+    computers = [{"name": n, "capacity": {"cpu": 1}} for n in ("one", "two")]
+    path = tmp_path / "problem.json"
+    path.write_text(json.dumps({"components": components, "computers": computers}))
+    result = call(path)
+    assert "F = 0 = communication 0 + balance 0" in result.output

@@ -170,11 +170,11 @@ def _sum(phased: plan.PhasedResult) -> str:
     phases = sum(r.objective.total for r in phased.results.values() if r.objective)
     known = ", proven to be the least" if phased.proven and phased.feasible else ""
     if phased.bound is not None and not known:
-        known = f", at least {phased.bound:.6g} in any placement"
+        known = f", at least {_cost(phased.bound)} in any placement"
     return (
-        f"F = {phased.total:.6g} = {counted(len(phased.results), 'phase')} "
-        f"{phases:.6g} + {counted(len(phased.moves), 'move')} "
-        f"{phased.total - phases:.6g}{known}; in {time}"
+        f"F = {_cost(phased.total)} = {counted(len(phased.results), 'phase')} "
+        f"{_cost(phases)} + {counted(len(phased.moves), 'move')} "
+        f"{_cost(phased.total - phases)}{known}; in {time}"
         f"{', stopped by Ctrl-C' if phased.stopped_by == 'interrupted' else ''}"
     )
 
@@ -228,7 +228,7 @@ def show_explanation(explanation: plan.Explanation, console: Console) -> None:
         here = option.computer == explanation.computer
         rows.add_row(
             option.computer,
-            f"{option.objective.total:.6g}",
+            _cost(option.objective.total),
             *(
                 "" if here else f"{value:+.4g}"
                 for value in (
@@ -253,7 +253,7 @@ def show_rejection(rejection: plan.Rejection, console: Console) -> None:
         return
     names = ("total", "communication", "balance", "move", "quality")
     rows = table("", *("F" if name == "total" else name for name in names))
-    best = (f"{getattr(rejection.objective, name):.6g}" for name in names)
+    best = (_cost(getattr(rejection.objective, name)) for name in names)
     change = (f"{getattr(rejection.change, name):+.4g}" for name in names)
     rows.add_row("with it, at best", *best)
     rows.add_row("change", *change)
@@ -265,17 +265,17 @@ def _terms(result: plan.Result) -> str:
     if terms is None:
         return ""
     parts = [
-        f"communication {terms.communication:.6g}",
-        f"balance {terms.balance:.6g}",
-        f"move {terms.move:.6g}",
+        f"communication {_cost(terms.communication)}",
+        f"balance {_cost(terms.balance)}",
+        f"move {_cost(terms.move)}",
     ]
     if terms.quality:
-        parts.append(f"quality {terms.quality:.6g}")
+        parts.append(f"quality {_cost(terms.quality)}")
     known = ", proven to be the least" if result.proven else ""
     if result.bound is not None and not result.proven:
-        known = f", at least {result.bound:.6g} in any placement"
+        known = f", at least {_cost(result.bound)} in any placement"
     return (
-        f"F = {terms.total:.6g} = {' + '.join(parts)} ({result.scale} scale, "
+        f"F = {_cost(terms.total)} = {' + '.join(parts)} ({result.scale} scale, "
         f"{result.spread}){known}; by {result.method} in {_seconds(result)}"
         f"{', stopped by Ctrl-C' if result.stopped_by == 'interrupted' else ''}"
     )
@@ -286,8 +286,13 @@ def _term(result: plan.Result, label: str) -> str:
 
 
 def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.6g}"
+    return "-" if value is None else _cost(value)
 
 
 def _seconds(result: plan.Result) -> str:
     return units.format_seconds(result.seconds)
+
+
+def _cost(value: float) -> str:
+    """Return a term of F; what is left of rounding is 0."""
+    return f"{round(value, 9) + 0.0:.6g}"
