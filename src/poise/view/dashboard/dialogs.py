@@ -135,6 +135,8 @@ class Actions:
                 lines.clear()
                 trouble = f"no log for now: {error}"
             else:
+                if reading is None:  # the server ends
+                    return
                 lines.extend(map(_log_line, reading.lines))
                 if reading.silent:
                     trouble = f"no answer from {', '.join(reading.silent)}"
@@ -148,14 +150,16 @@ class Actions:
     def _asker(self, dialog: Any, component: str, computer: str) -> Any:  # noqa: ANN401
         async def ask() -> None:
             dialog.close()
-            await self.ask(component, computer)
+            with self._place:  # the dialog may end first
+                await self.ask(component, computer)
 
         return ask
 
     async def _do(self, dialog: Any, seen: WhatIf) -> None:  # noqa: ANN401, NiceGUI's
         dialog.close()
-        if await self._move(seen.component, seen.target, force=bool(seen.breaks)):
-            self._undo.append((seen.component, seen.source))
+        with self._place:  # the dialog ends before the move does
+            if await self._move(seen.component, seen.target, force=bool(seen.breaks)):
+                self._undo.append((seen.component, seen.source))
         self._show_undo()
 
     async def _undo_last(self) -> None:
