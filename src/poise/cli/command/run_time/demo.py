@@ -228,19 +228,20 @@ def _draw(runs: Sequence[RunReport], console: Console) -> None:
     _PICTURE.write_text(picture, encoding="utf-8")
     console.print(f"both drives are drawn in {_PICTURE.absolute()}")
     console.print(
-        "to watch T-Rot live: `poise up examples/trot/robot.yaml`, and in another "
-        "terminal `poise dashboard`"
+        "to watch T-Rot live: `poise up --dashboard examples/trot/robot.yaml`"
     )
 
 
 _ABOUT_TIMES = """
 What the times include, and what the paper says of its own:
-- decision: the search for all components, once demands are known. Paper: 42 µs on the
-  average for its greedy; it does not say whether that begins with the demands.
-- near call: through a connector, there and back, in one process. Paper: 6 µs on the
-  average for a direct method call, without a framework.
-- far call: there and back, encoded, through two processes and the emulated link. Paper:
-  74 µs by message passing through a connector; it does not say between which computers.
+- decision: the search for all components, once demands are known.
+  Paper: 42 µs on the average for its greedy; it does not say whether that
+  begins with the demands.
+- near call: through a connector, there and back, in one process.
+  Paper: 6 µs on the average for a direct method call, without a framework.
+- far call: there and back, encoded, through two processes and the emulated
+  link. Paper: 74 µs by message passing through a connector; it does not say
+  between which computers.
 """
 
 
