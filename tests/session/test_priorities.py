@@ -14,9 +14,12 @@ from tests.busy import needs_quiet_machine
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("cpu")]
 
 
-_FEWER = 2
-"""By this factor at least the important one misses fewer deadlines: its weight is ten
-times that of the other, and on a quiet machine it misses next to none."""
+_AHEAD = 0.25
+"""This much larger at least is the important one's share of deadlines met.
+
+Its weight is ten times that of the other: on a quiet machine it meets all, the other
+none. With equal weights neither meets any.
+"""
 
 
 def test_without_priorities_both_miss_their_deadlines(tmp_path: Path) -> None:
@@ -42,4 +45,4 @@ def test_it_does_by_nice_values_where_there_are_no_cgroups(
 
 
 def is_ahead(met: Mapping[str, float]) -> bool:
-    return 1 - met["other"] > _FEWER * (1 - met["important"])
+    return met["important"] > met["other"] + _AHEAD
