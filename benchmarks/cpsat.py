@@ -160,7 +160,8 @@ class _Relaxation:
             for w, top in zip(t.spread, tops, strict=True)
         )
         costs = t.n * max((abs(c) for c in t.cost), default=0.0)
-        return t.communication * sum(t.overhead) * far + sum(spreads) + costs or 1.0
+        overhead = sum(o for _, _, o, _ in t.connectors)
+        return t.communication * overhead * far + sum(spreads) + costs or 1.0
 
     def _whole(self, value: float) -> int:
         """Return a part of F in whole numbers, rounded down."""
@@ -197,8 +198,7 @@ class _Relaxation:
 
     def _links(self) -> None:
         t = self.arrays
-        pairs = zip(t.first, t.second, t.traffic, strict=True)
-        sending = [row for row in pairs if row[2] > 0]
+        sending = [(i, j, w) for i, j, _, w in t.connectors if w > 0]
         for a in range(t.m):
             for b in range(a):
                 limit = t.bandwidth[a * t.m + b]
@@ -234,7 +234,7 @@ class _Relaxation:
                 yield sorted(
                     {
                         u
-                        for i, j, w in zip(t.first, t.second, t.traffic, strict=True)
+                        for i, j, _, w in t.connectors
                         if w > 0 and {placed[i], placed[j]} == {a, b}
                         for u in (i, j)
                     }
@@ -242,7 +242,7 @@ class _Relaxation:
 
     def _connectors(self) -> Iterator[LinearExprT]:
         t = self.arrays
-        for i, j, overhead in zip(t.first, t.second, t.overhead, strict=True):
+        for i, j, overhead, _ in t.connectors:
             cost = t.communication * overhead
             if cost <= 0:
                 continue

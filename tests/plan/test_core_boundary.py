@@ -23,10 +23,7 @@ GOOD: dict[str, Any] = {
     "limit": [2.0, 2.0],
     "size_weight": [1.0],
     "allowed": {0: (1,)},
-    "first": [0],
-    "second": [1],
-    "overhead": [1.0],
-    "traffic": [0.0],
+    "connectors": [(0, 1, 1.0, 0.0)],
     "distance": [],
     "cost": [],
     "bandwidth": [],
@@ -72,8 +69,8 @@ def test_nothing_crashes_the_interpreter(wrong: dict[str, Any], known: object) -
         core.bound()
         core.exact([], 0.01, 1000)
         core.search([], 0.01, 1000, 1)
-        core.update({"a": {"cpu": 2.0}})
-        core.update(known)  # type: ignore[arg-type]
+        core.updated({"a": {"cpu": 2.0}}).greedy()
+        core.updated(known)  # type: ignore[arg-type]
         core.exact(known, 0.01, 1000)  # type: ignore[arg-type]
         core.terms(known)  # type: ignore[arg-type]
         core.feasible(known)  # type: ignore[arg-type]
@@ -112,10 +109,9 @@ def test_every_shape_and_size_has_an_answer(data: st.DataObject) -> None:
         capacity=numbers(m * r),
         limit=numbers(m * r),
         allowed={},
-        first=units(),
-        second=units(),
-        overhead=numbers(edges),
-        traffic=numbers(edges),
+        connectors=list(
+            zip(units(), units(), numbers(edges), numbers(edges), strict=True)
+        ),
         variance=data.draw(st.booleans()),
         bandwidth=numbers(m * m) if data.draw(st.booleans()) else [],
         apart=list(zip(some := units(), some[::-1], strict=True)),
@@ -136,11 +132,11 @@ def test_every_shape_and_size_has_an_answer(data: st.DataObject) -> None:
     ("wrong", "message"),
     [
         ({"demand": [1.0]}, "demand has 1 entries, must have 2"),
-        ({"first": [7]}, "first has the index 7"),
+        ({"connectors": [(7, 0, 1.0, 0.0)]}, "connectors has the index 7"),
         ({"allowed": {0: (-1,)}}, "allowed has the index -1"),
         ({"n": -1}, "n is -1"),
-        ({"unit_of": [0, 7]}, "no such unit"),
-        ({"index": {"a": 0, "b": 9}}, "no such component"),
+        ({"unit_of": [0, 7]}, "unit_of has the index 7"),
+        ({"index": {"a": 0, "b": 9}}, "index has the index 9"),
     ],
 )
 def test_says_what_is_wrong(wrong: dict[str, Any], message: str) -> None:

@@ -62,9 +62,9 @@ class Asked:
 
 def test_nothing_is_searched_where_a_proof_is_quick() -> None:
     snapshot = Snapshot(random_robot(2, 20, 2))
-    core = Asked(Core(snapshot.arrays))
-    effort = Effort(60.0, None)
-    result = portfolio.decide(cast("Core", core), snapshot, "auto", effort)
+    core = Asked(snapshot.core)
+    snapshot.core = cast("Core", core)
+    result = portfolio.decide(snapshot, "auto", Effort(60.0, None))
     assert result.proven
     assert core.names.count("exact") == 1
     assert "search" not in core.names

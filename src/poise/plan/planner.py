@@ -9,8 +9,6 @@ from time import perf_counter
 from msgspec.structs import replace
 
 from poise.errors import UsageError
-from poise.plan import _core
-from poise.plan.problem.arrays import arrays_of
 from poise.plan.problem.problem import Item, Problem
 from poise.plan.problem.snapshot import Snapshot
 from poise.plan.result import Result
@@ -47,12 +45,13 @@ class Planner:
         self._build(problem)
 
     def _build(self, problem: Problem) -> None:
-        self._parts: dict[frozenset[str], Planner] = {}
         self._has_alternatives = alternatives.has_choice(problem)
-        arrays = arrays_of(problem)
-        self._snapshot = Snapshot(problem, arrays)
-        self._core = _core.Core(arrays)
-        self._greedy = self._core.greedy
+        self._keep(Snapshot(problem))
+
+    def _keep(self, snapshot: Snapshot) -> None:
+        self._parts: dict[frozenset[str], Planner] = {}
+        self._snapshot = snapshot
+        self._greedy = snapshot.core.greedy
 
     @property
     def problem(self) -> Problem:
@@ -114,7 +113,7 @@ class Planner:
                 fewer=fewer,
             )
         else:
-            result = portfolio.decide(self._core, self._snapshot, method, effort)
+            result = portfolio.decide(self._snapshot, method, effort)
         result.seconds = perf_counter() - start
         result.seed = seed
         return result
@@ -127,7 +126,7 @@ class Planner:
         if part is None:
             part = Planner(keep_components(self.problem, components))
             self._parts[components] = part
-        return portfolio.decide(part._core, part._snapshot, method, effort)
+        return portfolio.decide(part._snapshot, method, effort)
 
     def update(self, demands: dict[str, dict[str, float]]) -> None:
         """Change what components need, from the next decision on.
@@ -144,11 +143,9 @@ class Planner:
             nothing has changed.
         """
         try:
-            demand = self._core.update(demands)
+            self._keep(self._snapshot.updated(demands))
         except (TypeError, ValueError, RuntimeError) as error:
             raise UsageError(f"update: {error}") from None
-        self._snapshot = self._snapshot.with_demand(demand)
-        self._parts = {}
 
     def place(self, component: str, computer: str) -> None:
         """Hold a component to a computer, from the next decision on.

@@ -34,7 +34,7 @@ def loads(arrays: Arrays, placed: Placed) -> list[float]:
 def traffic(arrays: Arrays, placed: Placed) -> dict[tuple[int, int], float]:
     """Return the traffic [bytes/s] between every pair of computers that has any."""
     total: dict[tuple[int, int], float] = {}
-    for i, j, sent in zip(arrays.first, arrays.second, arrays.traffic, strict=True):
+    for i, j, _, sent in arrays.connectors:
         a, b = sorted((placed[i], placed[j]))
         if 0 <= a < b and sent > 0:
             total[a, b] = total.get((a, b), 0.0) + sent

@@ -30,9 +30,7 @@ def terms(arrays: Arrays, placed: Placed) -> Terms:
 def crossing(arrays: Arrays, placed: Placed) -> float:
     """Return the overhead, times distance, of all connectors whose ends are apart."""
     total = 0.0
-    for i, j, overhead in zip(
-        arrays.first, arrays.second, arrays.overhead, strict=True
-    ):
+    for i, j, overhead, _ in arrays.connectors:
         a, b = placed[i], placed[j]
         if a >= 0 and b >= 0:
             total += overhead * distance(arrays, a, b)

@@ -1,7 +1,9 @@
 // The one place where C++ meets Python.
 #include <nanobind/nanobind.h>
+#include <nanobind/stl/map.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <atomic>
@@ -20,40 +22,93 @@ namespace {
 
 constexpr double kLeast = 1e-30, kMost = 1e30;  // as in poise.plan.problem.check
 
-// Reads the fields of `poise.plan.problem.arrays.Arrays`.
-Numbers read(nb::handle arrays) {
-  Numbers in;
-  const auto get = [&](auto& to, const char* name) {
-    to = nb::cast<std::decay_t<decltype(to)>>(arrays.attr(name));
-  };
-  get(in.n, "n");
-  get(in.m, "m");
-  get(in.r, "r");
-  get(in.demand, "demand");
-  get(in.capacity, "capacity");
-  get(in.limit, "limit");
-  get(in.size_weight, "size_weight");
-  get(in.first, "first");
-  get(in.second, "second");
-  get(in.overhead, "overhead");
-  get(in.traffic, "traffic");
-  get(in.distance, "distance");
-  get(in.cost, "cost");
-  get(in.bandwidth, "bandwidth");
-  get(in.communication, "communication");
-  get(in.spread, "spread");
-  get(in.share, "share");
-  get(in.variance, "variance");
-  for (const auto& [unit, computers] : nb::cast<nb::dict>(arrays.attr("allowed"))) {
-    in.allowed.emplace_back(nb::cast<std::int32_t>(unit),
-                            nb::cast<std::vector<std::int32_t>>(computers));
+// Reads fields of `poise.plan.problem.arrays.Arrays`, and refuses what would make the solvers
+// read where nothing is. Whether numbers make sense has been looked at by
+// `poise.plan.problem.check`.
+struct Fields {
+  nb::handle arrays;
+
+  template <typename T>
+  T get(const char* name) const {
+    return nb::cast<T>(arrays.attr(name));
   }
-  for (const nb::handle pair : arrays.attr("apart")) {
-    const auto [a, b] = nb::cast<std::pair<std::int32_t, std::int32_t>>(pair);
-    in.apart_first.push_back(a);
-    in.apart_second.push_back(b);
+
+  int size(const char* name, std::int64_t most) const {
+    const auto value = get<std::int64_t>(name);
+    if (value >= 0 && value <= most) return static_cast<int>(value);
+    throw std::invalid_argument(std::string(name) + " is " + std::to_string(value));
   }
-  return in;
+
+  std::vector<double> numbers(const char* name, std::size_t length) const {
+    auto values = get<std::vector<double>>(name);
+    if (values.size() == length) return values;
+    throw std::invalid_argument(std::string(name) + " has " + std::to_string(values.size()) +
+                                " entries, must have " + std::to_string(length));
+  }
+
+  // Numbers that may be left out.
+  std::vector<double> table(const char* name, std::size_t length) const {
+    const nb::object values = arrays.attr(name);
+    return nb::len(values) == 0 ? std::vector<double>{} : numbers(name, length);
+  }
+
+  static void check_index(const char* name, std::int64_t value, std::int64_t end) {
+    if (value >= 0 && value < end) return;
+    throw std::invalid_argument(std::string(name) + " has the index " +
+                                std::to_string(value) + ", must be in [0, " +
+                                std::to_string(end) + ")");
+  }
+};
+
+using Pairs = std::vector<std::pair<std::int32_t, std::int32_t>>;
+using Connectors = std::vector<std::tuple<std::int32_t, std::int32_t, double, double>>;
+using Allowed = std::map<std::int32_t, std::vector<std::int32_t>>;
+
+Problem read(const Fields& in) {
+  Problem p;
+  p.n = in.size("n", 1 << 28);
+  p.m = in.size("m", 1 << 20);
+  p.r = in.size("r", 1024);
+  const std::size_t n = p.n, m = p.m, r = p.r;
+  if (n > 0 && m == 0) throw std::invalid_argument("there are no computers");
+  p.demand = in.numbers("demand", n * r);
+  p.weight = in.numbers("spread", r);
+  p.size_weight = in.numbers("size_weight", r);
+  p.distance = in.table("distance", m * m);
+  p.cost = in.table("cost", n * m);
+  p.bandwidth = in.table("bandwidth", m * m);
+  p.variance = in.get<bool>("variance");
+  p.set_rooms(in.numbers("capacity", m * r), in.numbers("limit", m * r), in.get<bool>("share"));
+  const auto connectors = in.get<Connectors>("connectors");
+  const auto communication = in.get<double>("communication");
+  for (const auto& [a, b, overhead, traffic] : connectors) {
+    for (const std::int32_t unit : {a, b}) Fields::check_index("connectors", unit, p.n);
+  }
+  p.connect([&](auto add) {
+    for (const auto& [a, b, overhead, traffic] : connectors) {
+      if (a == b) continue;
+      add(a, {b, communication * overhead, traffic});
+      add(b, {a, communication * overhead, traffic});
+    }
+  });
+  const auto apart = in.get<Pairs>("apart");
+  for (const auto& [a, b] : apart) {
+    for (const std::int32_t unit : {a, b}) Fields::check_index("apart", unit, p.n);
+  }
+  p.keep_apart([&](auto add) {
+    for (const auto& [a, b] : apart) {
+      add(a, b);
+      add(b, a);
+    }
+  });
+  const auto allowed = in.get<Allowed>("allowed");
+  for (const auto& [unit, computers] : allowed) {
+    Fields::check_index("allowed", unit, p.n);
+    for (const std::int32_t h : computers) Fields::check_index("allowed", h, p.m);
+  }
+  p.restrict_units(allowed);
+  p.sort_units();
+  return p;
 }
 
 const char* named(Reason reason) {
@@ -94,26 +149,55 @@ struct Asked {
   }
 };
 
-// A problem compiled once, and its solvers. One thread at a time may use it.
+// A problem compiled once, and its solvers; it never changes. One thread at a time may use it.
 class Core {
  public:
-  explicit Core(nb::handle arrays)
-      : problem_(read(arrays)), greedy_(problem_), index_(nb::cast<nb::dict>(arrays.attr("index"))),
-        resources_(nb::cast<nb::tuple>(arrays.attr("resources"))),
-        unit_of_(nb::cast<std::vector<std::int32_t>>(arrays.attr("unit_of"))),
-        demand_(nb::cast<std::vector<double>>(arrays.attr("component_demand"))) {
-    if (demand_.size() != unit_of_.size() * problem_.r || nb::len(index_) != unit_of_.size() ||
+  explicit Core(const Fields& in)
+      : problem_(read(in)), greedy_(problem_), index_(in.get<nb::dict>("index")),
+        resources_(in.get<nb::tuple>("resources")),
+        unit_of_(in.get<std::vector<std::int32_t>>("unit_of")),
+        demand_(in.numbers("component_demand", unit_of_.size() * problem_.r)) {
+    if (nb::len(index_) != unit_of_.size() ||
         nb::len(resources_) != static_cast<std::size_t>(problem_.r)) {
-      throw std::invalid_argument("component_demand, unit_of and index do not agree");
+      throw std::invalid_argument("unit_of, index and resources do not agree");
     }
     for (const std::int32_t unit : unit_of_) {
-      if (unit < 0 || unit >= problem_.n) throw std::invalid_argument("no such unit");
+      Fields::check_index("unit_of", unit, problem_.n);
     }
     for (const auto& [name, at] : index_) {
-      if (nb::cast<std::size_t>(at) >= unit_of_.size()) {
-        throw std::invalid_argument("no such component");
+      Fields::check_index("index", nb::cast<std::int64_t>(at), unit_of_.size());
+    }
+  }
+
+  // Another one with other demands: component -> resource -> amount.
+  Core(const Core& other, nb::dict demands)
+      : problem_(other.problem_), greedy_(problem_), index_(other.index_),
+        resources_(other.resources_), unit_of_(other.unit_of_), demand_(other.demand_) {
+    for (const auto& [name, amounts] : demands) {
+      PyObject* at = PyDict_GetItemWithError(index_.ptr(), name.ptr());
+      if (at == nullptr) {
+        throw std::invalid_argument("no component is called " + text(name));
+      }
+      const auto first = static_cast<std::size_t>(PyLong_AsLong(at)) * problem_.r;
+      for (const auto& [resource, amount] : nb::cast<nb::dict>(amounts)) {
+        const double value = PyFloat_AsDouble(amount.ptr());
+        if (value == -1.0 && PyErr_Occurred()) throw nb::python_error();
+        if (!(value == 0 || (value >= kLeast && value <= kMost))) {
+          throw std::invalid_argument("component " + text(name) + ": demand of " +
+                                      text(resource) + " is " + text(amount) +
+                                      ", must be 0, or in [1e-30, 1e+30]");
+        }
+        demand_[first + resource_index(resource, name)] = value;
       }
     }
+    std::fill(problem_.demand.begin(), problem_.demand.end(), 0.0);
+    for (std::size_t i = 0; i < unit_of_.size(); ++i) {
+      for (int k = 0; k < problem_.r; ++k) {
+        problem_.demand[static_cast<std::size_t>(unit_of_[i]) * problem_.r + k] +=
+            demand_[i * problem_.r + k];
+      }
+    }
+    problem_.sort_units();
   }
 
   nb::tuple greedy() {
@@ -148,41 +232,6 @@ class Core {
     });
   }
 
-  // Change demands: component -> resource -> amount; returns all of them, as they are
-  // then. All is checked before any changes.
-  nb::list update(nb::dict demands) {
-    const Busy busy(*this);
-    std::vector<std::pair<std::size_t, double>> changes;
-    for (const auto& [name, amounts] : demands) {
-      PyObject* at = PyDict_GetItemWithError(index_.ptr(), name.ptr());
-      if (at == nullptr) {
-        throw std::invalid_argument("no component is called " + text(name));
-      }
-      const auto first = static_cast<std::size_t>(PyLong_AsLong(at)) * problem_.r;
-      for (const auto& [resource, amount] : nb::cast<nb::dict>(amounts)) {
-        const double value = PyFloat_AsDouble(amount.ptr());
-        if (value == -1.0 && PyErr_Occurred()) throw nb::python_error();
-        if (!(value == 0 || (value >= kLeast && value <= kMost))) {
-          throw std::invalid_argument("component " + text(name) + ": demand of " +
-                                      text(resource) + " is " + text(amount) +
-                                      ", must be 0, or in [1e-30, 1e+30]");
-        }
-        changes.emplace_back(first + resource_index(resource, name), value);
-      }
-    }
-    for (const auto& [entry, value] : changes) demand_[entry] = value;
-    std::fill(problem_.demand.begin(), problem_.demand.end(), 0.0);
-    for (std::size_t i = 0; i < unit_of_.size(); ++i) {
-      for (int k = 0; k < problem_.r; ++k) {
-        problem_.demand[static_cast<std::size_t>(unit_of_[i]) * problem_.r + k] +=
-            demand_[i * problem_.r + k];
-      }
-    }
-    problem_.sort_units();
-    exact_.reset();
-    return list_of(demand_, PyFloat_FromDouble);
-  }
-
   nb::tuple terms(nb::handle known) {
     const Terms out = poise::terms(problem_, checked(known, -1));
     return nb::make_tuple(out.communication, out.balance, out.linear);
@@ -190,6 +239,7 @@ class Core {
 
   bool keeps_limits(nb::handle known) { return feasible(problem_, checked(known, -1)); }
   nb::list order() { return listed(problem_.order); }
+  nb::list demand() { return list_of(demand_, PyFloat_FromDouble); }
   bool provable() { return Tree::takes(problem_); }
   double bound() { return relaxation_bound(problem_); }
 
@@ -280,7 +330,9 @@ class Core {
 NB_MODULE(_core, module) {
   module.doc() = "The placement engine in C++; see poise.plan.planner.";
   nb::class_<Core>(module, "Core", "A problem compiled from `Arrays`, and its solvers.")
-      .def(nb::init<nb::handle>(), nb::arg("arrays"))
+      .def("__init__",
+           [](Core* self, nb::handle arrays) { new (self) Core(Fields{arrays}); },
+           nb::arg("arrays"), nb::sig("def __init__(self, arrays: object) -> None"))
       .def("greedy", &Core::greedy,
            nb::sig("def greedy(self) -> tuple[list[int], bool]"))
       .def("exact", &Core::exact, nb::arg("known"), nb::arg("seconds"), nb::arg("steps"),
@@ -292,13 +344,16 @@ NB_MODULE(_core, module) {
            nb::sig("def search(self, known: list[int], seconds: float, steps: int, seed: "
                    "int, stop: object = None) -> "
                    "tuple[list[int], float, float, bool, str, int]"))
-      .def("update", &Core::update, nb::arg("demands"),
-           nb::sig("def update(self, demands: dict[str, dict[str, float]]) -> list[float]"))
+      .def("updated",
+           [](const Core& self, nb::dict demands) { return new Core(self, demands); },
+           nb::arg("demands"),
+           nb::sig("def updated(self, demands: dict[str, dict[str, float]]) -> Core"))
       .def("terms", &Core::terms, nb::arg("placed"),
            nb::sig("def terms(self, placed: list[int]) -> tuple[float, float, float]"))
       .def("feasible", &Core::keeps_limits, nb::arg("placed"),
            nb::sig("def feasible(self, placed: list[int]) -> bool"))
       .def("bound", &Core::bound, nb::sig("def bound(self) -> float"))
       .def_prop_ro("order", &Core::order, nb::sig("def order(self) -> list[int]"))
+      .def_prop_ro("demand", &Core::demand, nb::sig("def demand(self) -> list[float]"))
       .def_prop_ro("provable", &Core::provable);
 }

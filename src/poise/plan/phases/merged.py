@@ -30,12 +30,15 @@ def merged(parts: Sequence[Arrays], moves: Mapping[tuple[Unit, Unit], float]) ->
     start = [0, *accumulate(len(part.unit_of) for part in parts)]
     a, count = parts[0], len(parts)
     pairs = [(part, begin[p]) for p, part in enumerate(parts)]
-    ends = [(begin[p] + u, begin[q] + v) for (p, u), (q, v) in moves]
     inside = [
-        part.communication * overhead for part in parts for overhead in part.overhead
+        (i + at, j + at, part.communication * overhead, 0.0)
+        for part, at in pairs
+        for i, j, overhead, _ in part.connectors
     ]
-    first = [i + at for part, at in pairs for i in part.first]
-    second = [j + at for part, at in pairs for j in part.second]
+    across = [
+        (begin[p] + u, begin[q] + v, move, 0.0)
+        for ((p, u), (q, v)), move in moves.items()
+    ]
     return Arrays(
         a.problem,
         [
@@ -56,10 +59,7 @@ def merged(parts: Sequence[Arrays], moves: Mapping[tuple[Unit, Unit], float]) ->
         _by_computer([part.limit for part in parts], a),
         [weight for part in parts for weight in part.size_weight],
         {u + at: hosts for part, at in pairs for u, hosts in part.allowed.items()},
-        first + [i for i, _ in ends],
-        second + [j for _, j in ends],
-        [*inside, *moves.values()],
-        [0.0] * (len(inside) + len(ends)),
+        [*inside, *across],
         a.distance,
         _costs(parts),
         [],

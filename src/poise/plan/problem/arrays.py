@@ -43,8 +43,8 @@ class Arrays(Struct, frozen=True):
         (r,): the greedy orders by the sum of demand times this, largest first.
     allowed
         Unit -> computers it may run on; units that are not named may run on any.
-    first, second, overhead, traffic
-        One entry for each pair of connected units.
+    connectors
+        Each pair of connected units: one, the other, overhead, traffic.
     distance
         (m, m), or empty: 1 between any two computers.
     cost
@@ -74,10 +74,7 @@ class Arrays(Struct, frozen=True):
     limit: list[float]
     size_weight: list[float]
     allowed: dict[int, tuple[int, ...]]
-    first: list[int]
-    second: list[int]
-    overhead: list[float]
-    traffic: list[float]
+    connectors: list[tuple[int, int, float, float]]
     distance: list[float]
     cost: list[float]
     bandwidth: list[float]
@@ -152,7 +149,7 @@ def arrays_of(problem: Problem) -> Arrays:
     ]
     limit = [h.usable(k) for h in computers for k in resources]
     unit = {name: unit_of[i] for name, i in index.items()} if n < len(index) else index
-    first, second, overhead, traffic = _pairs(problem, unit)
+    connectors = _connectors(problem, unit)
     objective = problem.objective
     return Arrays(
         problem,
@@ -166,15 +163,12 @@ def arrays_of(problem: Problem) -> Arrays:
         limit,
         _size_weights(problem, resources, limit),
         _allowed(problem, place, unit_of),
-        first,
-        second,
-        overhead,
-        traffic,
+        connectors,
         [d for row in problem.distance for d in row],
         _linear(problem, place, unit_of, n),
         _bandwidths(problem, place, m),
         _apart(problem, unit),
-        objective.communication * _overhead_scale(problem, overhead, traffic),
+        objective.communication * _overhead_scale(problem, connectors),
         [objective.balance * w for w in _balance_weights(problem, resources)],
         objective.scale == "normalised",
         objective.spread == "variance",
@@ -185,7 +179,7 @@ def arrays_of(problem: Problem) -> Arrays:
 
 
 def _overhead_scale(
-    problem: Problem, overhead: list[float], traffic: list[float]
+    problem: Problem, connectors: list[tuple[int, int, float, float]]
 ) -> float:
     """Return what a unit of overhead counts for in the communication term.
 
@@ -195,15 +189,14 @@ def _overhead_scale(
     """
     if problem.objective.scale == "paper":
         return 1.0
+    total, sent = (sum(each[i] for each in connectors) for i in (2, 3))
     if problem.together:  # overhead within a unit is part of all, though never paid
         between = [k for k in problem.connectors if k.between[0] != k.between[1]]
-        overhead = [k.overhead for k in between]
-        traffic = [k.traffic for k in between]
-    total = sum(overhead)
+        total = sum(k.overhead for k in between)
+        sent = sum(k.traffic for k in between)
     if total <= 0:
         return 0.0
     narrowest = min((link.bandwidth for link in problem.links), default=inf)
-    sent = sum(traffic)
     use = sent / narrowest if sent > 0 and 0 < narrowest < inf else 1.0
     return min(1.0, max(LEAST_LINK_USE, use)) / total
 
@@ -237,26 +230,19 @@ def _summed(values: list[float], unit_of: list[int], n: int, r: int) -> list[flo
     return total
 
 
-def _pairs(
+def _connectors(
     problem: Problem, unit: dict[str, int]
-) -> tuple[list[int], list[int], list[float], list[float]]:
-    rows: dict[tuple[int, int], int] = {}
-    overhead: list[float] = []
-    traffic: list[float] = []
+) -> list[tuple[int, int, float, float]]:
+    found: dict[tuple[int, int], tuple[float, float]] = {}
     for connector in problem.connectors:
         a, b = connector.between
         i, j = unit[a], unit[b]
-        pair = (i, j) if i < j else (j, i)
         if i == j:
             continue
-        if pair in rows:
-            overhead[rows[pair]] += connector.overhead
-            traffic[rows[pair]] += connector.traffic
-        else:
-            rows[pair] = len(overhead)
-            overhead.append(connector.overhead)
-            traffic.append(connector.traffic)
-    return [i for i, _ in rows], [j for _, j in rows], overhead, traffic
+        pair = (i, j) if i < j else (j, i)
+        overhead, traffic = found.get(pair, (0.0, 0.0))
+        found[pair] = overhead + connector.overhead, traffic + connector.traffic
+    return [(i, j, *both) for (i, j), both in found.items()]
 
 
 def _balance_weights(problem: Problem, resources: tuple[str, ...]) -> list[float]:

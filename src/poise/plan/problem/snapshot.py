@@ -15,27 +15,23 @@ from poise.plan.violations import obstacle
 
 
 class Snapshot:
-    """A problem as it was when it was decided: its arrays are made when asked for.
+    """A problem as it was when it was decided, compiled.
 
-    `demand` holds what its components need now, (n_components, n_resources), when that
-    is not what the problem says.
+    `core` is given where it has other demands than the problem says. Then the problem
+    with these, and its arrays, are made when they are asked for.
     """
 
-    def __init__(
-        self,
-        problem: Problem,
-        arrays: Arrays | None = None,
-        demand: list[float] | None = None,
-    ) -> None:
+    def __init__(self, problem: Problem, core: _core.Core | None = None) -> None:
         self._problem = problem
-        self._demand = demand
-        if arrays is not None:
-            self.arrays = arrays
-        self.known = demand is not None or _is_known(problem)
+        self._is_current = core is None
+        if core is None:
+            self.arrays = arrays_of(problem)
+            core = _core.Core(self.arrays)
+        self.core = core
 
-    def with_demand(self, demand: list[float]) -> Snapshot:
-        """Return the same problem with another demand."""
-        return Snapshot(self._problem, None, demand)
+    def updated(self, demands: dict[str, dict[str, float]]) -> Snapshot:
+        """Return the same problem with other demands."""
+        return Snapshot(self._problem, self.core.updated(demands))
 
     @property
     def size(self) -> int:
@@ -44,21 +40,24 @@ class Snapshot:
 
     @property
     def problem(self) -> Problem:
-        """The problem, with its present demand."""
-        if self._demand is not None:
-            self._problem = _with_demand(self._problem, self._demand)
-            self._demand = None
+        """The problem, with its present demands."""
+        if not self._is_current:
+            self._problem = _with_demand(self._problem, self.core.demand)
+            self._is_current = True
         return self._problem
+
+    @cached_property
+    def known(self) -> bool:
+        """Whether the demand of any component is known."""
+        components = self._problem.components
+        return not (self._is_current and components) or any(
+            c.demand for c in components
+        )
 
     @cached_property
     def arrays(self) -> Arrays:
         """The problem in numbers."""
         return arrays_of(self.problem)
-
-    @cached_property
-    def core(self) -> _core.Core:
-        """The problem compiled; unlike a planner's, it never changes."""
-        return _core.Core(self.arrays)
 
     @cached_property
     def present(self) -> Placed:
@@ -114,10 +113,6 @@ class Snapshot:
         last = self.greedy_trace()[-1]
         why = "; ".join(trial.reason for trial in last.trials)
         return f"the greedy finds no computer for {last.component} ({why})"
-
-
-def _is_known(problem: Problem) -> bool:
-    return not problem.components or any(c.demand for c in problem.components)
 
 
 def _with_demand(problem: Problem, demand: list[float]) -> Problem:

@@ -65,9 +65,10 @@ class Effort(NamedTuple):
         return Answer(*core.search(known, seconds, steps, self.seed, self.stop))
 
 
-def decide(core: _core.Core, snapshot: Snapshot, method: str, effort: Effort) -> Result:
+def decide(snapshot: Snapshot, method: str, effort: Effort) -> Result:
     """Decide a problem in which every component is needed."""
-    known, name = _start(core, snapshot, method)
+    core = snapshot.core
+    known, name = _start(snapshot, method)
     if method == "greedy" or (effort.is_none() and method == "auto"):
         return Result.of(snapshot, known, name)
     if method == "exact":
@@ -80,15 +81,13 @@ def decide(core: _core.Core, snapshot: Snapshot, method: str, effort: Effort) ->
     elif method == "search":
         answer, finder = effort.search(core, known), "search"
     else:
-        answer, finder = _auto(core, snapshot, known, effort)
+        answer, finder = _auto(snapshot, known, effort)
     if answer.proven or answer.placed != known:
         name = finder
-    return _described(core, snapshot, name, answer)
+    return _described(snapshot, name, answer)
 
 
-def _described(
-    core: _core.Core, snapshot: Snapshot, method: str, answer: Answer
-) -> Result:
+def _described(snapshot: Snapshot, method: str, answer: Answer) -> Result:
     proven, stopped_by = answer.proven, answer.stopped_by
     is_none = not answer.placed and snapshot.size > 0
     if is_none and (proven or is_short(snapshot.arrays)):
@@ -99,12 +98,13 @@ def _described(
         method,
         proven=proven,
         stopped_by=cast("Stopped", stopped_by),
-        bound=max(answer.bound, core.bound()),
+        bound=max(answer.bound, snapshot.core.bound()),
     )
 
 
-def _start(core: _core.Core, snapshot: Snapshot, method: str) -> tuple[Placed, str]:
+def _start(snapshot: Snapshot, method: str) -> tuple[Placed, str]:
     """Return the placement to start from: as it is now, or the greedy's, or none."""
+    core = snapshot.core
     greedy, complete = core.greedy()
     placed: Placed = greedy if complete else []
     present: Placed = [] if method == "greedy" else snapshot.present
@@ -120,10 +120,9 @@ def _may_be_proven(snapshot: Snapshot) -> bool:
     return m == 2 or n * log2(m) <= MOST_PLACEMENTS  # noqa: PLR2004 - a tree of its own
 
 
-def _auto(
-    core: _core.Core, snapshot: Snapshot, known: Placed, effort: Effort
-) -> tuple[Answer, str]:
+def _auto(snapshot: Snapshot, known: Placed, effort: Effort) -> tuple[Answer, str]:
     """Try to prove at once; search a little, try to prove again, and search on."""
+    core = snapshot.core
     if not core.provable:
         return effort.search(core, known), "search"
     start = perf_counter()

@@ -2,121 +2,42 @@
 
 #include <algorithm>
 #include <numeric>
-#include <stdexcept>
-#include <string>
 
 namespace poise {
-namespace {
 
-void check_length(std::size_t length, std::int64_t expected, const char* name) {
-  if (length == static_cast<std::size_t>(expected)) return;
-  throw std::invalid_argument(std::string(name) + " has " + std::to_string(length) +
-                              " entries, must have " + std::to_string(expected));
-}
-
-void check_indexes(const std::vector<std::int32_t>& values, std::int64_t end,
-                   const char* name) {
-  for (const std::int32_t value : values) {
-    if (value >= 0 && value < end) continue;
-    throw std::invalid_argument(std::string(name) + " has the index " +
-                                std::to_string(value) + ", must be in [0, " +
-                                std::to_string(end) + ")");
-  }
-}
-
-// What would make the solvers read where nothing is. Whether numbers make sense has been
-// looked at by `poise.plan.problem.check`.
-void check(const Numbers& in) {
-  const auto size = [](std::int64_t value, std::int64_t most, const char* name) {
-    if (value >= 0 && value <= most) return;
-    throw std::invalid_argument(std::string(name) + " is " + std::to_string(value));
-  };
-  size(in.n, 1 << 28, "n");
-  size(in.m, 1 << 20, "m");
-  size(in.r, 1024, "r");
-  if (in.n > 0 && in.m == 0) throw std::invalid_argument("there are no computers");
-  check_length(in.demand.size(), in.n * in.r, "demand");
-  check_length(in.capacity.size(), in.m * in.r, "capacity");
-  check_length(in.limit.size(), in.m * in.r, "limit");
-  check_length(in.size_weight.size(), in.r, "size_weight");
-  check_length(in.spread.size(), in.r, "spread");
-  check_length(in.second.size(), in.first.size(), "second");
-  check_length(in.overhead.size(), in.first.size(), "overhead");
-  check_length(in.traffic.size(), in.first.size(), "traffic");
-  check_length(in.apart_second.size(), in.apart_first.size(), "apart");
-  if (!in.distance.empty()) check_length(in.distance.size(), in.m * in.m, "distance");
-  if (!in.bandwidth.empty()) check_length(in.bandwidth.size(), in.m * in.m, "bandwidth");
-  if (!in.cost.empty()) check_length(in.cost.size(), in.n * in.m, "cost");
-  check_indexes(in.first, in.n, "first");
-  check_indexes(in.second, in.n, "second");
-  check_indexes(in.apart_first, in.n, "apart");
-  check_indexes(in.apart_second, in.n, "apart");
-  for (const auto& [unit, computers] : in.allowed) {
-    check_indexes({unit}, in.n, "allowed");
-    check_indexes(computers, in.m, "allowed");
-  }
-}
-
-}  // namespace
-
-Problem::Problem(Numbers in) {
-  check(in);
-  n = static_cast<int>(in.n);
-  m = static_cast<int>(in.m);
-  r = static_cast<int>(in.r);
-  variance = in.variance;
-  const std::size_t entries = static_cast<std::size_t>(m) * r;
-  capacity.resize(entries);
-  floor.resize(entries);
-  scale.assign(entries, 1.0);
+void Problem::set_rooms(const std::vector<double>& has, const std::vector<double>& limit,
+                        bool share) {
+  capacity.resize(has.size());
+  floor.resize(has.size());
+  scale.assign(has.size(), 1.0);
   counted.assign(r, m);
-  weight = std::move(in.spread);
   for (int k = 0; k < r; ++k) {
     for (int h = 0; h < m; ++h) {
-      const double has = in.capacity[h * r + k], limit = in.limit[h * r + k];
-      capacity[k * m + h] = has;
-      floor[k * m + h] = has - limit - kSlack * std::max(1.0, limit);
-      if (!in.share) continue;
-      scale[k * m + h] = has > 0 ? 1.0 / has : 0.0;
-      if (has <= 0) --counted[k];
+      const std::size_t from = static_cast<std::size_t>(h) * r + k;
+      const std::size_t to = static_cast<std::size_t>(k) * m + h;
+      capacity[to] = has[from];
+      floor[to] = has[from] - limit[from] - kSlack * std::max(1.0, limit[from]);
+      if (!share) continue;
+      scale[to] = has[from] > 0 ? 1.0 / has[from] : 0.0;
+      if (has[from] <= 0) --counted[k];
     }
     // Over one computer, or none, there is no spread.
     if (counted[k] <= 1) weight[k] = 0;
   }
-  neighbours_.fill(n, [&](auto add) {
-    for (std::size_t e = 0; e < in.first.size(); ++e) {
-      const std::int32_t a = in.first[e], b = in.second[e];
-      if (a == b) continue;
-      add(a, {b, in.communication * in.overhead[e], in.traffic[e]});
-      add(b, {a, in.communication * in.overhead[e], in.traffic[e]});
-    }
-  });
-  apart_.fill(n, [&](auto add) {
-    for (std::size_t e = 0; e < in.apart_first.size(); ++e) {
-      add(in.apart_first[e], in.apart_second[e]);
-      add(in.apart_second[e], in.apart_first[e]);
-    }
-  });
-  restrict_units(in);
-  demand = std::move(in.demand);
-  size_weight = std::move(in.size_weight);
-  distance = std::move(in.distance);
-  cost = std::move(in.cost);
-  bandwidth = std::move(in.bandwidth);
-  sort_units();
 }
 
-void Problem::restrict_units(const Numbers& in) {
-  if (in.allowed.empty()) return;
+void Problem::restrict_units(
+    const std::map<std::int32_t, std::vector<std::int32_t>>& allowed) {
+  if (allowed.empty()) return;
   words_ = (static_cast<std::size_t>(m) + 63) / 64;
   rows_.assign(n, -1);
-  masks_.assign(in.allowed.size() * words_, 0);
-  for (std::size_t i = 0; i < in.allowed.size(); ++i) {
-    const auto& [unit, computers] = in.allowed[i];
-    rows_[unit] = static_cast<std::int32_t>(i);
+  masks_.assign(allowed.size() * words_, 0);
+  std::int32_t row = 0;
+  for (const auto& [unit, computers] : allowed) {
     for (const std::int32_t h : computers) {
-      masks_[i * words_ + h / 64] |= std::uint64_t{1} << (h % 64);
+      masks_[row * words_ + h / 64] |= std::uint64_t{1} << (h % 64);
     }
+    rows_[unit] = row++;
   }
 }
 

@@ -1,30 +1,19 @@
 // A problem in flat arrays, compiled once and solved many times.
 //
-// It mirrors `Arrays` in ../../arrays.py: "unit" is one or more components that share a
-// computer. Arrays by resource and computer are (r, m), one resource after the other, so
-// that loops over computers run over consecutive memory.
+// It is made from `Arrays` in ../../problem/arrays.py: "unit" is one or more components that
+// share a computer. Arrays by resource and computer are (r, m), one resource after the other,
+// so that loops over computers run over consecutive memory.
 #pragma once
 
 #include <cstdint>
 #include <limits>
-#include <utility>
+#include <map>
 #include <vector>
 
 namespace poise {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kSlack = 1e-9;
-
-// The numbers of `Arrays`; (m, r) where `Problem` has (r, m).
-struct Numbers {
-  std::int64_t n = 0, m = 0, r = 0;
-  std::vector<double> demand, capacity, limit, size_weight;
-  std::vector<std::pair<std::int32_t, std::vector<std::int32_t>>> allowed;
-  std::vector<std::int32_t> first, second, apart_first, apart_second;
-  std::vector<double> overhead, traffic, distance, cost, bandwidth, spread;
-  double communication = 0;
-  bool share = true, variance = false;
-};
 
 // One end of a connector, as seen from the other.
 struct Neighbour {
@@ -70,10 +59,7 @@ class Lists {
 
 class Problem {
  public:
-  // Throws std::invalid_argument when a size or an index is out of range.
-  explicit Problem(Numbers numbers);
-
-  int n, m, r;
+  int n = 0, m = 0, r = 0;
   std::vector<double> demand;       // (n, r)
   std::vector<double> capacity;     // (r, m)
   std::vector<double> floor;        // (r, m): residue must stay at or above this
@@ -85,8 +71,23 @@ class Problem {
   std::vector<double> cost;         // (n, m), or empty: 0
   std::vector<double> bandwidth;    // (m, m), or empty: unlimited
   std::vector<std::int32_t> order;  // units in the order in which the greedy places them
-  bool variance;
+  bool variance = false;
 
+  // Set up what computers have: `has` and `limit` are (m, r). Residues count as shares of
+  // what there is, or as they are.
+  void set_rooms(const std::vector<double>& has, const std::vector<double>& limit, bool share);
+  // `each` calls its argument with (unit, neighbour) for both ends of each connector.
+  template <typename Each>
+  void connect(Each each) {
+    neighbours_.fill(n, each);
+  }
+  // `each` calls its argument with (unit, other) both ways for each pair to be apart.
+  template <typename Each>
+  void keep_apart(Each each) {
+    apart_.fill(n, each);
+  }
+  // Some units -> the computers that each may run on.
+  void restrict_units(const std::map<std::int32_t, std::vector<std::int32_t>>& allowed);
   // Put units with one choice first, then by size; to be called when demands change.
   void sort_units();
 
@@ -128,9 +129,6 @@ class Problem {
   Problem joined(const std::vector<std::int32_t>& part, int count) const;
 
  private:
-  Problem() = default;
-  void restrict_units(const Numbers& in);
-
   Lists<Neighbour> neighbours_;
   Lists<std::int32_t> apart_;
   std::vector<std::int32_t> rows_;  // unit -> row of `masks_`, -1: may run anywhere
