@@ -144,9 +144,8 @@ def test_reads_connectors_chains_tasks_and_the_rest(robot_file: Path) -> None:
     assert robot.chains[0].deadline == pytest.approx(0.2)
     assert robot.functions_of("fetch") == ("navigation",)
     assert robot.objective == Objective(
-        communication=5, balance=1, scale="paper", sizes={"memory": 3}
+        communication=5, balance=1, scale="paper", sizes={"memory": 3}, quality=2
     )
-    assert robot.quality_weight == 2.0
     assert robot.together == (("scanner", "localiser"),)
     assert robot.apart == (("localiser", "recorder"),)
     assert robot.simulator == Simulator(command=("python", "-m", "trot.world"))

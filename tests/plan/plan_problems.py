@@ -5,9 +5,10 @@ from math import inf
 from random import Random
 
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
-from poise.model.robot import Computer, Objective
-from poise.plan import Edge, Item, LinkCapacity, Problem
+from poise.model.robot import Computer, Link, Objective
+from poise.plan import Edge, Item, Problem
 from poise.plan.problem.arrays import arrays_of
 from poise.plan.violations import violations
 from tests.plan.reference import objective
@@ -26,6 +27,7 @@ def problems(
     computers = [f"h{i}" for i in range(m)]
     components = [f"c{i}" for i in range(n)]
     resources = draw(st.sampled_from([("cpu",), ("cpu", "memory"), ("cpu", "x", "y")]))
+    costs = draw(st.booleans())
     pairs = st.lists(
         st.tuples(st.sampled_from(components), st.sampled_from(components)),
         max_size=2 * n,
@@ -38,8 +40,9 @@ def problems(
                 only=tuple(draw(_some(computers))),
                 present=draw(st.sampled_from([None, *computers])),
                 move_cost=draw(st.sampled_from([0.0, 0.0, 0.1])),
+                cost={h: 0.1 * (i % (k + 2)) for k, h in enumerate(computers) if costs},
             )
-            for name in components
+            for i, name in enumerate(components)
         ),
         computers=tuple(
             Computer(
@@ -55,17 +58,6 @@ def problems(
             for pair in (draw(pairs) if n else [])
         ),
         links=tuple(draw(_links(computers))),
-        distance=draw(_distances(m)),
-        cost=draw(
-            st.sampled_from(
-                [
-                    (),
-                    tuple(
-                        tuple(0.1 * (i % (h + 2)) for h in range(m)) for i in range(n)
-                    ),
-                ]
-            )
-        ),
         objective=Objective(
             communication=draw(SHARES),
             balance=draw(SHARES),
@@ -92,22 +84,15 @@ def _groups(names: list[str]) -> st.SearchStrategy[tuple[tuple[str, ...], ...]]:
 
 
 @st.composite
-def _links(draw: st.DrawFn, names: list[str]) -> list[LinkCapacity]:
-    if len(names) < 2 or draw(st.integers(0, 3)):
-        return []
-    bandwidth = draw(st.sampled_from([0.0, 1.0, 3.0]))
-    return [LinkCapacity(between=(names[0], names[1]), bandwidth=bandwidth)]
-
-
-@st.composite
-def _distances(draw: st.DrawFn, m: int) -> tuple[tuple[float, ...], ...]:
-    if draw(st.integers(0, 2)):
-        return ()
-    far = [[0.0] * m for _ in range(m)]
-    for a in range(m):
-        for b in range(a):
-            far[a][b] = far[b][a] = draw(st.sampled_from([0.5, 1.0, 2.0]))
-    return tuple(tuple(row) for row in far)
+def _links(draw: st.DrawFn, names: list[str]) -> list[Link]:
+    distances = st.sampled_from([0.5, 1.0, 2.0]) if draw(st.booleans()) else st.just(1)
+    links = [
+        Link(between=pair, distance=draw(distances)) for pair in combinations(names, 2)
+    ]
+    if links and not draw(st.integers(0, 3)):
+        bandwidth = draw(st.sampled_from([0.0, 1.0, 3.0]))
+        links[0] = replace(links[0], bandwidth=bandwidth)
+    return links
 
 
 def small_robot(seed: int) -> Problem:
@@ -151,7 +136,7 @@ def small_robot(seed: int) -> Problem:
             if random.random() < 0.5
         ),
         links=tuple(
-            LinkCapacity(between=pair, bandwidth=random.lognormvariate(14.5, 1.5))
+            Link(between=pair, bandwidth=random.lognormvariate(14.5, 1.5))
             for pair in pairs
             if random.random() < 0.6
         ),

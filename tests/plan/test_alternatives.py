@@ -3,7 +3,7 @@
 from msgspec.structs import replace
 
 from poise import plan
-from poise.model.robot import Computer
+from poise.model.robot import Computer, Objective
 from poise.plan import Bundle, Item, Problem
 
 
@@ -114,5 +114,6 @@ def test_weighs_quality_against_fit() -> None:
         asked,
         computers=(*asked.computers, Computer(name="two", capacity={"cpu": 4.0})),
     )
-    assert plan.solve(replace(two, quality=0.0)).architectures == {"see": "plain"}
-    assert plan.solve(replace(two, quality=5.0)).architectures == {"see": "good"}
+    for quality, chosen in ((0.0, "plain"), (5.0, "good")):
+        weighed = replace(two, objective=Objective(quality=quality))
+        assert plan.solve(weighed).architectures == {"see": chosen}

@@ -76,7 +76,7 @@ def test_the_better_alternative_is_worth_a_little_of_a_link(robot: Robot) -> Non
 
 def test_the_file_weighs_quality(robot: Robot) -> None:
     """Where quality is worth a thousandth, the connector decides."""
-    frugal = replace(robot, quality_weight=0.001, objective=Objective(balance=0.0))
+    frugal = replace(robot, objective=Objective(balance=0.0, quality=0.001))
     result = plan.solve(plan.problem_of(frugal))
     assert result.architectures == {"find": "simple"}
 

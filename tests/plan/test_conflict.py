@@ -9,8 +9,8 @@ from msgspec.structs import replace
 
 from benchmarks.random_robots import random_robot
 from poise import plan
-from poise.model.robot import Computer
-from poise.plan import Edge, Item, LinkCapacity, Problem
+from poise.model.robot import Computer, Link
+from poise.plan import Edge, Item, Problem
 from poise.plan.problem.arrays import arrays_of
 from poise.plan.violations import violations
 from poise.plan.why.conflict import _at_least
@@ -183,7 +183,7 @@ def test_names_the_link_that_is_too_slow() -> None:
         components=(first, second),
         computers=computers(3, 3),
         connectors=(Edge(between=("c0", "c1"), traffic=8.0),),
-        links=(LinkCapacity(between=("h0", "h1"), bandwidth=5.0),),
+        links=(Link(between=("h0", "h1"), bandwidth=5.0),),
     )
     result = plan.solve(problem)
     assert not result.feasible

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from poise.model.robot import Computer
-from poise.plan import Edge, Item, LinkCapacity, Problem
+from poise.model.robot import Computer, Link
+from poise.plan import Edge, Item, Problem
 from poise.plan.problem.arrays import Arrays, Placed, arrays_of
 from poise.plan.violations import violations
 from tests.plan.native import Native
@@ -133,7 +133,7 @@ def test_search_finds_what_a_link_without_bandwidth_leaves() -> None:
             Edge(between=("c1", "c0"), traffic=1.0),
             Edge(between=("c4", "c0"), traffic=3.0),
         ),
-        links=(LinkCapacity(between=("h0", "h1"), bandwidth=0.0),),
+        links=(Link(between=("h0", "h1"), bandwidth=0.0),),
     )
     arrays = arrays_of(problem)
     for seed in range(4):

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from benchmarks.random_robots import random_robot
-from poise.model.robot import Spread
-from poise.plan import Edge, LinkCapacity, Problem
+from poise.model.robot import Link, Spread
+from poise.plan import Edge, Problem
 from poise.plan.problem.arrays import Arrays, Placed, arrays_of
 from poise.plan.violations import violations
 from tests.plan.native import Native
@@ -148,10 +148,11 @@ def test_the_proof_on_two_computers_is_the_least_of_all(
             uneven=seed % 2 > 0,
         )
         if seed % 3 == 0:
-            parts = robot.components
-            robot = replace(
-                robot, cost=tuple((0.02 * (i % 3), 0.0) for i in range(len(parts)))
+            costly = (
+                replace(c, cost={"computer0": 0.02 * (i % 3)})
+                for i, c in enumerate(robot.components)
             )
+            robot = replace(robot, components=tuple(costly))
         arrays = arrays_of(robot)
         answer = Native(arrays).exact([])
         best = optimum(arrays)
@@ -173,7 +174,7 @@ def test_every_proof_on_two_computers_finds_the_same(
         robot = random_robot(seed, 20, 2, spread=spread, degree=degree)
         if degree > 8:
             robot = replace(robot, connectors=_all_to_all(robot, seed))
-        link = LinkCapacity(between=("computer0", "computer1"), bandwidth=math.inf)
+        link = Link(between=("computer0", "computer1"), bandwidth=1e29)
         linked = replace(robot, links=(link,))
         answers = [Native(arrays_of(p)).exact([]) for p in (robot, linked)]
         assert all(answer.proven for answer in answers)
@@ -235,8 +236,7 @@ def test_links_that_carry_everything_change_nothing() -> None:
     names = [h.name for h in robot.computers]
     busy = tuple(replace(c, traffic=1.0) for c in robot.connectors)
     links = tuple(
-        LinkCapacity(between=pair, bandwidth=1e6)
-        for pair in itertools.combinations(names, 2)
+        Link(between=pair, bandwidth=1e6) for pair in itertools.combinations(names, 2)
     )
     linked = replace(robot, connectors=busy, links=links)
     free = Native(arrays_of(robot)).search([], steps=50_000, seed=1)

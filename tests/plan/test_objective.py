@@ -4,7 +4,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise import plan
-from poise.model.robot import Computer, Objective
+from poise.model.robot import Computer, Link, Objective
 from poise.plan import Edge, Item, Problem
 
 
@@ -35,7 +35,8 @@ def test_variance_is_the_population_variance(two_computers: Problem) -> None:
 
 
 def test_distance_scales_overhead(two_computers: Problem) -> None:
-    far = replace(two_computers, distance=((0.0, 4.0), (4.0, 0.0)))
+    link = Link(between=("large", "small"), distance=4.0)
+    far = replace(two_computers, links=(link,))
     placement = {"a": "large", "b": "small", "c": "large", "d": "large"}
     objective = plan.evaluate(far, placement).objective
     assert objective is not None
@@ -43,11 +44,12 @@ def test_distance_scales_overhead(two_computers: Problem) -> None:
 
 
 def test_linear_costs_and_moves_add_up() -> None:
-    """Cost matrix 2 on `right`, and 5 for leaving `left`."""
+    """2 on `right`, and 5 for leaving `left`."""
+    item = Item(
+        name="a", present="left", move_cost=5.0, cost={"left": 1.0, "right": 2.0}
+    )
     problem = Problem(
-        components=(Item(name="a", present="left", move_cost=5.0),),
-        computers=(Computer(name="left"), Computer(name="right")),
-        cost=((1.0, 2.0),),
+        components=(item,), computers=(Computer(name="left"), Computer(name="right"))
     )
     moved = plan.evaluate(problem, {"a": "right"}).objective
     stayed = plan.evaluate(problem, {"a": "left"}).objective

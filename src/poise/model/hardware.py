@@ -99,7 +99,9 @@ class Device(Struct, frozen=True, kw_only=True):
     ] = False
 
 
-class Link(Struct, frozen=True, kw_only=True):
+class Link(
+    Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True
+):
     """A network link between two computers."""
 
     between: Annotated[tuple[Name, Name], says("The two computers it joins.")]

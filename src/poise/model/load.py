@@ -51,7 +51,6 @@ def load_source(path: str | Path) -> Source:
     if values is None or not is_whole:
         raise RobotError(problems=sorted(problems))
     values["folder"] = str(path.resolve().parent)
-    values["quality_weight"] = values.get("objective", {}).pop("quality", 1.0)
     own = msgspec.convert(values, Robot)
     robot, repository = with_repository(own, root, problems)
     positions = Positions(root)

@@ -23,7 +23,6 @@ from poise.model.file_keys import (
     Share,
     note,
     says,
-    written,
 )
 from poise.model.hardware import Computer, Device, Link
 from poise.model.policy.policy import POLICIES, Policy
@@ -83,7 +82,9 @@ class Objective(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The weights of a good placement.
 
     All are finite and >= 0 (docs/design/objective.md); `communication` and `balance`
-    are the paper's omega_1 and omega_2. The greedy orders components by size.
+    are the paper's omega_1 and omega_2. The greedy orders components by size. `quality`
+    is what F grows by for every unit of quality lost by choosing an architecture that
+    is not the best one for its function.
     """
 
     communication: Annotated[
@@ -104,11 +105,6 @@ class Objective(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     sizes: Annotated[
         Mapping[Name, Amount], says("Weight of each resource in a component's size.")
     ] = {}
-
-
-class ObjectiveKeys(Objective, frozen=True, kw_only=True):
-    """The weights of a good placement."""
-
     quality: Annotated[
         Amount, says("Weight of the quality lost by a lesser alternative.")
     ] = 1.0
@@ -179,9 +175,7 @@ Set = Annotated[tuple[Name, ...], note(min_length=2)]
 class Robot(Struct, frozen=True, kw_only=True):
     """A robot: its computers, its software and its tasks.
 
-    Implementations are imported from `folder`, that of the file. F grows by
-    `quality_weight`, the objective's `quality`, for every unit of quality lost by
-    choosing an architecture that is not the best one for its function.
+    Implementations are imported from `folder`, that of the file.
     """
 
     name: Annotated[Name, says("The robot's name.", key="robot")]
@@ -231,12 +225,9 @@ class Robot(Struct, frozen=True, kw_only=True):
         PREFETCH,
         says("What is prepared of the next actions while others run, or `off`."),
     ] = Prefetch()
-    objective: Annotated[
-        Objective,
-        written(ObjectiveKeys, dict),
-        says("The weights of a good placement."),
-    ] = Objective()
-    quality_weight: float = 1.0
+    objective: Annotated[Objective, says("The weights of a good placement.")] = (
+        Objective()
+    )
     together: Annotated[
         tuple[Set, ...], says("Sets of components that share a computer.")
     ] = ()

@@ -6,7 +6,7 @@ from poise.plan.phases.solve import solve_phases
 from poise.plan.planner import Planner, evaluate, solve
 from poise.plan.problem.file import load, schema
 from poise.plan.problem.from_robot import problem_of, static
-from poise.plan.problem.problem import Bundle, Edge, Item, LinkCapacity, Problem
+from poise.plan.problem.problem import Bundle, Edge, Item, Problem
 from poise.plan.result import Result
 from poise.plan.result_records import Conflict, GreedyStep, More, Terms, Tightest, Trial
 from poise.plan.what_if.changed_problem import add, keep_components, scale, without
@@ -20,7 +20,6 @@ __all__ = [
     "Explanation",
     "GreedyStep",
     "Item",
-    "LinkCapacity",
     "More",
     "Option",
     "PhaseMove",

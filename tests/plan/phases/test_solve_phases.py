@@ -9,8 +9,8 @@ from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import UsageError
-from poise.model.robot import Computer
-from poise.plan import Bundle, Edge, Item, LinkCapacity, Problem, _core
+from poise.model.robot import Computer, Link, Objective
+from poise.plan import Bundle, Edge, Item, Problem, _core
 from poise.plan.phases.merged import Unit, merged
 from poise.plan.phases.problem import NEVER
 from poise.plan.problem.arrays import arrays_of
@@ -57,7 +57,7 @@ def test_three_actions_that_do_not_fit_at_once_fit_one_after_the_other() -> None
 def test_a_component_stays_where_it_is_best_over_all_phases() -> None:
     """Two phases pin a rival to one: `a` is on two, and in the first phase as well."""
     a, rival = item("a"), item("r", 0.3, "one")
-    first = replace(alone(a), cost=((0.0, 0.005),))
+    first = alone(replace(a, cost={"two": 0.005}))
     problem = in_turn(first, alone(a, rival), alone(a, rival))
     result = plan.solve_phases(problem)
     assert [r.placement["a"] for r in result.results.values()] == ["two"] * 3
@@ -150,7 +150,7 @@ def test_phases_as_one_problem_have_the_same_total(seed: int) -> None:
 def test_what_may_not_be_moved_is_in_one_place() -> None:
     """`a` would be on one in the first phase, but a rival takes that in the second."""
     a, rival = item("a"), item("r", 0.3, "one")
-    first = replace(alone(a), cost=((0.0, 0.4),))
+    first = alone(replace(a, cost={"two": 0.4}))
     result = plan.solve_phases(in_turn(first, alone(a, rival), move={"a": NEVER}))
     assert result.feasible
     assert result.results["p0"].placement["a"] == "two"
@@ -186,7 +186,7 @@ def with_alternatives(*components: Item) -> Problem:
             Bundle(name="poor", components=("poor",), function="f", quality=0.9),
             *(Bundle(name=c.name, components=(c.name,)) for c in components),
         ),
-        quality=0.01,
+        objective=Objective(quality=0.01),
     )
 
 
@@ -205,9 +205,9 @@ def test_links_keep_their_bandwidth_in_every_phase() -> None:
     linked = replace(
         alone(a, b, rival),
         connectors=(Edge(between=("a", "b"), overhead=0.0, traffic=10.0),),
-        links=(LinkCapacity(between=("one", "two"), bandwidth=1.0),),
+        links=(Link(between=("one", "two"), bandwidth=1.0),),
     )
-    first = replace(alone(a, rival), cost=((0.0, 0.5), (0.0, 0.0)))
+    first = alone(replace(a, cost={"two": 0.5}), rival)
     result = plan.solve_phases(in_turn(first, linked, first, move={"a": 0.3}))
     assert [r.placement["a"] for r in result.results.values()] == ["one", "two", "one"]
     assert all(r.feasible for r in result.results.values())

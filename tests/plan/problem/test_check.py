@@ -12,8 +12,8 @@ from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import PoiseError, RobotError, UsageError
-from poise.model.robot import Computer, Objective
-from poise.plan import Bundle, Edge, Item, LinkCapacity, Problem
+from poise.model.robot import Computer, Link, Objective
+from poise.plan import Bundle, Edge, Item, Problem
 from tests.plan.plan_problems import problems
 
 
@@ -75,8 +75,8 @@ def test_refuses_numbers_out_of_range(number: float) -> None:
         ("balance", lambda x: robot(objective=Objective(balance=x))),
         ("weight of cpu", lambda x: robot(objective=Objective(weights={"cpu": x}))),
         ("size of cpu", lambda x: robot(objective=Objective(sizes={"cpu": x}))),
-        ("quality", lambda x: robot(quality=x)),
-        ("distance", lambda x: robot(distance=((0.0, x), (x, 0.0)))),
+        ("quality", lambda x: robot(objective=Objective(quality=x))),
+        ("distance", lambda x: _linked(distance=x)),
     ],
 )
 def test_names_the_number_that_is_wrong(
@@ -96,6 +96,10 @@ def _component(**fields: Any) -> Problem:
     return replace(robot(), components=(replace(a, **fields), b))
 
 
+def _linked(**fields: Any) -> Problem:
+    return robot(links=(Link(**{"between": ("one", "two"), **fields}),))
+
+
 def _joined(**fields: Any) -> Problem:
     return robot(connectors=(Edge(**{"between": ("a", "b"), **fields}),))
 
@@ -108,16 +112,14 @@ def test_refuses_a_reserve_that_is_no_share(share: float) -> None:
 
 @pytest.mark.parametrize("cost", [nan, inf, -inf, 1e31, -1e31, 1e-40])
 def test_refuses_a_cost_out_of_range(cost: float) -> None:
-    with pytest.raises(RobotError, match=r"cost\[1\]\[0\]"):
-        plan.solve(robot(cost=((0.0, 1.0), (cost, 0.0))))
+    with pytest.raises(RobotError, match="component 'a': the size of its cost on two"):
+        _component(cost={"one": -1.0, "two": cost})
 
 
 @pytest.mark.parametrize("bandwidth", [nan, -1.0, -inf, 1e31])
 def test_refuses_a_bandwidth_out_of_range(bandwidth: float) -> None:
     with pytest.raises(RobotError, match="link one - two: bandwidth"):
-        plan.solve(
-            robot(links=(LinkCapacity(between=("one", "two"), bandwidth=bandwidth),))
-        )
+        _linked(bandwidth=bandwidth)
 
 
 @pytest.mark.parametrize(
@@ -141,8 +143,9 @@ def test_refuses_a_bandwidth_out_of_range(bandwidth: float) -> None:
         (lambda: _joined(between=("a",)), "connector between a: it must join two"),
         (lambda: robot(objective=Objective(scale="papr")), "scale is 'papr', must be"),  # type: ignore[arg-type]
         (lambda: robot(objective=Objective(spread="std")), "spread is 'std', must be"),  # type: ignore[arg-type]
+        (lambda: _component(cost={"tow": 1.0}), "did you mean 'two'"),
         (
-            lambda: robot(links=(LinkCapacity(between=("one", "one"), bandwidth=1.0),)),
+            lambda: _linked(between=("one", "one")),
             "link between one, one: it must join two",
         ),
         (
@@ -237,38 +240,9 @@ def test_takes_any_other_budget(two_computers: Problem, budget: float) -> None:
     assert plan.solve(two_computers, budget=budget).feasible
 
 
-def test_refuses_a_matrix_of_the_wrong_shape() -> None:
-    with pytest.raises(RobotError, match="distance is 1 x") as caught:
-        Problem(
-            components=(Item(name="a"),),
-            computers=(Computer(name="one"), Computer(name="two")),
-            distance=((0.0, 1.0),),
-            cost=((0.0,),),
-        )
-    assert "cost is 1 x" in str(caught.value)
-
-
-def test_refuses_a_lopsided_distance() -> None:
-    with pytest.raises(RobotError, match="one way"):
-        Problem(
-            components=(Item(name="a"),),
-            computers=(Computer(name="one"), Computer(name="two")),
-            distance=((0.0, 1.0), (2.0, 0.0)),
-        )
-
-
-def test_refuses_a_distance_of_a_computer_to_itself() -> None:
-    with pytest.raises(RobotError, match="'two' to itself is 0"):
-        Problem(
-            components=(Item(name="a"),),
-            computers=(Computer(name="one"), Computer(name="two")),
-            distance=((0.0, 1.0), (1.0, 0.5)),
-        )
-
-
 @pytest.mark.parametrize(
     "text",
-    ["", "[]", "{", '{"components": [{}]}', '{"componets": []}', '{"cost": 1e999}'],
+    ["", "[]", "{", '{"components": [{}]}', '{"componets": []}', '{"links": 1e999}'],
 )
 def test_refuses_a_broken_file(tmp_path: Path, text: str) -> None:
     path = tmp_path / "problem.json"

@@ -110,7 +110,14 @@ def test_a_link_that_is_too_narrow_is_told_with_its_units(robot: Robot) -> None:
 
 
 def test_link_distance_reaches_the_objective(robot: Robot) -> None:
-    assert plan.problem_of(robot).distance == ((0.0, 3.0), (3.0, 0.0))
+    problem = plan.problem_of(robot)
+    placement = {"grabber": "eye", "finder": "main", "wheels": "main", "voice": "main"}
+    objective = plan.evaluate(problem, placement).objective
+    near = replace(problem, links=(replace(problem.links[0], distance=1.0),))
+    closer = plan.evaluate(near, placement).objective
+    assert objective is not None
+    assert closer is not None
+    assert objective.communication == pytest.approx(3 * closer.communication)
 
 
 def test_a_component_that_may_not_be_moved_stays_where_it_runs(robot: Robot) -> None:

@@ -5,7 +5,7 @@ from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import UsageError
-from poise.model.robot import Computer
+from poise.model.robot import Computer, Link
 from poise.plan import Problem
 
 
@@ -40,16 +40,18 @@ def test_scale_takes_a_resource_or_a_computer(two_computers: Problem) -> None:
         plan.scale(two_computers, {"gpu": 2.0})
 
 
-def test_changes_keep_matrices_in_step(two_computers: Problem) -> None:
-    problem = replace(
-        two_computers,
-        distance=((0.0, 2.0), (2.0, 0.0)),
-        cost=((0.0, 1.0),) * 4,
+def test_links_and_costs_go_with_their_computer(two_computers: Problem) -> None:
+    costly = tuple(
+        replace(c, cost={"large": 0.5, "small": 1.0}) for c in two_computers.components
     )
+    link = Link(between=("large", "small"), distance=2.0)
+    problem = replace(two_computers, links=(link,), components=costly)
     more = plan.add(problem, Computer(name="new", capacity={"cpu": 2.0}))
     assert plan.solve(more).feasible
-    assert plan.without(more, ["small"]).distance == ((0.0, 1.0), (1.0, 0.0))
-    assert plan.without(more, ["large"]).cost == ((1.0, 0.0),) * 4
+    assert plan.without(more, ["new"]) == problem
+    left = plan.without(more, ["small"])
+    assert left.links == ()
+    assert left.components[0].cost == {"large": 0.5}
 
 
 def test_smallest_finds_the_fewest_computers(two_computers: Problem) -> None:

@@ -54,24 +54,17 @@ def with_moves(
     for bundle in problem.architectures:
         of_function.setdefault(bundle.function, set()).update(bundle.components)
     names = [computer.name for computer in problem.computers]
-    rows = []
-    for i, component in enumerate(problem.components):
+    components = []
+    for component in problem.components:
         move = phased.move.get(component.name, 0.0)
-        row = [*problem.cost[i]] if problem.cost else [0.0] * len(names)
+        cost = {name: component.cost.get(name, 0.0) for name in names}
         for there in near:
             if component.name in there:
-                row = [
-                    cost + move * (name != there[component.name])
-                    for cost, name in zip(row, names, strict=True)
-                ]
+                for name in cost.keys() - {there[component.name]}:
+                    cost[name] += move
             elif there.keys() & of_function.get(function.get(component.name, ""), ()):
-                switch = MOVE if move >= NEVER else move
-                row = [cost + switch for cost in row]
-        rows.append(tuple(row))
-    return replace(
-        problem,
-        cost=tuple(rows),
-        components=tuple(
-            replace(c, present=own.get(c.name, c.present)) for c in problem.components
-        ),
-    )
+                for name in cost:
+                    cost[name] += MOVE if move >= NEVER else move
+        present = own.get(component.name, component.present)
+        components.append(replace(component, cost=cost, present=present))
+    return replace(problem, components=tuple(components))

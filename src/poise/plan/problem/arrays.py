@@ -164,9 +164,9 @@ def arrays_of(problem: Problem) -> Arrays:
         _size_weights(problem, resources, limit),
         _allowed(problem, place, unit_of),
         connectors,
-        [d for row in problem.distance for d in row],
+        _distances(problem, place),
         _linear(problem, place, unit_of, n),
-        _bandwidths(problem, place, m),
+        _bandwidths(problem, place),
         _apart(problem, unit),
         objective.communication * _overhead_scale(problem, connectors),
         [objective.balance * w for w in _balance_weights(problem, resources)],
@@ -189,7 +189,8 @@ def _overhead_scale(
     """
     if problem.objective.scale == "paper":
         return 1.0
-    total, sent = (sum(each[i] for each in connectors) for i in (2, 3))
+    total = sum([overhead for _, _, overhead, _ in connectors])
+    sent = sum([traffic for _, _, _, traffic in connectors])
     if problem.together:  # overhead within a unit is part of all, though never paid
         between = [k for k in problem.connectors if k.between[0] != k.between[1]]
         total = sum(k.overhead for k in between)
@@ -240,9 +241,12 @@ def _connectors(
         if i == j:
             continue
         pair = (i, j) if i < j else (j, i)
-        overhead, traffic = found.get(pair, (0.0, 0.0))
-        found[pair] = overhead + connector.overhead, traffic + connector.traffic
-    return [(i, j, *both) for (i, j), both in found.items()]
+        overhead, traffic = connector.overhead, connector.traffic
+        if pair in found:
+            overhead += found[pair][0]
+            traffic += found[pair][1]
+        found[pair] = overhead, traffic
+    return [(i, j, o, t) for (i, j), (o, t) in found.items()]
 
 
 def _balance_weights(problem: Problem, resources: tuple[str, ...]) -> list[float]:
@@ -286,28 +290,40 @@ def _linear(
     problem: Problem, place: dict[str, int], unit_of: list[int], n: int
 ) -> list[float]:
     m = len(place)
-    moving = [
-        (i, c)
+    costly = [
+        (unit_of[i] * m, c)
         for i, c in enumerate(problem.components)
-        if c.present and c.move_cost > 0
+        if c.cost or (c.present and c.move_cost > 0)
     ]
-    if not moving and not problem.cost:
+    if not costly:
         return []
     total = [0.0] * (n * m)
-    for i, row in enumerate(problem.cost):
-        for h, value in enumerate(row):
-            total[unit_of[i] * m + h] += value
-    for i, component in moving:
+    for row, component in costly:
+        for name, cost in component.cost.items():
+            total[row + place[name]] += cost
+    for row, component in costly:
         for name, h in place.items():
-            if name != component.present:
-                total[unit_of[i] * m + h] += component.move_cost
+            if component.present not in {None, name}:
+                total[row + h] += component.move_cost
     return total
 
 
-def _bandwidths(problem: Problem, place: dict[str, int], m: int) -> list[float]:
-    if not problem.links:
+def _distances(problem: Problem, place: dict[str, int]) -> list[float]:
+    if all(link.distance == 1 for link in problem.links):
         return []
-    table = [float("inf")] * (m * m)
+    m = len(place)
+    table = [float(a != b) for a in range(m) for b in range(m)]
+    for link in problem.links:
+        a, b = (place[name] for name in link.between)
+        table[a * m + b] = table[b * m + a] = link.distance
+    return table
+
+
+def _bandwidths(problem: Problem, place: dict[str, int]) -> list[float]:
+    if all(link.bandwidth == inf for link in problem.links):
+        return []
+    m = len(place)
+    table = [inf] * (m * m)
     for link in problem.links:
         a, b = (place[name] for name in link.between)
         table[a * m + b] = table[b * m + a] = min(link.bandwidth, table[a * m + b])

@@ -55,7 +55,6 @@ def problems(problem: Problem) -> Iterator[str]:
     yield from _numbers(problem)
     yield from _names(problem, components, computers)
     yield from _groups(problem)
-    yield from _matrices(problem)
 
 
 def _texts(problem: Problem) -> Iterator[str]:
@@ -96,6 +95,8 @@ def _numbers(problem: Problem) -> Iterator[str]:
         where = f"component {c.name!r}: "
         yield from _amounts(f"{where}demand of ", c.demand)
         yield from _amounts(where, {"move_cost": c.move_cost})
+        sizes = {name: abs(cost) for name, cost in c.cost.items()}
+        yield from _amounts(f"{where}the size of its cost on ", sizes)
     for h in problem.computers:
         where = f"computer {h.name!r}: "
         yield from _amounts(f"{where}capacity of ", h.capacity)
@@ -109,8 +110,9 @@ def _numbers(problem: Problem) -> Iterator[str]:
         where = f"connector {' - '.join(k.between)}: "
         yield from _amounts(where, {"overhead": k.overhead, "traffic": k.traffic})
     for link in problem.links:
+        where = f"link {' - '.join(link.between)}: "
+        yield from _amounts(where, {"distance": link.distance})
         if link.bandwidth != inf:
-            where = f"link {' - '.join(link.between)}: "
             yield from _amounts(where, {"bandwidth": link.bandwidth})
     yield from _weights(problem)
 
@@ -124,11 +126,10 @@ def _weights(problem: Problem) -> Iterator[str]:
         if value not in choices:
             known = " or ".join(choices)
             yield f"objective: {name} is {value!r}, must be {known}"
-    both = {"communication": given.communication, "balance": given.balance}
-    yield from _amounts("objective: ", both)
+    terms = ("communication", "balance", "quality")
+    yield from _amounts("objective: ", {term: getattr(given, term) for term in terms})
     yield from _amounts("objective: weight of ", given.weights)
     yield from _amounts("objective: size of ", given.sizes)
-    yield from _amounts("problem: ", {"quality": problem.quality})
     for a in problem.architectures:
         if not 0 < a.quality <= 1:
             yield f"architecture {a.name!r}: quality is {a.quality}, must be in (0, 1]"
@@ -188,7 +189,7 @@ def _mentions(problem: Problem) -> Iterator[tuple[str, str, tuple[str, ...]]]:
     """Yield where names are used, of which kind, and the names."""
     for c in problem.components:
         present = () if c.present is None else (c.present,)
-        yield f"component {c.name!r}", "computer", (*c.only, *present)
+        yield f"component {c.name!r}", "computer", (*c.only, *c.cost, *present)
     for k in problem.connectors:
         yield f"connector {' - '.join(k.between)}", "component", k.between
     for link in problem.links:
@@ -206,45 +207,3 @@ def _unknown(where: str, kind: str, name: str, known: list[str]) -> str:
     hint = f"; did you mean {near[0]!r}?" if near else ""
     choices = ", ".join(known[:8]) + (", ..." if len(known) > 8 else "")  # noqa: PLR2004
     return f"{where}: no {kind} is called {name!r}{hint} (there are: {choices})"
-
-
-def _matrices(problem: Problem) -> Iterator[str]:
-    n, m = len(problem.components), len(problem.computers)
-    for name, table, rows in (
-        ("distance", problem.distance, m),
-        ("cost", problem.cost, n),
-    ):
-        if not table:
-            continue
-        if len(table) != rows or any(len(row) != m for row in table):
-            widths = sorted({len(row) for row in table})
-            yield f"{name} is {len(table)} x {widths}, must be {rows} x {m}"
-        elif (wrong := _outlier(table)) is not None:
-            entry, value = wrong
-            yield f"{name}{entry} is {_shown(value)}, must be 0, or of a size {_RANGE}"
-        elif name == "distance":
-            yield from _metric(problem)
-
-
-def _outlier(table: tuple[tuple[float, ...], ...]) -> tuple[str, float] | None:
-    """Return where a number is that may not be, and the number."""
-    for i, row in enumerate(table):
-        for j, value in enumerate(row):
-            size = -value if value < 0 else value
-            if not (size == 0 or LEAST <= size <= MOST):
-                return f"[{i}][{j}]", value
-    return None
-
-
-def _metric(problem: Problem) -> Iterator[str]:
-    table = problem.distance
-    for a, row in enumerate(table):
-        for b, value in enumerate(row[: a + 1]):
-            one, other = problem.computers[a].name, problem.computers[b].name
-            names = f"{one!r} and {other!r}"
-            if a == b and value != 0:
-                yield f"distance of {one!r} to itself is {value}, must be 0"
-            elif value < 0:
-                yield f"distance between {names} is {value}, must be >= 0"
-            if value != table[b][a]:
-                yield f"distance between {names} is {value} one way, {table[b][a]} back"

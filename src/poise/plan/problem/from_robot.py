@@ -8,7 +8,7 @@ from itertools import combinations
 from poise.errors import RobotError, UsageError
 from poise.model import robot as model
 from poise.model.tasks.exclusive import needs_device
-from poise.plan.problem.problem import Bundle, Edge, Item, LinkCapacity, Problem
+from poise.plan.problem.problem import Bundle, Edge, Item, Problem
 from poise.plan.solvers.alternatives import needs, part
 
 MEGABYTE = 1e6
@@ -58,16 +58,10 @@ def problem_of(
         components=components,
         computers=robot.computers,
         connectors=tuple(_connectors(robot, chosen, names)),
-        links=tuple(
-            LinkCapacity(between=k.between, bandwidth=k.bandwidth)
-            for k in robot.links
-            if k.bandwidth < float("inf")
-        ),
-        distance=_distances(robot),
+        links=robot.links,
         objective=robot.objective,
         together=_within(robot.together, names),
         apart=(*_within(robot.apart, names), *_rivals(robot, chosen)),
-        quality=robot.quality_weight,
         architectures=tuple(
             Bundle(
                 name=a.name,
@@ -196,17 +190,6 @@ def _connectors(
                     overhead=connector.cost,
                     traffic=connector.traffic,
                 )
-
-
-def _distances(robot: model.Robot) -> tuple[tuple[float, ...], ...]:
-    if all(link.distance == 1 for link in robot.links):
-        return ()
-    index = {h.name: i for i, h in enumerate(robot.computers)}
-    table = [[float(a != b) for a in index.values()] for b in index.values()]
-    for link in robot.links:
-        a, b = (index[name] for name in link.between)
-        table[a][b] = table[b][a] = link.distance
-    return tuple(tuple(row) for row in table)
 
 
 def _rivals(

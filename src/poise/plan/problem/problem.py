@@ -12,7 +12,7 @@ from itertools import chain
 
 from msgspec import Struct
 
-from poise.model.robot import Computer, Objective
+from poise.model.robot import Computer, Link, Objective
 from poise.plan.problem.check import check
 
 SLACK = 1e-9
@@ -32,6 +32,8 @@ class Item(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         The computer where it runs now, or None.
     move_cost
         What F grows by when it does not stay on `present`; >= 0.
+    cost
+        Computer -> what F grows by when it is there; 0 where not named.
     why
         For people: why `only` is what it is, such as ``"needs device camera"``.
     """
@@ -41,6 +43,7 @@ class Item(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     only: tuple[str, ...] = ()
     present: str | None = None
     move_cost: float = 0.0
+    cost: Mapping[str, float] = {}
     why: str = ""
 
 
@@ -58,13 +61,6 @@ class Edge(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     between: tuple[str, str]
     overhead: float = 1.0
     traffic: float = 0.0
-
-
-class LinkCapacity(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How much the connectors between two computers may send together [bytes/s]."""
-
-    between: tuple[str, str]
-    bandwidth: float
 
 
 class Bundle(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -96,34 +92,24 @@ class Problem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     Parameters
     ----------
     links
-        Bandwidth between pairs of computers; unlimited where none is named.
-    distance
-        What a unit of overhead costs between two computers, symmetric,
-        (n_computers, n_computers); empty means 1 between any two, 0 on one.
-    cost
-        What F grows by for a component on a computer, (n_components, n_computers);
-        empty means 0.
+        What a unit of overhead costs between two computers (`distance`, 1 where there
+        is no link), and how much their connectors may send together (`bandwidth`,
+        unlimited where there is none).
     together, apart
         Sets of components that must share a computer, or must not.
     architectures
         Which components belong together as a function; for priorities and
         alternatives. Empty means that every component is needed.
-    quality
-        What F grows by for every unit of quality lost by choosing an architecture
-        that is not the best one for its function; >= 0.
     """
 
     components: tuple[Item, ...] = ()
     computers: tuple[Computer, ...] = ()
     connectors: tuple[Edge, ...] = ()
-    links: tuple[LinkCapacity, ...] = ()
-    distance: tuple[tuple[float, ...], ...] = ()
-    cost: tuple[tuple[float, ...], ...] = ()
+    links: tuple[Link, ...] = ()
     objective: Objective = Objective()
     together: tuple[tuple[str, ...], ...] = ()
     apart: tuple[tuple[str, ...], ...] = ()
     architectures: tuple[Bundle, ...] = ()
-    quality: float = 1.0
 
     def __post_init__(self) -> None:
         """Raise a RobotError that lists everything that is wrong."""

@@ -1,7 +1,7 @@
 """When not all fits: which architectures to choose, and which to put aside.
 
 Architectures of the same function are alternatives: exactly one of them is chosen,
-quality against fit (each unit of quality lost adds `Problem.quality` to F). When not
+quality against fit (each unit of quality lost adds `Objective.quality` to F). When not
 all functions fit, as few as possible are put aside, of the lowest priority first; never
 one that is required.
 """
@@ -224,7 +224,7 @@ def _choice(problem: Problem, every: list[Need], combo: Need) -> Choice:
         for need, chosen in zip(every, combo, strict=True)
         if len(need) > 1
     }
-    return Choice(picked, lost=lost * problem.quality)
+    return Choice(picked, lost=lost * problem.objective.quality)
 
 
 def _better(result: Result, best: Result) -> bool:

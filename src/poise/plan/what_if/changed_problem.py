@@ -13,8 +13,7 @@ from poise.plan.problem.problem import Item, Problem
 
 def keep_components(problem: Problem, names: Collection[str]) -> Problem:
     """Return the problem with only the components called `names`."""
-    kept = [c.name in names for c in problem.components]
-    if all(kept):
+    if all(c.name in names for c in problem.components):
         return problem
 
     def group(members: tuple[str, ...]) -> tuple[str, ...]:
@@ -26,7 +25,6 @@ def keep_components(problem: Problem, names: Collection[str]) -> Problem:
         connectors=tuple(
             k for k in problem.connectors if all(end in names for end in k.between)
         ),
-        cost=tuple(row for row, keep in zip(problem.cost, kept, strict=False) if keep),
         together=tuple(group(members) for members in problem.together),
         apart=tuple(group(members) for members in problem.apart),
         architectures=tuple(
@@ -44,7 +42,6 @@ def without(problem: Problem, names: Collection[str]) -> Problem:
         When there is no such computer, or a component may run on no other.
     """
     _check_computers(problem, names)
-    kept = [i for i, h in enumerate(problem.computers) if h.name not in names]
     stranded = [
         c.name for c in problem.components if c.only and set(c.only) <= set(names)
     ]
@@ -56,18 +53,12 @@ def without(problem: Problem, names: Collection[str]) -> Problem:
     return replace(
         problem,
         components=tuple(_without(c, names) for c in problem.components),
-        computers=tuple(problem.computers[i] for i in kept),
+        computers=tuple(h for h in problem.computers if h.name not in names),
         links=tuple(
             link
             for link in problem.links
             if not any(name in names for name in link.between)
         ),
-        distance=tuple(
-            tuple(problem.distance[a][b] for b in kept)
-            for a in kept
-            if problem.distance
-        ),
-        cost=tuple(tuple(row[h] for h in kept) for row in problem.cost),
     )
 
 
@@ -81,16 +72,7 @@ def add(problem: Problem, computer: Computer) -> Problem:
     """
     if any(h.name == computer.name for h in problem.computers):
         raise UsageError(f"there is a computer called {computer.name!r} already")
-    distance = problem.distance
-    if distance:
-        row = (1.0,) * len(distance)
-        distance = (*((*r, 1.0) for r in distance), (*row, 0.0))
-    return replace(
-        problem,
-        computers=(*problem.computers, computer),
-        distance=distance,
-        cost=tuple((*row, 0.0) for row in problem.cost),
-    )
+    return replace(problem, computers=(*problem.computers, computer))
 
 
 def scale(problem: Problem, factors: Mapping[str, float]) -> Problem:
@@ -131,7 +113,8 @@ def scale(problem: Problem, factors: Mapping[str, float]) -> Problem:
 def _without(component: Item, names: Collection[str]) -> Item:
     only = tuple(h for h in component.only if h not in names)
     present = None if component.present in names else component.present
-    return replace(component, only=only, present=present)
+    cost = {h: x for h, x in component.cost.items() if h not in names}
+    return replace(component, only=only, present=present, cost=cost)
 
 
 def _check_computers(problem: Problem, names: Collection[str]) -> None:

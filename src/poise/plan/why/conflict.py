@@ -56,8 +56,8 @@ class Oracle:
         self._left -= len(problem.components) * len(problem.computers)
         if self.is_spent():
             return None
-        aimless = Objective(communication=0.0, balance=0.0)
-        arrays = arrays_of(replace(problem, objective=aimless, cost=()))
+        problem = replace(problem, objective=Objective(communication=0.0, balance=0.0))
+        arrays = replace(arrays_of(problem), cost=[])
         if not arrays.n:
             return True
         if is_short(arrays):

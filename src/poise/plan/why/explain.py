@@ -134,8 +134,9 @@ def _rejection(
     # Both against the best quality that there is.
     best = max([bundle.quality, *(b.quality for b in rivals)])
     lost = sum(best - b.quality for b in rivals if b.name == chosen)
-    with_it = instead.objective.with_quality((best - bundle.quality) * problem.quality)
-    change = with_it - now.objective.with_quality(lost * problem.quality)
+    weight = problem.objective.quality
+    with_it = instead.objective.with_quality((best - bundle.quality) * weight)
+    change = with_it - now.objective.with_quality(lost * weight)
     reason = (
         f"the best placement with it costs {change.total:.4g} more ({_most(change)})"
         if change.total >= 0

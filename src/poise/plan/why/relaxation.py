@@ -79,10 +79,9 @@ def relaxed(problem: Problem, raises: Raises) -> Problem:
             for h in problem.computers
         ),
         links=tuple(
-            replace(
-                k,
-                bandwidth=min(k.bandwidth + more.get(("link", *k.between), 0.0), MOST),
-            )
+            replace(k, bandwidth=min(k.bandwidth + x, MOST))
+            if (x := more.get(("link", *k.between)))
+            else k
             for k in problem.links
         ),
         together=tuple(g for g in problem.together if ("together", *g) not in more),
@@ -227,7 +226,7 @@ def limits_of(problem: Problem) -> Iterator[Limit]:
                 yield _capacity(h, resource, total)
     traffic = sum(k.traffic for k in problem.connectors)
     if traffic > 0:
-        for link in problem.links:
+        for link in (k for k in problem.links if k.bandwidth < inf):
             carries = amount_of("bandwidth", link.bandwidth)
             text = f"link {' - '.join(link.between)} carries {carries}"
             yield Limit("link", link.between, text, now=link.bandwidth, most=traffic)
