@@ -26,7 +26,6 @@ from ortools.sat.python import cp_model
 from poise.plan import _core
 from poise.plan.problem.arrays import Arrays, Placed, arrays_of, fits
 from poise.plan.problem.problem import SLACK, Problem
-from poise.plan.result_records import Answer
 from poise.plan.violations import loads, traffic
 
 # OR-Tools has no types.
@@ -41,7 +40,17 @@ WORKERS = 2
 """How many threads it may use."""
 
 
-def certificate(problem: Problem, seconds: float) -> Answer:
+class Certificate(NamedTuple):
+    """The best placement that is known, its F, and a bound of it."""
+
+    placed: Placed
+    objective: float
+    bound: float
+    proven: bool
+    stopped_by: str
+
+
+def certificate(problem: Problem, seconds: float) -> Certificate:
     """Return the best placement of a problem that CP-SAT finds, and its bound."""
     arrays = arrays_of(problem)
     return solve(_core.Core(arrays), arrays, seconds)
@@ -49,7 +58,7 @@ def certificate(problem: Problem, seconds: float) -> Answer:
 
 def solve(
     core: _core.Core, arrays: Arrays, seconds: float, known: Placed | None = None
-) -> Answer:
+) -> Certificate:
     """Return the best placement that CP-SAT finds, and its bound.
 
     Parameters
@@ -58,14 +67,14 @@ def solve(
         A placement to start from; empty: none.
     """
     known = known or []
-    best = Answer(known, _total(core, known), -inf, False, "budget")
+    best = Certificate(known, _total(core, known), -inf, False, "budget")
     model = _Relaxation(arrays)
     end = perf_counter() + seconds
     while True:
         model.hint(best.placed)
         answer = _run(model, max(end - perf_counter(), 1e-3))
         if answer.status == "INFEASIBLE" and not best.placed:
-            return Answer([], inf, -inf, True, "infeasible")
+            return Certificate([], inf, -inf, True, "infeasible")
         if answer.placed and core.feasible(answer.placed):
             total = _total(core, answer.placed)
             if total < best.objective:

@@ -110,7 +110,6 @@ PUBLIC = {
         "Explanation",
         "GreedyStep",
         "Item",
-        "LinkCapacity",
         "More",
         "Option",
         "PhaseMove",

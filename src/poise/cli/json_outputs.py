@@ -12,7 +12,6 @@ from typing import Any, TypedDict, get_type_hints
 
 import msgspec
 
-from poise import plan
 from poise.cli.command.run_time.demo import DemoReport
 from poise.cli.command.run_time.emulate import ListedSet
 from poise.errors import FileProblem
@@ -25,7 +24,8 @@ from poise.manage.migration.report import MigrationReport
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.tasks.report import TaskReport
 from poise.model.policy.policy import Policy
-from poise.plan.result_records import Conflict, GreedyStep, Stopped, Terms, Tightest
+from poise.plan.phases.result import PlainPhases
+from poise.plan.result import PlainResult
 from poise.session.calibration.calibrate import Calibration
 from poise.session.experiment.summary import ExperimentReport
 from poise.session.reports.run_report import RunReport
@@ -75,29 +75,7 @@ class Passed(TypedDict):
     value: Any
 
 
-class _Planned(TypedDict):
-    placement: Mapping[str, str]
-    feasible: bool
-    reason: str
-    objective: Terms | None
-    method: str
-    proven: bool
-    bound: float | None
-    gap: float | None
-    stopped_by: Stopped
-    seconds: float
-    seed: int
-    tightest: Tightest | None
-    trace: list[GreedyStep]
-    architectures: Mapping[str, str]
-    aside: list[str]
-    unknown: list[str]
-    scale: str
-    spread: str
-    conflict: Conflict | None
-
-
-class Planned(_Planned, total=False):
+class Planned(PlainResult, total=False):
     """A placement. With --smallest its computers; with --explain why."""
 
     computers: list[str]
@@ -105,25 +83,7 @@ class Planned(_Planned, total=False):
     explanation: dict[str, Any]
 
 
-class Phase(_Planned):
-    """The placement of a phase."""
-
-    name: str
-    after: list[str]
-
-
-class _PlannedPhases(TypedDict):
-    feasible: bool
-    reason: str
-    total: float | None
-    proven: bool
-    bound: float | None
-    seconds: float
-    moves: list[plan.PhaseMove]
-    phases: list[Phase]
-
-
-class PlannedPhases(_PlannedPhases, total=False):
+class PlannedPhases(PlainPhases, total=False):
     """The placements of a task with phases; with --explain why."""
 
     phase: str

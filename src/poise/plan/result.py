@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cached_property
 from math import inf
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, TypedDict, cast
 
 import msgspec
 
@@ -52,6 +52,30 @@ class Choice(NamedTuple):
     lost: float = 0.0
     whole: Problem | None = None
     why: str = ""
+
+
+class PlainResult(TypedDict):
+    """What is printed of a result with `--json`."""
+
+    placement: Mapping[str, str]
+    feasible: bool
+    reason: str
+    objective: Terms | None
+    method: str
+    proven: bool
+    bound: float | None
+    gap: float | None
+    stopped_by: Stopped
+    seconds: float
+    seed: int
+    tightest: Tightest | None
+    trace: tuple[GreedyStep, ...]
+    architectures: Mapping[str, str]
+    aside: tuple[str, ...]
+    unknown: tuple[str, ...]
+    scale: str
+    spread: str
+    conflict: Conflict | None
 
 
 class Result:
@@ -261,35 +285,14 @@ class Result:
         """Architectures put aside because not all fits."""
         return self.choice.aside
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> PlainResult:
         """Return all of it as plain values, for JSON; the conflict if it was found."""
-        values = {name: getattr(self, name) for name in _PUBLIC}
+        names = [name for name in PlainResult.__annotations__ if name != "conflict"]
+        values = {name: getattr(self, name) for name in names}
         return cast(
-            "dict[str, Any]",
+            "PlainResult",
             msgspec.to_builtins({**values, "conflict": self._conflict}),
         )
-
-
-_PUBLIC = (
-    "placement",
-    "feasible",
-    "reason",
-    "objective",
-    "method",
-    "proven",
-    "bound",
-    "gap",
-    "stopped_by",
-    "seconds",
-    "seed",
-    "tightest",
-    "trace",
-    "architectures",
-    "aside",
-    "unknown",
-    "scale",
-    "spread",
-)
 
 
 def _sentence(found: Conflict) -> str:

@@ -21,16 +21,15 @@ was interrupted by the user, or proved that nothing can hold."""
 class Answer(NamedTuple):
     """What a solver of the core hands back.
 
-    `placed` is empty when no placement was found, and its F then infinite. `steps`
-    counts search moves tried, or nodes opened.
+    `placed` is empty when no placement was found. `steps` counts search moves tried, or
+    nodes opened.
     """
 
     placed: Placed
-    objective: float
     bound: float
     proven: bool
     stopped_by: str
-    steps: int = 0
+    steps: int
 
 
 class Terms(Struct, frozen=True, kw_only=True):

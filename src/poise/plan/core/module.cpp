@@ -269,8 +269,8 @@ class Core {
                       asked.raised.ptr());
       throw nb::python_error();
     }
-    return nb::make_tuple(listed(out.placed), out.objective, out.bound, out.proven,
-                          named(out.reason), out.steps);
+    return nb::make_tuple(listed(out.placed), out.bound, out.proven, named(out.reason),
+                          out.steps);
   }
 
   static std::string text(nb::handle value) { return nb::repr(value).c_str(); }
@@ -338,12 +338,11 @@ NB_MODULE(_core, module) {
       .def("exact", &Core::exact, nb::arg("known"), nb::arg("seconds"), nb::arg("steps"),
            nb::arg("stop").none() = nb::none(),
            nb::sig("def exact(self, known: list[int], seconds: float, steps: int, stop: "
-                   "object = None) -> tuple[list[int], float, float, bool, str, int]"))
+                   "object = None) -> tuple[list[int], float, bool, str, int]"))
       .def("search", &Core::search, nb::arg("known"), nb::arg("seconds"),
            nb::arg("steps"), nb::arg("seed"), nb::arg("stop").none() = nb::none(),
            nb::sig("def search(self, known: list[int], seconds: float, steps: int, seed: "
-                   "int, stop: object = None) -> "
-                   "tuple[list[int], float, float, bool, str, int]"))
+                   "int, stop: object = None) -> tuple[list[int], float, bool, str, int]"))
       .def("updated",
            [](const Core& self, nb::dict demands) { return new Core(self, demands); },
            nb::arg("demands"),

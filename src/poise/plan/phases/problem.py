@@ -7,10 +7,9 @@ from collections.abc import Callable, Mapping
 from msgspec import Struct
 from msgspec.structs import replace
 
-from poise.errors import UsageError
 from poise.model.robot import Robot
 from poise.model.tasks.phases import phases_of
-from poise.plan.problem.from_robot import MEGABYTE, problem_of
+from poise.plan.problem.from_robot import MEGABYTE, check_task, problem_of
 from poise.plan.problem.problem import Problem
 
 MOVE = 0.01
@@ -63,12 +62,7 @@ def phased_problem_of(robot: Robot, task: str, move: float = MOVE) -> PhasedProb
     UsageError
         When there is no such task.
     """
-    known = [each.name for each in robot.tasks]
-    if task not in known:
-        choices = ", ".join(known) or "none"
-        raise UsageError(
-            f"robot {robot.name!r} has no task {task!r} (its tasks: {choices})"
-        )
+    check_task(robot, task)
     return PhasedProblem(
         phases=tuple(
             PhaseProblem(

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TypedDict
 
-from msgspec import Struct
+from msgspec import Struct, to_builtins
 
 from poise.errors import UsageError
 from poise.plan.phases.costs import with_moves
 from poise.plan.phases.problem import NEVER, PhasedProblem, PhaseProblem
 from poise.plan.problem.problem import Problem
-from poise.plan.result import Result
+from poise.plan.result import PlainResult, Result
 from poise.plan.result_records import Stopped
 from poise.plan.why.explain import Explanation, Rejection, explain
 
@@ -32,6 +32,26 @@ class PhaseMove(Struct, frozen=True, kw_only=True):
     after: str
     source: str
     target: str
+
+
+class PlainPhase(PlainResult):
+    """The placement of a phase."""
+
+    name: str
+    after: tuple[str, ...]
+
+
+class PlainPhases(TypedDict):
+    """What is printed of placements with phases with `--json`."""
+
+    feasible: bool
+    reason: str
+    total: float | None
+    proven: bool
+    bound: float | None
+    seconds: float
+    moves: tuple[PhaseMove, ...]
+    phases: list[PlainPhase]
 
 
 class PhasedResult:
@@ -168,9 +188,8 @@ class PhasedResult:
         problem = with_moves(self.problem, phase, placements)
         return explain(problem, self.results[phase].placement, name)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> PlainPhases:
         """Return all of it as plain values, for JSON."""
-        moves = [{k: getattr(m, k) for k in m.__struct_fields__} for m in self.moves]
         return {
             "feasible": self.feasible,
             "reason": self.reason,
@@ -178,7 +197,7 @@ class PhasedResult:
             "proven": self.proven,
             "bound": self.bound,
             "seconds": self.seconds,
-            "moves": moves,
+            "moves": to_builtins(self.moves),
             "phases": [
                 {
                     "name": phase.name,

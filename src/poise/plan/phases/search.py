@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from random import Random
 from time import perf_counter
-from typing import NamedTuple
 
 from msgspec.structs import replace
 
@@ -18,8 +17,7 @@ from poise.plan.problem.arrays import Placed, arrays_of
 from poise.plan.problem.problem import Problem
 from poise.plan.problem.snapshot import Snapshot
 from poise.plan.result import Choice, Result
-from poise.plan.result_records import Ask
-from poise.plan.solvers.portfolio import UNLIMITED
+from poise.plan.solvers.portfolio import Effort
 from poise.plan.what_if.changed_problem import keep_components
 
 ALONE = 0.3
@@ -32,28 +30,6 @@ MOST_TOGETHER = 3
 """So many phases are placed as one problem; of more, a search finds less."""
 ROUNDS = 2
 """So often for each phase, where steps are counted instead of time."""
-
-
-class How(NamedTuple):
-    """How to decide, as `Planner.decide` takes it; `budget` [s] is for all phases."""
-
-    method: str
-    budget: float
-    seed: int
-    steps: int | None
-    fewer: bool
-    stop: Ask | None
-
-    def decide(self, problem: Problem, share: float) -> Result:
-        """Place one phase with a share of the effort."""
-        return Planner(problem).decide(
-            self.method,
-            self.budget * share,
-            self.seed,
-            steps=None if self.steps is None else int(self.steps * share),
-            fewer=self.fewer,
-            stop=self.stop,
-        )
 
 
 class Held:
@@ -94,9 +70,13 @@ Solution = Mapping[str, Held]
 class PhaseSearch:
     """Places phases with regard to those beside them."""
 
-    def __init__(self, problem: PhasedProblem, how: How) -> None:
+    def __init__(
+        self, problem: PhasedProblem, method: str, effort: Effort, *, fewer: bool
+    ) -> None:
         self._problem = problem
-        self._how = how
+        self._method = method
+        self._effort = effort
+        self._fewer = fewer
         self._problems = {phase.name: phase.problem for phase in problem.phases}
         self._beside = beside(problem)
         self.interrupted = False
@@ -143,11 +123,11 @@ class PhaseSearch:
 
         It ends as well when the total is not above `bound`.
         """
-        held, random = dict(start), Random(self._how.seed)  # noqa: S311 - nothing secret
+        held, random = dict(start), Random(self._effort.seed)  # noqa: S311 - no secret
         rounds = 0
         while not self.interrupted and self.total(held) > bound:
             is_over = perf_counter() >= end
-            if self._how.steps is not None:
+            if self._effort.steps is not None:
                 is_over = rounds >= ROUNDS * len(held)
             if is_over:
                 break
@@ -161,13 +141,22 @@ class PhaseSearch:
         return held
 
     def _decide(self, problem: Problem, share: float) -> Result:
-        result = self._how.decide(problem, share)
+        """Place one phase with a share of the effort."""
+        effort = self._effort.share(share)
+        result = Planner(problem).decide(
+            self._method,
+            effort.seconds,
+            effort.seed,
+            steps=effort.steps,
+            fewer=self._fewer,
+            stop=effort.stop,
+        )
         self.interrupted |= result.stopped_by == "interrupted"
         return result
 
     def _step(self, name: str, held: Solution, share: float, end: float) -> Held | None:
         """Place one phase beside those that are held; None when that finds nothing."""
-        if self.interrupted or (self._how.steps is None and perf_counter() >= end):
+        if self.interrupted or (self._effort.steps is None and perf_counter() >= end):
             return None
         placements = {each: h.placement for each, h in held.items()}
         problem = with_moves(self._problem, name, placements, start=True)
@@ -210,13 +199,11 @@ class PhaseSearch:
             parts.append(replace(snapshot.arrays, cost=arrays_of(part).cost))
         known = [unit for name in names for unit in held[name].placed]
         core = _core.Core(merged(parts, self._between(names, held)))
-        how = self._how
-        seconds, steps = max(0.0, min(how.budget * TOGETHER, left)), UNLIMITED
-        if how.steps is not None:
-            seconds, steps = float("inf"), int(how.steps * TOGETHER)
-        placed, *_, reason, _ = core.search(known, seconds, steps, seed, how.stop)
-        self.interrupted |= reason == "interrupted"
-        found: dict[str, Held] = {}
+        effort = self._effort.share(TOGETHER)
+        seconds = max(0.0, min(effort.seconds, left))
+        answer = effort._replace(seconds=seconds, seed=seed).search(core, known)
+        self.interrupted |= answer.stopped_by == "interrupted"
+        placed, found = answer.placed, dict[str, Held]()
         for name in names:
             count = len(held[name].placed)
             moved = held[name].moved(placed[:count])

@@ -13,9 +13,10 @@ from time import perf_counter
 
 from poise.plan.phases.problem import PhasedProblem
 from poise.plan.phases.result import PhasedResult
-from poise.plan.phases.search import Held, How, PhaseSearch
+from poise.plan.phases.search import Held, PhaseSearch
 from poise.plan.result import Result
 from poise.plan.result_records import Ask
+from poise.plan.solvers.portfolio import Effort
 
 BUDGET = 0.26
 """How long to search by default [s]: with all around it, 0.3 s for 60 components."""
@@ -41,7 +42,9 @@ def solve_phases(  # noqa: PLR0913 - each says how to decide, and has a default
     found, though there may be something, gets the whole budget once.
     """
     begin = perf_counter()
-    search = PhaseSearch(problem, How(method, budget, seed, steps, fewer, stop))
+    search = PhaseSearch(
+        problem, method, Effort(budget, steps, seed, stop), fewer=fewer
+    )
     alone = search.alone()
     result = PhasedResult(problem, alone)
     bounds = [each.bound for each in alone.values() if each.bound is not None]

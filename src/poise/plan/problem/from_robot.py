@@ -98,12 +98,7 @@ def _architectures(
     if functions is None:
         if task is None:
             return _without_rivals(list(robot.architectures))
-        known = [t.name for t in robot.tasks]
-        if task not in known:
-            choices = ", ".join(known) or "none"
-            raise UsageError(
-                f"robot {robot.name!r} has no task {task!r} (its tasks: {choices})"
-            )
+        check_task(robot, task)
         functions = robot.functions_of(task)
     wanted = set(functions)
     missing = sorted(wanted - {a.function for a in robot.architectures})
@@ -111,6 +106,16 @@ def _architectures(
         names = ", ".join(repr(name) for name in missing)
         raise RobotError(f"no architecture of robot {robot.name!r} provides {names}")
     return _without_rivals([a for a in robot.architectures if a.function in wanted])
+
+
+def check_task(robot: model.Robot, task: str) -> None:
+    """Raise UsageError when a robot has no such task."""
+    known = [t.name for t in robot.tasks]
+    if task not in known:
+        choices = ", ".join(known) or "none"
+        raise UsageError(
+            f"robot {robot.name!r} has no task {task!r} (its tasks: {choices})"
+        )
 
 
 def _without_rivals(

@@ -67,11 +67,11 @@ class Oracle:
             return True
         proven = False
         if core.provable:
-            placed, _, _, proven, _, steps = core.exact([], 1e9, STEPS, self._stop)
+            placed, _, proven, _, steps = core.exact([], 1e9, STEPS, self._stop)
             self._left -= steps
             if placed or proven:
                 return bool(placed)
-        placed, _, _, _, _, steps = core.search([], 1e9, STEPS, 0, self._stop)
+        placed, *_, steps = core.search([], 1e9, STEPS, 0, self._stop)
         self._left -= steps
         return True if placed else None
 

@@ -23,10 +23,9 @@ Outcome Tree::run(const Placement& known, Stop& stop) {
     }
     descend();
     out.placed = best_placed_;
-    out.objective = best_;
   }
   out.proven = !stop.stopped();
-  out.bound = out.proven ? out.objective : std::min(best_, open_bound_);
+  out.bound = out.proven ? best_ : std::min(best_, open_bound_);
   const bool none = out.placed.empty() && n_ > 0;
   out.reason = !out.proven ? stop.reason() : none ? Reason::kInfeasible : Reason::kProven;
   out.steps = stop.steps();

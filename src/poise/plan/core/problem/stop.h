@@ -81,7 +81,6 @@ class Stop {
 // What a solver hands back.
 struct Outcome {
   Placement placed;              // empty: none found
-  double objective = kInfinity;  // its F
   double bound = -kInfinity;     // no placement has a lower F
   bool proven = false;           // nothing is better; nothing exists when none was found
   Reason reason = Reason::kDone;
