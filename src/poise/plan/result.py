@@ -98,6 +98,8 @@ class Result:
         Of the search.
     choice
         What was chosen besides the placement.
+    snapshot, placed
+        The problem, compiled, and the computer of each of its units.
     """
 
     method = "greedy"
@@ -116,8 +118,8 @@ class Result:
         complete: bool,  # noqa: FBT001
         seconds: float = 0.0,
     ) -> None:
-        self._snapshot = snapshot
-        self._placed = placed
+        self.snapshot = snapshot
+        self.placed = placed
         self._complete = complete
         self.seconds = seconds
 
@@ -161,11 +163,11 @@ class Result:
     @cached_property
     def placement(self) -> Mapping[str, str]:
         """Component -> computer; empty when none was found."""
-        return self._snapshot.arrays.placement(self._placed) if self._complete else {}
+        return self.snapshot.arrays.placement(self.placed) if self._complete else {}
 
     @cached_property
     def _broken(self) -> list[str]:
-        return violations(self._snapshot.arrays, self._placed)
+        return violations(self.snapshot.arrays, self.placed)
 
     @property
     def feasible(self) -> bool:
@@ -185,7 +187,7 @@ class Result:
         if self._complete:
             return self.choice.why
         if self.method == "greedy" and not self.proven:
-            return self._snapshot.dead_end()
+            return self.snapshot.dead_end()
         return IMPOSSIBLE if self.proven else NONE_FOUND
 
     @property
@@ -215,7 +217,7 @@ class Result:
         """The terms of F; None without a placement."""
         if not self._complete:
             return None
-        return self._snapshot.terms(self._placed).with_quality(self.choice.lost)
+        return self.snapshot.terms(self.placed).with_quality(self.choice.lost)
 
     @cached_property
     def bound(self) -> float | None:
@@ -223,11 +225,11 @@ class Result:
 
         A bound that rounding has put above F is F.
         """
-        if self.objective is None or not (self.feasible and self._snapshot.known):
+        if self.objective is None or not (self.feasible and self.snapshot.known):
             return None
         bound = self._bound
         if bound is None:
-            bound = self._snapshot.core.bound()
+            bound = self.snapshot.core.bound()
         if bound == -inf:
             return None
         return min(bound + self.choice.lost, self.objective.total)
@@ -246,19 +248,19 @@ class Result:
         """The resource closest to its limit; None without a placement."""
         if not self._complete:
             return None
-        return tightest(self._snapshot.arrays, self._placed)
+        return tightest(self.snapshot.arrays, self.placed)
 
     @cached_property
     def trace(self) -> tuple[GreedyStep, ...]:
         """What the greedy tries, step by step; empty beyond 2,000 trials."""
-        if self._snapshot.size * len(self.problem.computers) > LONGEST_TRACE:
+        if self.snapshot.size * len(self.problem.computers) > LONGEST_TRACE:
             return ()
-        return self._snapshot.greedy_trace()
+        return self.snapshot.greedy_trace()
 
     @property
     def problem(self) -> Problem:
         """The problem that was decided: with the architectures that were chosen."""
-        return self._snapshot.problem
+        return self.snapshot.problem
 
     @property
     def unknown(self) -> tuple[str, ...]:

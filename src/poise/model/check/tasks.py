@@ -121,11 +121,7 @@ def _end(
     if not end.port:
         text = f"name the port of '{end.component}' too, as in {end.component}.done"
         yield Finding(path, text)
-    function = next(
-        a.function
-        for a in robot.architectures
-        if any(c.name == end.component for c in a.components)
-    )
+    function = robot.architecture_of(end.component).function
     if function not in action.functions:
         yield Finding(
             path,

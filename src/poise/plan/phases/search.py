@@ -32,39 +32,19 @@ ROUNDS = 2
 """So often for each phase, where steps are counted instead of time."""
 
 
-class Held:
-    """The placement of one phase: of the components `snapshot` has, F without moves."""
-
-    def __init__(self, problem: Problem, result: Result) -> None:
-        self.placement = result.placement
-        self.choice: Choice = result.choice
-        self.snapshot = Snapshot(keep_components(problem, self.placement.keys()))
-        self.placed = self.snapshot.arrays.placed(self.placement)
-        self.total = self._total(self.placed)
-
-    def moved(self, placed: Placed) -> Held | None:
-        """Return it with another placement; None when that breaks a limit."""
-        if not self.snapshot.core.feasible(placed):
-            return None
-        other = Held.__new__(Held)
-        other.choice, other.snapshot = self.choice, self.snapshot
-        other.placed = placed
-        other.placement = self.snapshot.arrays.placement(placed)
-        other.total = self._total(placed)
-        return other
-
-    def _total(self, placed: Placed) -> float:
-        return self.snapshot.terms(placed).total + self.choice.lost
-
-    def result(self) -> Result:
-        """Return it as a result of its own."""
-        result = Result.of(self.snapshot, self.placed, "phases")
-        result.choice = self.choice
-        return result
+Solution = Mapping[str, Result]
+"""Phase -> its placement, whose F has no moves; one that has none is not there."""
 
 
-Solution = Mapping[str, Held]
-"""Phase -> its placement; one that has none is not there."""
+def _of(snapshot: Snapshot, placed: Placed, choice: Choice) -> Result:
+    result = Result.of(snapshot, placed, "phases")
+    result.choice = choice
+    return result
+
+
+def _total(solution: Solution) -> float:
+    """Return F of phases, each alone."""
+    return sum(r.objective.total for r in solution.values() if r.objective)
 
 
 class PhaseSearch:
@@ -102,15 +82,15 @@ class PhaseSearch:
 
     def total(self, held: Solution) -> float:
         """Return F of all phases, and of what moves between them."""
-        return sum(each.total for each in held.values()) + self._moves(held, held)
+        return _total(held) + self._moves(held, held)
 
-    def chained(self, start: Solution, end: float) -> dict[str, Held]:
+    def chained(self, start: Solution, end: float) -> dict[str, Result]:
         """Place one phase after the other, with the moves from those before, and back.
 
         Where nothing is found beside them, or it is past `end` [s], a phase stays as in
         `start`.
         """
-        held: dict[str, Held] = {}
+        held: dict[str, Result] = {}
         share = CHAINED / 2 / len(start)
         for name in start:
             held[name] = self._step(name, held, share, end) or start[name]
@@ -118,7 +98,7 @@ class PhaseSearch:
             held[name] = self._step(name, held, share, end) or held[name]
         return held
 
-    def together(self, start: Solution, end: float, bound: float) -> dict[str, Held]:
+    def together(self, start: Solution, end: float, bound: float) -> dict[str, Result]:
         """Search phases beside each other as one problem, until `end` [s].
 
         It ends as well when the total is not above `bound`.
@@ -154,7 +134,9 @@ class PhaseSearch:
         self.interrupted |= result.stopped_by == "interrupted"
         return result
 
-    def _step(self, name: str, held: Solution, share: float, end: float) -> Held | None:
+    def _step(
+        self, name: str, held: Solution, share: float, end: float
+    ) -> Result | None:
         """Place one phase beside those that are held; None when that finds nothing."""
         if self.interrupted or (self._effort.steps is None and perf_counter() >= end):
             return None
@@ -163,7 +145,8 @@ class PhaseSearch:
         result = self._decide(problem, share)
         if not result.placement:
             return None
-        found = Held(self._problems[name], result)
+        snapshot = Snapshot(keep_components(self._problems[name], result.placement))
+        found = _of(snapshot, snapshot.arrays.placed(result.placement), result.choice)
         if name not in held:
             return found
         now = self._cost({name: held[name]}, held)
@@ -185,7 +168,7 @@ class PhaseSearch:
 
     def _search(
         self, names: Sequence[str], held: Solution, left: float, seed: int
-    ) -> dict[str, Held]:
+    ) -> dict[str, Result]:
         """Search for better placements of some phases; empty when one breaks a limit.
 
         That may be, as the bandwidth of links is left out.
@@ -195,7 +178,7 @@ class PhaseSearch:
         for name in names:
             snapshot = held[name].snapshot
             problem = with_moves(self._problem, name, others)
-            part = keep_components(problem, held[name].placement.keys())
+            part = keep_components(problem, held[name].placement)
             parts.append(replace(snapshot.arrays, cost=arrays_of(part).cost))
         known = [unit for name in names for unit in held[name].placed]
         core = _core.Core(merged(parts, self._between(names, held)))
@@ -203,13 +186,13 @@ class PhaseSearch:
         seconds = max(0.0, min(effort.seconds, left))
         answer = effort._replace(seconds=seconds, seed=seed).search(core, known)
         self.interrupted |= answer.stopped_by == "interrupted"
-        placed, found = answer.placed, dict[str, Held]()
+        placed, found = answer.placed, dict[str, Result]()
         for name in names:
             count = len(held[name].placed)
-            moved = held[name].moved(placed[:count])
-            if moved is None:
+            here, placed = placed[:count], placed[count:]
+            if not held[name].snapshot.core.feasible(here):
                 return {}
-            found[name], placed = moved, placed[count:]
+            found[name] = _of(held[name].snapshot, here, held[name].choice)
         return found
 
     def _between(
@@ -233,9 +216,7 @@ class PhaseSearch:
 
     def _cost(self, some: Solution, held: Solution) -> float:
         """Return what some phases add to the total, the others as they are held."""
-        return sum(each.total for each in some.values()) + self._moves(
-            some, {**held, **some}
-        )
+        return _total(some) + self._moves(some, {**held, **some})
 
     def _moves(self, some: Solution, held: Solution) -> float:
         """Return the cost of moves between some phases and the phases before or after.

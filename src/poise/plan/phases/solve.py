@@ -13,8 +13,7 @@ from time import perf_counter
 
 from poise.plan.phases.problem import PhasedProblem
 from poise.plan.phases.result import PhasedResult
-from poise.plan.phases.search import Held, PhaseSearch
-from poise.plan.result import Result
+from poise.plan.phases.search import PhaseSearch
 from poise.plan.result_records import Ask
 from poise.plan.solvers.portfolio import Effort
 
@@ -50,17 +49,18 @@ def solve_phases(  # noqa: PLR0913 - each says how to decide, and has a default
     bounds = [each.bound for each in alone.values() if each.bound is not None]
     bound = sum(bounds) if len(bounds) == len(alone) else None
     if result.moves:
-        held = {
-            phase.name: Held(phase.problem, alone[phase.name])
-            for phase in problem.phases
-            if alone[phase.name].feasible
-        }
+        held = {name: each for name, each in alone.items() if each.feasible}
         better = search.chained(held, begin + budget)
         if method in {"auto", "search"}:
             enough = -inf if bound is None else bound + GAIN
             better = search.together(better, begin + budget, enough)
         if search.total(better) < search.total(held) - GAIN:
-            result = PhasedResult(problem, {**alone, **_results(better, alone)})
+            changed = {
+                name: each
+                for name, each in better.items()
+                if each.placement != alone[name].placement
+            }
+            result = PhasedResult(problem, {**alone, **changed})
     if why and method != "greedy":
         for each in result.results.values():
             each.find_conflict(stop)
@@ -74,11 +74,3 @@ def solve_phases(  # noqa: PLR0913 - each says how to decide, and has a default
         result.stopped_by = "interrupted"
     result.seconds = perf_counter() - begin
     return result
-
-
-def _results(held: dict[str, Held], alone: dict[str, Result]) -> dict[str, Result]:
-    """Return each placement as a result: that of the phase alone where it is equal."""
-    return {
-        name: alone[name] if each.placement == alone[name].placement else each.result()
-        for name, each in held.items()
-    }
