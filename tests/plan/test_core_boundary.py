@@ -18,7 +18,6 @@ GOOD: dict[str, Any] = {
     "unit_of": [0, 1],
     "resources": ("cpu",),
     "component_demand": [1.0, 1.0],
-    "demand": [1.0, 1.0],
     "capacity": [2.0, 2.0],
     "limit": [2.0, 2.0],
     "size_weight": [1.0],
@@ -103,7 +102,6 @@ def test_every_shape_and_size_has_an_answer(data: st.DataObject) -> None:
         resources=tuple(map(str, range(r))),
         component_demand=numbers(n * r),
         share=data.draw(st.booleans()),
-        demand=numbers(n * r),
         size_weight=numbers(r),
         spread=numbers(r),
         capacity=numbers(m * r),
@@ -131,7 +129,7 @@ def test_every_shape_and_size_has_an_answer(data: st.DataObject) -> None:
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"demand": [1.0]}, "demand has 1 entries, must have 2"),
+        ({"component_demand": [1.0]}, "component_demand has 1 entries, must have 2"),
         ({"connectors": [(7, 0, 1.0, 0.0)]}, "connectors has the index 7"),
         ({"allowed": {0: (-1,)}}, "allowed has the index -1"),
         ({"n": -1}, "n is -1"),

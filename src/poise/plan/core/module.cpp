@@ -71,7 +71,6 @@ Problem read(const Fields& in) {
   p.r = in.size("r", 1024);
   const std::size_t n = p.n, m = p.m, r = p.r;
   if (n > 0 && m == 0) throw std::invalid_argument("there are no computers");
-  p.demand = in.numbers("demand", n * r);
   p.weight = in.numbers("spread", r);
   p.size_weight = in.numbers("size_weight", r);
   p.distance = in.table("distance", m * m);
@@ -107,7 +106,6 @@ Problem read(const Fields& in) {
     for (const std::int32_t h : computers) Fields::check_index("allowed", h, p.m);
   }
   p.restrict_units(allowed);
-  p.sort_units();
   return p;
 }
 
@@ -167,6 +165,7 @@ class Core {
     for (const auto& [name, at] : index_) {
       Fields::check_index("index", nb::cast<std::int64_t>(at), unit_of_.size());
     }
+    sum_demand();
   }
 
   // Another one with other demands: component -> resource -> amount.
@@ -190,14 +189,7 @@ class Core {
         demand_[first + resource_index(resource, name)] = value;
       }
     }
-    std::fill(problem_.demand.begin(), problem_.demand.end(), 0.0);
-    for (std::size_t i = 0; i < unit_of_.size(); ++i) {
-      for (int k = 0; k < problem_.r; ++k) {
-        problem_.demand[static_cast<std::size_t>(unit_of_[i]) * problem_.r + k] +=
-            demand_[i * problem_.r + k];
-      }
-    }
-    problem_.sort_units();
+    sum_demand();
   }
 
   nb::tuple greedy() {
@@ -244,6 +236,18 @@ class Core {
   double bound() { return relaxation_bound(problem_); }
 
  private:
+  // Bring the demand of units up to date with that of their components.
+  void sum_demand() {
+    const std::size_t r = problem_.r;
+    problem_.demand.assign(problem_.n * r, 0.0);
+    for (std::size_t i = 0; i < unit_of_.size(); ++i) {
+      for (std::size_t k = 0; k < r; ++k) {
+        problem_.demand[unit_of_[i] * r + k] += demand_[i * r + k];
+      }
+    }
+    problem_.sort_units();
+  }
+
   // Refuses a second thread, which would change what the first one works on.
   struct Busy {
     explicit Busy(Core& core) : busy(core.busy_) {

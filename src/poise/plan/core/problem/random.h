@@ -35,9 +35,6 @@ class Random {
     return static_cast<int>(((next() >> 32) * static_cast<std::uint64_t>(end)) >> 32);
   }
 
-  // A number in [0, 1).
-  double unit() { return static_cast<double>(next() >> 11) * 0x1.0p-53; }
-
  private:
   static std::uint64_t rotate(std::uint64_t x, int k) {
     return (x << k) | (x >> (64 - k));

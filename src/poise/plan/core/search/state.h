@@ -38,7 +38,6 @@ class State {
   int at(int unit) const { return placed_[unit]; }
   const std::vector<std::int32_t>& on(int computer) const { return on_[computer]; }
   double objective() const { return paid_ + balance_; }
-  double paid() const { return paid_; }
   double balance() const { return balance_; }
   double excess() const { return excess_ + over_links_ + conflicts_; }
   bool feasible() const { return excess_ <= 0 && overfull_ == 0 && conflicts_ == 0; }
@@ -69,8 +68,6 @@ class State {
     double high, low, sum, squares, centre;
   };
   Others others(int resource, int a, int b) const;
-
-  const Problem& problem() const { return p_; }
 
  private:
   void reset_table();
