@@ -23,9 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 from ortools.sat.python import cp_model
 
+from poise.model.hardware import SLACK, fits
 from poise.plan import _core
-from poise.plan.problem.arrays import Arrays, Placed, arrays_of, fits
-from poise.plan.problem.problem import SLACK, Problem
+from poise.plan.problem.arrays import Arrays, Placed, arrays_of
+from poise.plan.problem.problem import Problem
 from poise.plan.violations import loads, traffic
 
 # OR-Tools has no types.

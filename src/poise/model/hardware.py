@@ -26,6 +26,14 @@ from poise.model.file_keys import (
     says,
 )
 
+SLACK = 1e-9
+"""How far a limit may be passed, relative to it (at least to 1): rounding only."""
+
+
+def fits(load: float, limit: float) -> bool:
+    """Whether `load` keeps `limit`, but for rounding."""
+    return load <= limit + SLACK * max(1.0, limit)
+
 
 class CapacityKeys(Struct):
     """How the capacity of a computer is written."""

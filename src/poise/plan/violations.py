@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from poise.plan.problem.arrays import Arrays, Placed, fits
+from poise.model.hardware import fits
+from poise.plan.problem.arrays import Arrays, Placed
 from poise.plan.result_records import Tightest
 from poise.units import format_bandwidth, format_bytes
 

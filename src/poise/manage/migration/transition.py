@@ -15,10 +15,9 @@ from msgspec import Struct
 
 from poise.errors import RobotError
 from poise.model.check.allowed_computers import allowed_computers
+from poise.model.hardware import fits
 from poise.model.robot import ComponentEntry, Robot
 from poise.units import format_amount
-
-_SLACK = 1e-9
 
 
 class TransitionStep(Struct, frozen=True, kw_only=True):
@@ -90,7 +89,7 @@ class _Planner:
         loads = self._loads(then)
         for computer, usable in self._usable.items():
             for resource, used in loads[computer].items():
-                if used > usable.get(resource, 0.0) + _SLACK:
+                if not fits(used, usable.get(resource, 0.0)):
                     raise RobotError(
                         f"computer '{computer}' would be overfull: "
                         f"{format_amount(resource, used)} of {resource} wanted, "
@@ -147,7 +146,7 @@ class _Planner:
         load = self._loads(self._now)[computer]
         usable = self._usable[computer]
         return all(
-            load.get(resource, 0.0) + amount <= usable.get(resource, 0.0) + _SLACK
+            fits(load.get(resource, 0.0) + amount, usable.get(resource, 0.0))
             for resource, amount in self._components[name].demand.items()
         )
 

@@ -7,12 +7,12 @@ from collections.abc import Collection, Iterable, Mapping
 from msgspec import Struct
 
 from poise.manage.tasks.likely import Likely
+from poise.model.hardware import fits
 from poise.model.robot import ComponentEntry, Robot
 from poise.units import format_amount
 
 LEAST_CPU = 0.01
 """Nothing begins to be prepared where less CPU is left for it [cores]."""
-_SLACK = 1e-9
 
 
 class Choice(Struct, frozen=True, kw_only=True):
@@ -137,7 +137,7 @@ def _without_room(
             needed[key] = needed.get(key, 0.0) + amount
     for (computer, resource), amount in needed.items():
         room = left[computer].get(resource, 0.0)
-        if amount > room + _SLACK:
+        if not fits(amount, room):
             return (
                 f"it needs {format_amount(resource, amount)} of {resource} on "
                 f"'{computer}', where {format_amount(resource, max(0.0, room))} may be "

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from poise.model.check.file_paths import components
+from poise.model.hardware import fits
 from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
 from poise.model.suggest import listed
 from poise.model.yaml.positions import Finding, Path
 from poise.units import format_amount
 
 Names = frozenset[str]
-SLACK = 1e-9
-"""Rounding: a demand may exceed a capacity by this share of it."""
 
 
 def allowed_computers(robot: Robot, *, layers_stay: bool = True) -> Mapping[str, Names]:
@@ -60,7 +59,7 @@ def _too_large(
     for resource, amount in component.demand.items():
         largest = max(allowed, key=lambda computer: computer.usable(resource))
         usable = largest.usable(resource)
-        if amount > usable * (1 + SLACK):
+        if not fits(amount, usable):
             key = () if resource in ("cpu", "memory") else ("resources",)
             yield Finding(
                 (*path, *key, resource),

@@ -12,7 +12,7 @@ from math import inf
 from msgspec import Struct
 
 from poise.errors import UsageError
-from poise.plan.problem.problem import SLACK, Problem
+from poise.plan.problem.problem import Problem
 
 LEAST_LINK_USE = 0.1
 """What communication counts for at least, however little of the links it takes: a
@@ -338,8 +338,3 @@ def _apart(problem: Problem, unit: dict[str, int]) -> list[tuple[int, int]]:
             for j in units[x + 1 :]:
                 pairs[min(i, j), max(i, j)] = None
     return list(pairs)
-
-
-def fits(load: float, limit: float) -> bool:
-    """Whether `load` keeps `limit`, but for rounding."""
-    return load <= limit + SLACK * max(1.0, limit)

@@ -15,9 +15,6 @@ from msgspec import Struct
 from poise.model.robot import Computer, Link, Objective
 from poise.plan.problem.check import check
 
-SLACK = 1e-9
-"""How far a limit may be passed, relative to it (at least to 1): rounding only."""
-
 
 class Item(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A component, as the planner sees it: what is to get a computer.

@@ -13,6 +13,7 @@ from itertools import combinations, product
 from math import inf, prod
 
 from poise.errors import UsageError
+from poise.model.hardware import fits
 from poise.plan.problem.problem import Bundle, Problem
 from poise.plan.result import Choice, Result
 from poise.plan.solvers.portfolio import Decide
@@ -20,7 +21,6 @@ from poise.plan.what_if.changed_problem import keep_components
 
 MOST_COMBINATIONS = 64
 """How many combinations of alternatives are tried; more are tried one change a time."""
-_SLACK = 1e-9
 MOST_DROPS = 256
 """How many sets of architectures are tried, before they are tried one by one."""
 
@@ -165,8 +165,10 @@ class _Admission:
     def _may_fit(self, kept: list[Need]) -> bool:
         """Return whether all computers together have enough, which is quick to say."""
         return all(
-            sum(min(self._total(b, resource) for b in need) for need in kept)
-            <= usable + _SLACK
+            fits(
+                sum(min(self._total(b, resource) for b in need) for need in kept),
+                usable,
+            )
             for resource, usable in self._usable.items()
         )
 

@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
+from poise.model.hardware import fits
 from poise.model.robot import Objective
 from poise.plan import _core
-from poise.plan.problem.arrays import Arrays, arrays_of, fits
+from poise.plan.problem.arrays import Arrays, arrays_of
 from poise.plan.problem.problem import Problem
 from poise.plan.result_records import Ask, Conflict
 from poise.plan.violations import amount_of
