@@ -89,7 +89,7 @@ def test_a_component_is_placed_and_released(two_computers: Problem) -> None:
 
 def test_refuses_a_place_that_is_none(two_computers: Problem) -> None:
     planner = Planner(two_computers)
-    with pytest.raises(UsageError, match="no component is called 'x'"):
+    with pytest.raises(UsageError, match="there is no component 'x'"):
         planner.place("x", "large")
     with pytest.raises(UsageError, match="it may run on large, small"):
         planner.place("a", "medium")

@@ -9,6 +9,7 @@ from time import perf_counter
 from msgspec.structs import replace
 
 from poise.errors import UsageError
+from poise.model.suggest import unknown
 from poise.plan.problem.problem import Item, Problem
 from poise.plan.problem.snapshot import Snapshot
 from poise.plan.result import Result
@@ -155,10 +156,10 @@ class Planner:
         UsageError
             When there is no such component or computer, or it may not run there.
         """
-        item = next((c for c in self.problem.components if c.name == component), None)
-        if item is None:
-            raise UsageError(f"no component is called {component!r}")
-        free = self._held.get(component, item)
+        items = {c.name: c for c in self.problem.components}
+        if component not in items:
+            raise UsageError(unknown("component", component, items))
+        free = self._held.get(component, items[component])
         choices = free.only or tuple(h.name for h in self.problem.computers)
         if computer not in choices:
             why = f" ({free.why})" if free.why else ""

@@ -220,7 +220,7 @@ def test_an_explanation_counts_moves() -> None:
     assert isinstance(explanation, plan.Explanation)
     there = next(o for o in explanation.options if o.computer == "one")
     assert there.change.move == pytest.approx(0.2)
-    with pytest.raises(UsageError, match="no phase is called 'p2'"):
+    with pytest.raises(UsageError, match="there is no phase 'p2'"):
         result.explain("p2", "a")
 
 

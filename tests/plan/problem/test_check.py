@@ -34,7 +34,7 @@ def test_reports_all_problems_at_once() -> None:
         "did you mean 'main'",
         "capacity of cpu is -1",
         "speed is 0",
-        "no component is called 'tracker'",
+        "there is no component 'tracker'",
         "overhead is inf",
         "communication is nan",
     ):
@@ -131,7 +131,7 @@ def test_refuses_a_bandwidth_out_of_range(bandwidth: float) -> None:
         (lambda: _computer(name=7), "computer 7: a name must be text"),
         (lambda: robot(together=(("a", "a"),)), "together: 'a' is there 2 times"),
         (lambda: robot(apart=(("b", "a", "b"),)), "apart: 'b' is there 2 times"),
-        (lambda: robot(apart=(("a", "c"),)), "apart: no component is called 'c'"),
+        (lambda: robot(apart=(("a", "c"),)), "apart: there is no component 'c'"),
         (
             lambda: _component(only="one"),
             "component 'a': only is the text 'one', must be names",
@@ -150,7 +150,7 @@ def test_refuses_a_bandwidth_out_of_range(bandwidth: float) -> None:
         ),
         (
             lambda: robot(architectures=(Bundle(name="A", components=("x",)),)),
-            "architecture 'A': no component is called 'x'",
+            "architecture 'A': there is no component 'x'",
         ),
         (
             lambda: robot(

@@ -22,7 +22,7 @@ def test_without_refuses_to_strand_a_component(two_computers: Problem) -> None:
 
 
 def test_without_names_the_computers_there_are(two_computers: Problem) -> None:
-    with pytest.raises(UsageError, match="large, small"):
+    with pytest.raises(UsageError, match="'large', 'small'"):
         plan.without(two_computers, ["tiny"])
 
 

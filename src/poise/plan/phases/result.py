@@ -8,6 +8,7 @@ from typing import TypedDict
 from msgspec import Struct, to_builtins
 
 from poise.errors import UsageError
+from poise.model.suggest import unknown
 from poise.plan.phases.costs import with_moves
 from poise.plan.phases.problem import NEVER, PhasedProblem, PhaseProblem
 from poise.plan.problem.problem import Problem
@@ -180,8 +181,7 @@ class PhasedResult:
             There is no such phase or component, or the phase has no placement.
         """
         if phase not in self.results:
-            choices = ", ".join(self.results)
-            raise UsageError(f"no phase is called {phase!r} (there are: {choices})")
+            raise UsageError(unknown("phase", phase, self.results))
         if not self.results[phase].placement:
             raise UsageError(f"phase {phase!r} has no placement")
         placements = {each: r.placement for each, r in self.results.items()}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from difflib import get_close_matches
 from math import inf
 from typing import TYPE_CHECKING, get_args
 
@@ -12,6 +11,7 @@ from msgspec import ValidationError, convert, structs, to_builtins
 
 from poise.errors import RobotError
 from poise.model.robot import Scale, Spread
+from poise.model.suggest import unknown
 
 if TYPE_CHECKING:
     from poise.plan.problem.problem import Problem
@@ -177,12 +177,12 @@ def _groups(problem: Problem) -> Iterator[str]:
 def _names(
     problem: Problem, components: list[str], computers: list[str]
 ) -> Iterator[str]:
-    known = {name: name for name in components}, {name: name for name in computers}
+    known = {"component": {*components}, "computer": {*computers}}
+    choices = {"component": components, "computer": computers}
     for where, kind, names in _mentions(problem):
-        there = known[kind == "computer"]
         for name in names:
-            if name not in there:
-                yield _unknown(where, kind, name, list(there))
+            if name not in known[kind]:
+                yield f"{where}: {unknown(kind, name, choices[kind])}"
 
 
 def _mentions(problem: Problem) -> Iterator[tuple[str, str, tuple[str, ...]]]:
@@ -200,10 +200,3 @@ def _mentions(problem: Problem) -> Iterator[tuple[str, str, tuple[str, ...]]]:
         yield "apart", "component", group
     for a in problem.architectures:
         yield f"architecture {a.name!r}", "component", a.components
-
-
-def _unknown(where: str, kind: str, name: str, known: list[str]) -> str:
-    near = get_close_matches(name, known, n=1)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
-    choices = ", ".join(known[:8]) + (", ..." if len(known) > 8 else "")  # noqa: PLR2004
-    return f"{where}: no {kind} is called {name!r}{hint} (there are: {choices})"

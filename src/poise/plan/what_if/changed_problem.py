@@ -8,6 +8,7 @@ from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.model.robot import Computer
+from poise.model.suggest import unknown
 from poise.plan.problem.problem import Item, Problem
 
 
@@ -121,5 +122,4 @@ def _check_computers(problem: Problem, names: Collection[str]) -> None:
     known = [h.name for h in problem.computers]
     for name in names:
         if name not in known:
-            choices = ", ".join(known)
-            raise UsageError(f"no computer is called {name!r} (there are: {choices})")
+            raise UsageError(unknown("computer", name, known))
