@@ -59,6 +59,8 @@ if TYPE_CHECKING:
         stop_without_manager as stop_without_manager,
     )
     from poise.session.up import up as up
+    from poise.view.record import RobotRecording as RobotRecording
+    from poise.view.record import record as record
     from poise.wire.connections.blocks import loan as loan
 else:
     _HOMES = {
@@ -81,6 +83,7 @@ else:
         "Required": "runtime.component.ports",
         "Robot": "model.robot",
         "RobotError": "errors",
+        "RobotRecording": "view.record",
         "RolledBack": "session.running_robots.running",
         "RunError": "errors",
         "RunReport": "session.reports.run_report",
@@ -105,6 +108,7 @@ else:
         "place": "session.placing.placement",
         "profile": "session.profiling.profile",
         "read_journal": "manage.journal",
+        "record": "view.record",
         "run": "session.run",
         "stop_without_manager": "session.running_robots.stop_without_manager",
         "subscribed": "runtime.component.ports",

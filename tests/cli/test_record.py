@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import itertools
-import math
+import json
 import os
 import shutil
 import signal
 import subprocess
+from collections import Counter
 from pathlib import Path
+from subprocess import PIPE
 
 import pytest
 
+import poise
 from poise.errors import RunError
 from poise.manage.control_socket.location import path_of
-from tests.command import POISE, Poise, robot_up
+from tests.command import POISE, check_output, robot_up, run_poise
 from tests.view.test_mcap_file import read
 from tests.waiting import LONG, wait_long
 
 pytest.importorskip("mcap", reason="mcap is not installed")
-record = pytest.importorskip("poise.view.record")
-mcap_file = pytest.importorskip("poise.view.mcap_file")
-
 pytestmark = pytest.mark.slow
 
 HELLO = Path(__file__).parents[2] / "examples" / "hello"
@@ -29,26 +29,29 @@ NAME = f"recorded{os.getpid()}"
 MESSAGES = "/messages/counter/count-printer/count"
 
 
-def test_records_what_runs_until_it_ends(poise: Poise, tmp_path: Path) -> None:
+def test_records_what_runs_until_it_ends(tmp_path: Path) -> None:
     shutil.copy(HELLO / "hello.py", tmp_path)
     text = (HELLO / "robot.yaml").read_text().replace("robot: hello", f"robot: {NAME}")
     (tmp_path / "robot.yaml").write_text(text)
     path = tmp_path / "a.mcap"
     with robot_up(tmp_path / "robot.yaml", "--placement", "round-robin") as manager:
-        argv = [*POISE, "record", "counter.count", "-o", str(path), "--robot", NAME]
-        with subprocess.Popen(argv, stdout=subprocess.PIPE, text=True) as recording:
-            assert recording.stdout is not None
-            assert "recording robot" in recording.stdout.readline()
-            moved = poise("move", "counter", "right", "--robot", NAME)
+        argv = ["record", "counter.count", "-o", str(path), "--robot", NAME, "--json"]
+        with subprocess.Popen(
+            [*POISE, *argv], stdout=PIPE, stderr=PIPE, text=True
+        ) as recording:
+            assert recording.stderr is not None
+            assert "recording robot" in recording.stderr.readline()
+            moved = run_poise("move", "counter", "right", "--robot", NAME)
             assert moved.returncode == 0, moved.stderr
             # so that the decision and what came after it are in
-            echoed = poise("echo", "counter.count", "--robot", NAME, "--count", 20)
+            echoed = run_poise("echo", "counter.count", "--robot", NAME, "--count", 20)
             assert echoed.returncode == 0, echoed.stderr
             recording.send_signal(signal.SIGINT)
             said, _ = recording.communicate(timeout=LONG)
         assert recording.returncode == 130
-        assert f" topics in {path}" in said
+        check_output(argv, said)
         found = read(path)
+        assert json.loads(said)["messages"] == Counter(topic for topic, *_ in found)
         topics = {topic for topic, *_ in found}
         assert topics >= {
             "/computers/left",
@@ -68,22 +71,18 @@ def test_records_what_runs_until_it_ends(poise: Poise, tmp_path: Path) -> None:
 
         other = tmp_path / "b.mcap"
         sentences: list[str] = []
-        recorder = record.Recorder(NAME, ["counter.count"], 400.0)
 
-        with mcap_file.McapFile(other) as file:
-            recorder.record(file, 1.0, _nothing, sentences.append, _nothing)
-            manager.kill()
-            wait_long(lambda: manager.poll() is not None)
-            path_of(NAME).unlink()  # the next manager would
-            with pytest.MonkeyPatch.context() as patched:
-                patched.setattr(record, "_PATIENCE", 0.5)
-                with pytest.raises(RunError, match=f"robot '{NAME}' has ended"):
-                    recorder.record(
-                        file, math.inf, _nothing, sentences.append, _nothing
-                    )
-        assert "no answer" in sentences[0]
+        def kill(now: float, _: str) -> None:
+            if now > 0.5 and manager.poll() is None:
+                manager.kill()
+                wait_long(lambda: manager.poll() is not None)
+                path_of(NAME).unlink()  # the next manager would
+
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr("poise.view.record._PATIENCE", 0.5)
+            names = ["counter.count"]
+            with pytest.raises(RunError, match=f"robot '{NAME}' has ended"):
+                poise.record(other, names, robot=NAME, say=sentences.append, tell=kill)
+        assert any("no answer" in each for each in sentences)
+        assert f" topics in {other}" in sentences[-1]
         assert read(other)
-
-
-def _nothing(*_: object) -> None:
-    pass

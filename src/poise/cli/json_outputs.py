@@ -32,6 +32,7 @@ from poise.session.reports.run_report import RunReport
 from poise.session.running_robots.local_robots import Robots
 from poise.session.running_robots.rates import Rate
 from poise.session.scenes import SCENES
+from poise.view.record import RobotRecording
 from poise.wire.records.output import OutputLine
 
 
@@ -144,6 +145,7 @@ OUTPUTS: Mapping[str, Sequence[Any]] = {
     "demo": [DemoReport, ExperimentReport, *_SCENES],
     "emulate list": [list[ListedSet]],
     "list": [Robots],
+    "record": [RobotRecording],
     "echo": [Passed],
     "hz": [Rate],
     "log": [OutputLine],

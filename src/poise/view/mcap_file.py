@@ -11,7 +11,6 @@ from types import TracebackType
 from typing import Any, Self
 
 import msgspec
-from mcap.writer import Writer
 from msgspec import Struct
 
 from poise.errors import RunError, UsageError
@@ -37,10 +36,16 @@ class McapFile:
     Raises
     ------
     UsageError
-        It cannot be created, or the disk has no room.
+        It cannot be created, the disk has no room, or mcap is not installed.
     """
 
     def __init__(self, path: Path) -> None:
+        try:
+            from mcap.writer import Writer  # noqa: PLC0415, an extra
+        except ImportError as error:
+            raise UsageError(
+                "recording needs mcap: pip install 'poise[record]'"
+            ) from error
         self.path = path
         self.counts: Counter[str] = Counter()
         """Topic -> messages written."""
@@ -60,7 +65,7 @@ class McapFile:
         self._writer.start(profile="", library="poise")
 
     def add(self, topic: str, schema: Schema, at: float, value: object) -> None:
-        """Write a message of a topic, whose first message says the schema of all.
+        """Write a message of a topic; the schema of the first one is that of all.
 
         Parameters
         ----------
@@ -77,7 +82,7 @@ class McapFile:
         RunError
             The disk is full.
         """
-        topic = "/" + topic.replace(".", "/")
+        topic = _slashed(topic)
         if topic not in self._channels:
             self._channels[topic] = self._writer.register_channel(
                 topic, "json", self._schema(schema)
@@ -97,6 +102,10 @@ class McapFile:
         """Return how much was written, for people."""
         written = counted(self.counts.total(), "message")
         return f"{written} of {counted(len(self.counts), 'topic')}"
+
+    def __contains__(self, topic: str) -> bool:
+        """Return whether the topic has messages."""
+        return _slashed(topic) in self._channels
 
     def __enter__(self) -> Self:
         return self
@@ -135,6 +144,10 @@ class McapFile:
             )
 
 
+def _slashed(topic: str) -> str:
+    return "/" + topic.replace(".", "/")
+
+
 def schema_of(type_: type[Struct]) -> Schema:
     """Return the schema of a record whose fields are numbers, texts and truths."""
     found = msgspec.json.schema(type_)
@@ -144,19 +157,36 @@ def schema_of(type_: type[Struct]) -> Schema:
     }
 
 
-def schema_like(value: Any, title: str = "") -> dict[str, Any]:  # noqa: ANN401, JSON's
-    """Return the schema of what has the same parts as a JSON value."""
+def schema_like(value: Mapping[str, Any], title: str) -> Schema:
+    """Return the schema of objects that have the same parts as one.
+
+    Parts of which Foxglove takes no schema are left out of it, and only of it: null,
+    and lists that are empty, mixed or of lists.
+    """
+    return {"title": title, **_object_like(value)}
+
+
+def _object_like(value: Mapping[str, Any]) -> dict[str, Any]:
+    parts = {name: _like(each) for name, each in value.items()}
+    return {"type": "object", "properties": {n: p for n, p in parts.items() if p}}
+
+
+def _like(value: Any) -> dict[str, Any]:  # noqa: ANN401, JSON's
+    """Return the schema of a part; empty: there is none."""
     if isinstance(value, Mapping):
-        parts = {name: schema_like(each) for name, each in value.items()}
-        found: dict[str, Any] = {"type": "object", "properties": parts}
-    elif isinstance(value, list):
-        found = {"type": "array"}
-        if value:
-            found["items"] = schema_like(value[0])
-    elif isinstance(value, bool):
-        found = {"type": "boolean"}
-    elif isinstance(value, int | float):
-        found = {"type": "number"}
-    else:
-        found = {"type": "string"} if isinstance(value, str) else {}
-    return {"title": title, **found} if title else found
+        return _object_like(value)
+    if isinstance(value, list):
+        kinds = {_TYPES.get(type(each), "") for each in value}
+        is_one = len(kinds) == 1 and "" not in kinds
+        return {"type": "array", "items": _like(value[0])} if is_one else {}
+    kind = _TYPES.get(type(value))
+    return {"type": kind} if kind else {}
+
+
+_TYPES = {
+    bool: "boolean",
+    int: "number",
+    float: "number",
+    str: "string",
+    dict: "object",
+}

@@ -5,14 +5,17 @@ from __future__ import annotations
 import secrets
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from math import inf
+from pathlib import Path
 from typing import Any, get_args
 
 from msgspec import Struct
 
 from poise.errors import PoiseError, RunError
-from poise.session.callbacks import Check, Say
-from poise.session.running_robots.running import JournalEntry, Status
+from poise.session.callbacks import Check, Say, log, nothing
+from poise.session.running_robots.running import JournalEntry, Status, connect
+from poise.units import counted
 from poise.view.live import LiveReader
 from poise.view.mcap_file import McapFile, schema_like, schema_of
 from poise.view.robot_view import (
@@ -29,8 +32,8 @@ _LOOK_EVERY = 0.25
 _READ_EVERY = 1.0
 _PATIENCE = 10.0
 """A robot that gives no answer for so long has ended [s]."""
-_MOST_ITEMS = 1_000
-"""Of longer lists and arrays in messages the rest is left out."""
+MOST_ITEMS = 1_000
+"""Of longer lists in messages the rest is left out, and longer arrays and images."""
 _LEVELS = {"wrong": 3, "failed": 4}
 _INFO = 2
 _TIME = {
@@ -48,10 +51,10 @@ _LOG = {
         "name": {"type": "string"},
         "file": {"type": "string"},
         "line": {"type": "integer"},
-        "facts": {"type": "object"},
     },
 }
-"""Foxglove's own schema of log messages, and what the manager knew when it decided."""
+"""Foxglove's own schema of log messages. What the manager knew when it decided is no
+part of it, for Foxglove refuses schemas of objects whose parts are not known."""
 
 
 class ChainAge(Struct, frozen=True):
@@ -66,6 +69,99 @@ class ChainAge(Struct, frozen=True):
 
 _Row = ComputerRow | ComponentRow | ConnectorRow | TimerRow | ChainAge
 _SCHEMAS = {type_: schema_of(type_) for type_ in get_args(_Row)}
+
+
+class RobotRecording(Struct, frozen=True, kw_only=True):
+    """What was recorded, and what was not.
+
+    Parameters
+    ----------
+    file
+        Where it is.
+    messages
+        Topic -> messages in the file.
+    left_out
+        Connector -> messages that went out and are not in the file.
+    shortened
+        Connector -> messages in the file of which long lists, arrays, bytes or texts
+        were shortened.
+    interrupted
+        Whether `KeyboardInterrupt` ended it.
+    """
+
+    file: str
+    messages: Mapping[str, int]
+    left_out: Mapping[str, int] = {}
+    shortened: Mapping[str, int] = {}
+    interrupted: bool = False
+
+
+def record(  # noqa: PLR0913 - each is a choice of the user
+    path: Path | str,
+    connectors: Iterable[str] = (),
+    *,
+    robot: str | None = None,
+    seconds: float = inf,
+    rate: float = 400.0,
+    say: Say = log.info,
+    check: Check = nothing,
+    tell: Callable[[float, str], object] = lambda *_: None,
+) -> RobotRecording:
+    """Record a running robot as an MCAP file, which Foxglove opens.
+
+    The file is whole also when it ends with an error.
+
+    Parameters
+    ----------
+    path
+        The file; nothing may be there.
+    connectors
+        Whose messages and calls are recorded: names, or ``component.port`` of an end.
+    robot
+        Its name; None: the only one that runs here.
+    seconds
+        For how long [s]; `KeyboardInterrupt` ends it earlier.
+    rate
+        So many messages of each connector a second at most.
+    say
+        Takes a sentence at every step, and at the end about what was left out.
+    check
+        Called a few times a second; may raise `KeyboardInterrupt`.
+    tell
+        Called as often with the time so far [s] and how much is in the file.
+
+    Raises
+    ------
+    UsageError
+        There is no such robot or connector, or the file cannot be created.
+    RunError
+        The disk is full, or the robot has ended.
+    """
+    name = connect(robot).status().robot
+    recorder = Recorder(name, connectors, rate)  # before there is a file
+    interrupted, file = False, McapFile(Path(path))
+    try:
+        with file:
+            say(f"recording robot '{name}' to {path}")
+            recorder.record(
+                file, seconds, check, say, lambda now: tell(now, file.summary())
+            )
+    except KeyboardInterrupt:
+        interrupted = True
+    finally:
+        say(f"{file.summary()} in {path}")
+        for connector, count in sorted(recorder.missing.items()):
+            say(f"{connector}: {counted(count, 'message')} left out")
+        for connector, count in sorted((+recorder.shortened).items()):
+            kept = f"of lists {MOST_ITEMS:,} values, of arrays and bytes the size"
+            say(f"{connector}: {counted(count, 'message')} shortened: {kept}")
+    return RobotRecording(
+        file=str(path),
+        messages=file.counts,
+        left_out=recorder.missing,
+        shortened=+recorder.shortened,
+        interrupted=interrupted,
+    )
 
 
 class Recorder:
@@ -90,6 +186,8 @@ class Recorder:
     def __init__(self, robot: str, connectors: Iterable[str], rate: float) -> None:
         self.missing: Counter[str] = Counter()
         """Connector -> messages that went out and are not in the file."""
+        self.shortened: Counter[str] = Counter()
+        """Connector -> messages that are not whole in the file."""
         self.robot = robot
         self._live = LiveReader(robot)
         self._reader = Reader()
@@ -204,15 +302,17 @@ class Recorder:
 
     def _look_at(self, connector: str) -> TapReading:
         return self._live.running.look_at(
-            connector, self._viewer, rate=self._rate, items=_MOST_ITEMS
+            connector, self._viewer, rate=self._rate, items=MOST_ITEMS
         )
 
     def _write_messages(self, file: McapFile, reading: TapReading) -> None:
         for each in reading.passed:
             value: Any = each.value
             message = value if isinstance(value, dict) else {"value": value}
-            schema = schema_like(message, reading.carries)
-            file.add(f"messages/{reading.connector}", schema, each.at, message)
+            topic = f"messages/{reading.connector}"
+            schema = {} if topic in file else schema_like(message, reading.carries)
+            file.add(topic, schema, each.at, message)
+            self.shortened[reading.connector] += not each.is_whole
         more = len(reading.times) + reading.missing - len(reading.passed)
         if more:
             self.missing[reading.connector] += more

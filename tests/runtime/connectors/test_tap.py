@@ -13,7 +13,7 @@ from poise.errors import UsageError
 from poise.runtime.component.ports import Port
 from poise.runtime.connectors.facade import Facade
 from poise.runtime.connectors.sender import Sender
-from poise.runtime.connectors.tap import MOST_PASSED, MOST_TIMES, Observer, plain
+from poise.runtime.connectors.tap import MOST_PASSED, MOST_TIMES, Observer, Plain
 from poise.runtime.hosting import taps
 from poise.runtime.hosting.taps import MOST_VIEWERS, Taps
 from poise.wire.records.migration import StepsFailed
@@ -146,7 +146,7 @@ def deep(levels: int) -> object:
     ],
 )
 def test_values_are_shown_short(value: object, shown: object) -> None:
-    assert plain(value) == shown
+    assert Plain().of(value) == shown
 
 
 class OneSender:

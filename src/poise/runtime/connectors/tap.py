@@ -67,7 +67,8 @@ class Observer:
                 return
             # half a gap early is in time, or a jitter would leave every second out
             self._due = max(self._due, now - self._every / 2) + self._every
-        passed = Passed(now, plain(value(), self._items))
+        plain = Plain(self._items)
+        passed = Passed(now, plain.of(value()), plain.is_whole)
         with self._lock:
             self._passed.append(passed)
 
@@ -129,59 +130,87 @@ def observed_call(
     return run
 
 
-def plain(value: object, items: int = SHOWN_ITEMS, depth: int = _DEEPEST) -> Any:  # noqa: ANN401, JSON's values
-    """Return a value as JSON has them: short, whatever it is."""
-    if value is None or isinstance(value, bool | float):
-        return value
-    if isinstance(value, int):
-        return value if -_LARGEST <= value < _LARGEST else str(value)
-    if isinstance(value, bytes | bytearray | memoryview):
-        return f"<{len(value)} bytes>"
-    if hasattr(value, "dtype") and hasattr(value, "tolist"):  # an array of NumPy
-        is_short = getattr(value, "size", 0) <= items
-        return plain(value.tolist(), items, depth) if is_short else _array(value)
-    if isinstance(value, str) or not (parts := _parts(value)):
-        return _cut(str(value))
-    return parts(items, depth - 1) if depth else "..."
+class Plain:
+    """Makes values plain, as JSON has them, and short, whatever they are.
+
+    Parameters
+    ----------
+    items
+        Of longer lists, arrays and mappings the rest is left out.
+
+    Attributes
+    ----------
+    is_whole
+        Whether nothing was shortened so far.
+    """
+
+    def __init__(self, items: int = SHOWN_ITEMS) -> None:
+        self.is_whole = True
+        self._items = items
+
+    def of(self, value: Any, depth: int = _DEEPEST) -> Any:  # noqa: ANN401, JSON's
+        """Return a value as JSON has them."""
+        if value is None or isinstance(value, bool | float):
+            return value
+        if isinstance(value, int) and -_LARGEST <= value < _LARGEST:
+            return value
+        if _is_array(value) and value.size <= self._items:
+            return self.of(value.tolist(), depth)
+        if size := _size(value):
+            return self._instead(size)
+        if isinstance(value, str) or not (parts := self._parts(value)):
+            return self._cut(str(value))
+        return parts(depth - 1) if depth else self._instead("...")
+
+    def _parts(self, value: object) -> Callable[[int], Any] | None:
+        """Return a function that makes the parts of a value plain; None: no parts."""
+        if isinstance(value, msgspec.Struct):
+            return partial(self._fields, value, value.__struct_fields__)
+        if dataclasses.is_dataclass(value):
+            names = [each.name for each in dataclasses.fields(value)]
+            return partial(self._fields, value, names)
+        if isinstance(value, Mapping):
+            return partial(self._entries, value)
+        if isinstance(value, list | tuple | AbstractSet):
+            return partial(self._list, value)
+        return None
+
+    def _entries(self, value: Mapping[Any, object], depth: int) -> dict[str, Any]:
+        first = islice(value.items(), self._items)
+        named = {self._cut(str(key)): self.of(each, depth) for key, each in first}
+        return named | dict.fromkeys(self._more(value), "")
+
+    def _list(self, value: Collection[object], depth: int) -> list[Any]:
+        first = [self.of(each, depth) for each in islice(value, self._items)]
+        return [*first, *self._more(value)]
+
+    def _fields(self, value: object, names: Iterable[str], depth: int) -> Any:  # noqa: ANN401, JSON's
+        return {name: self.of(getattr(value, name), depth) for name in names}
+
+    def _more(self, value: Collection[object]) -> list[str]:
+        more = len(value) - self._items
+        if more <= 0:
+            return []
+        mark = self._instead(f"... and {more} more")
+        return [mark] if self._items <= SHOWN_ITEMS else []
+
+    def _cut(self, text: str) -> str:
+        if len(text) <= _MOST_LETTERS:
+            return text
+        return self._instead(f"{text[:_MOST_LETTERS]}...")
+
+    def _instead(self, text: str) -> str:
+        self.is_whole = False
+        return text
 
 
-def _parts(value: object) -> Callable[[int, int], Any] | None:
-    """Return a function that makes the parts of a value plain; None: it has none."""
-    if isinstance(value, msgspec.Struct):
-        return partial(_fields, value, value.__struct_fields__)
-    if dataclasses.is_dataclass(value):
-        return partial(_fields, value, [f.name for f in dataclasses.fields(value)])
-    if isinstance(value, Mapping):
-        return partial(_entries, value)
-    if isinstance(value, list | tuple | AbstractSet):
-        return partial(_items, value)
-    return None
+def _is_array(value: Any) -> bool:  # noqa: ANN401, NumPy need not be there
+    return hasattr(value, "dtype") and hasattr(value, "tolist")
 
 
-def _array(value: Any) -> str:  # noqa: ANN401, NumPy need not be there
-    return f"<{value.dtype} array of {' x '.join(map(str, value.shape))}>"
-
-
-def _entries(value: Mapping[Any, object], items: int, depth: int) -> dict[str, Any]:
-    first = islice(value.items(), items)
-    named = {_cut(str(key)): plain(each, items, depth) for key, each in first}
-    return named | dict.fromkeys(_more(len(value) - items), "")
-
-
-def _items(value: Collection[object], items: int, depth: int) -> list[Any]:
-    first = [plain(each, items, depth) for each in islice(value, items)]
-    return [*first, *_more(len(value) - items)]
-
-
-def _fields(
-    value: object, names: Iterable[str], items: int, depth: int
-) -> dict[str, Any]:
-    return {name: plain(getattr(value, name), items, depth) for name in names}
-
-
-def _more(more: int) -> list[str]:
-    return [f"... and {more} more"] if more > 0 else []
-
-
-def _cut(text: str) -> str:
-    return text if len(text) <= _MOST_LETTERS else f"{text[:_MOST_LETTERS]}..."
+def _size(value: Any) -> str:  # noqa: ANN401, the same
+    """Return what stands for bytes or an array; empty: it is neither."""
+    if _is_array(value):
+        return f"<{value.dtype} array of {' x '.join(map(str, value.shape))}>"
+    is_bytes = isinstance(value, bytes | bytearray | memoryview)
+    return f"<{len(value)} bytes>" if is_bytes else ""

@@ -26,7 +26,8 @@ class Tap(Struct, frozen=True, tag=True, kw_only=True):
     rate
         So many messages a second are told with their content; 0: none is.
     items
-        Of longer lists, arrays and mappings the rest is left out.
+        Of longer lists, arrays and mappings the rest is left out; up to `SHOWN_ITEMS`,
+        lists and mappings then end with how much that is.
     """
 
     number: int
@@ -47,10 +48,13 @@ class Passed(Struct, frozen=True):
         When it went out, or the call's answer came [s since 1970].
     value
         Its content as plain values, shortened where it is long.
+    is_whole
+        Whether nothing was shortened.
     """
 
     at: float
     value: Any
+    is_whole: bool = True
 
 
 class TapReading(Struct, frozen=True, tag=True, kw_only=True):

@@ -8,15 +8,17 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.markup import escape
 
 from poise.cli.command.run_time.running_robot import Robot
 from poise.cli.completion import running
 from poise.cli.interrupts import Interrupts
+from poise.cli.options import AsJson, print_json
 from poise.errors import UsageError
 from poise.manage.agent_connections.statuses import connectors_of
 from poise.session.render.printable import console_to
 from poise.session.running_robots.running import connect
-from poise.units import counted
+from poise.view.record import record
 
 
 def record_command(
@@ -41,12 +43,14 @@ def record_command(
         float, typer.Option("--for", help="End after so many seconds.")
     ] = math.inf,
     robot: Robot = None,
+    as_json: AsJson = False,
 ) -> None:
     """Record a running robot, until Ctrl-C, as an MCAP file, which Foxglove opens.
 
     How computers, components, connectors, timers and chains are each second, what the
     manager decides, and the messages and calls of the connectors that are named. The
-    robot does not wait for it: what finds no room is counted. It goes on with a new
+    robot does not wait for it: what finds no room is counted, and so is what is too
+    long: of lists over 1,000 values, of arrays and of bytes. It goes on with a new
     manager. The file is whole when this ends, also with an error: with code 1 when the
     disk is full or the robot has ended, with 130 after Ctrl-C.
 
@@ -59,35 +63,25 @@ def record_command(
     for option, value in ("--rate", rate), ("--for", seconds):
         if not value > 0:
             raise UsageError(f"{option} {value:g}: it is a positive number")
-    try:
-        from poise.view.mcap_file import McapFile
-        from poise.view.record import Recorder
-    except ImportError as error:
-        raise UsageError(
-            "poise record needs mcap: pip install 'poise[record]'"
-        ) from error
     status = connect(robot).status()
     names = connectors or []
     if every:
         names = sorted({end.name for end in connectors_of(status.computers)})
     clock = time.strftime("%Y%m%d-%H%M%S")
     path = output or Path(f"{status.robot}-{clock}.mcap")
-    console = console_to()
+    console = console_to(stderr=as_json)
+    ends = "" if math.isinf(seconds) else f" of {seconds:g} s"
     with Interrupts() as interrupts:
-        recorder = Recorder(status.robot, names, rate)  # before there is a file
-        file = McapFile(path)
-        try:
-            with file:
-                console.print(f"recording robot '{status.robot}' to {path}")
-                with console.status("") as shown:
-                    recorder.record(
-                        file,
-                        seconds,
-                        interrupts.check,
-                        console.print,
-                        lambda now: shown.update(f"{now:.0f} s: {file.summary()}"),
-                    )
-        finally:
-            console.print(f"{file.summary()} in {path}")
-            for connector, count in sorted(recorder.missing.items()):
-                console.print(f"{connector}: {counted(count, 'message')} left out")
+        with console.status("") as shown:
+            recorded = record(
+                path,
+                names,
+                robot=status.robot,
+                seconds=seconds,
+                rate=rate,
+                say=lambda sentence: console.print(escape(sentence)),
+                check=interrupts.check,
+                tell=lambda now, what: shown.update(f"{now:.0f} s{ends}: {what}"),
+            )
+        if as_json:
+            print_json(recorded)
