@@ -16,6 +16,7 @@ import pytest
 from poise.cli.command.run_time.run import run_command
 from poise.emulate import sweep
 from poise.errors import PoiseError
+from poise.manage.control_socket.location import path_of
 from poise.runtime.waker import wait_readable
 from tests.command import POISE, run_poise
 
@@ -271,6 +272,22 @@ def test_a_signal_ends_everything(
         assert not Path(f"/proc/{pid}").exists()
 
 
+def test_others_see_a_run_and_may_stop_it(robot: Write) -> None:
+    file = robot(implementation("Announcing"))
+    process = start(file, "--task", "work", "--for", "600s")
+    assert process.stdout is not None
+    assert any("`poise top`" in line for line in process.stdout)
+    status = json.loads(run_poise("status", "--robot", "tiny", "--json").stdout)
+    assert status["placement"] == {"worker": "left"}
+    assert status["deviations"] == []
+    refused = run_poise("move", "worker", "right", "--robot", "tiny")
+    assert refused.returncode == 2
+    assert "`poise up` does" in refused.stderr
+    assert run_poise("stop", "--robot", "tiny").returncode == 0
+    rest, _ = process.communicate(timeout=LIMIT)
+    assert "the run was ended early" in rest
+
+
 def test_nothing_survives_a_manager_that_is_killed(robot: Write) -> None:
     process = start(
         robot(implementation("Announcing")), "--task", "work", "--for", "60s"
@@ -285,3 +302,4 @@ def test_nothing_survives_a_manager_that_is_killed(robot: Write) -> None:
         os.close(pidfd)
     process.communicate(timeout=LIMIT)
     sweep()  # as the next run does
+    path_of("tiny").unlink()  # the same

@@ -50,14 +50,16 @@ class Managed:
         )
 
     def sentences_of_move(self) -> list[str]:
-        """Return what the journal got while a component was to move, in order."""
+        """Return what the journal got of a move that was asked for, in order."""
         before = len(self.journal.entries())
         future = self.manager.submit(COMMAND)
         self.manager.work(0.0)
         result = future.result(0.0)
         assert isinstance(result, MigrationReport)
         assert not result.committed
-        return [entry.what for entry in self.journal.entries()[before:]]
+        asked, *others = [entry.what for entry in self.journal.entries()[before:]]
+        assert asked == "asked to move 'thinker' to 'left'"
+        return others
 
 
 @pytest.fixture

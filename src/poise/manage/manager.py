@@ -22,13 +22,10 @@ from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.shortages.put_aside import PutAside
 from poise.manage.adaptation.what_if import check_move
-from poise.manage.agent_connections.output import read_log
-from poise.manage.agent_connections.taps import read_tap
+from poise.manage.control_socket.looks import look, status_of
 from poise.manage.control_socket.records import (
     Command,
     JournalCommand,
-    JournalEntries,
-    LogCommand,
     MoveCommand,
     RebalanceCommand,
     Rebalanced,
@@ -39,7 +36,6 @@ from poise.manage.control_socket.records import (
     StatusCommand,
     StopCommand,
     StopReport,
-    TapCommand,
     TaskCommand,
     TaskDone,
 )
@@ -58,7 +54,6 @@ from poise.manage.prefetch.prefetch import Prefetch
 from poise.manage.tasks.progress import Saved
 from poise.manage.tasks.task_manager import TaskManager
 from poise.model.policy.seen import Seen
-from poise.model.robot import Computer
 from poise.wire.records.samples import AgentSample
 
 MOST_COMMANDS = 64
@@ -135,21 +130,18 @@ class Manager:
     def submit(self, command: Command) -> Results:
         """Take a command, from any thread, at once.
 
-        What is read from a tap or a log is read on that thread.
+        What only looks is answered on that thread.
         """
         future: Results = Future()
-        if isinstance(command, StatusCommand):
-            future.set_result(self.status())
-        elif isinstance(command, JournalCommand):
-            future.set_result(self._entries(command))
-        elif isinstance(command, StopCommand):
+        looks_back = isinstance(command, StatusCommand | JournalCommand)
+        if isinstance(command, StopCommand):
             self._stops.append(future)  # before the flag, or nobody answers it
             self._stopping.set()
             self._run.cancel()
-        elif self.is_stopping:
+        elif self.is_stopping and not looks_back:
             future.set_result(Refusal("the robot is being stopped", "RunError"))
-        elif isinstance(command, TapCommand | LogCommand):
-            future.set_result(self._read(command))
+        elif (seen := look(self._run, self.status, command)) is not None:
+            future.set_result(seen)
         else:
             try:
                 self._commands.put_nowait((command, future))
@@ -159,24 +151,10 @@ class Manager:
                 future.set_result(Refusal(text, "RunError"))
         return future
 
-    def _read(self, command: TapCommand | LogCommand) -> Result | Refusal:
-        try:
-            if isinstance(command, LogCommand):
-                return read_log(self._run.agents, command)
-            return read_tap(self._run.agents, command)
-        except PoiseError as error:
-            return Refusal.from_error(error)
-
     def status(self) -> RobotStatus:
         """Return the last known state; from any thread, at once."""
-        run = self._run
-        return RobotStatus(
-            robot=run.robot.name,
-            task=" and ".join(r.name for r in self.tasks.reports if r.state == "going"),
-            manager=run.agents.manager,
-            placement=run.placement(),
-            computers=run.agents.statuses(),
-            out_of_reach=run.agents.out_of_reach(),
+        return structs.replace(
+            status_of(self._run, self.tasks.reports, self._estimates),
             deviations=(
                 *self._troubles.deviations(),
                 *self._lost.deviations(),
@@ -185,14 +163,7 @@ class Manager:
                 *self._put_aside.deviations(),
             ),
             faults=self._watch.num_faults,
-            demand_estimates=tuple(self._estimates.demand_estimates()),
-            chains=chain_reports(run.robot, run.agents.statuses()),
-            capacities={c.name: _capacity(c) for c in run.robot.computers},
-            recent=run.journal.recent(),
-            tasks=self.tasks.reports,
             prefetch=self._prefetch.report(),
-            loads=self._estimates.loads.loads(),
-            traffic=self._estimates.traffic(),
         )
 
     def work(self, limit: float) -> None:
@@ -252,13 +223,6 @@ class Manager:
         """Return whether something is to be done at once."""
         return self.is_stopping or not self._commands.empty() or self.tasks.has_news()
 
-    def _entries(self, command: JournalCommand) -> Result | Refusal:
-        try:
-            found = self._run.journal.entries(command.after, command.most)
-        except PoiseError as error:
-            return Refusal.from_error(error)
-        return JournalEntries(tuple(found))
-
     def _carry_out(self, command: Command) -> Result | Refusal:
         try:
             return self._done(command)
@@ -286,6 +250,7 @@ class Manager:
             case MoveCommand(component, computer, force):
                 if not force:
                     check_move(self._facts(), component, computer)
+                self._adaptation.note_asked(component, computer)
                 return move(run, component, computer, force=force)
             case ReplaceCommand(component, by, adapt, fresh) if ":" in by:
                 return replace(run, component, by, adapt, fresh=fresh)
@@ -329,12 +294,6 @@ class Manager:
         self._troubles.look()
         self._lost.note()
         self._watch.look()
-
-
-def _capacity(computer: Computer) -> dict[str, float]:
-    """Return what a computer has; an emulated slow one has a part of a core."""
-    share = 1.0 if computer.address else computer.speed
-    return {**computer.capacity, "cpu": computer.capacity.get("cpu", 0.0) * share}
 
 
 def _answer(future: Results, result: Result | Refusal) -> None:

@@ -22,9 +22,10 @@ from poise.session.placing.placement import Placement
 from poise.session.placing.repository import note_architectures
 from poise.session.recordings.record_run import keeping
 from poise.session.reports.history import History
-from poise.session.reports.last_seen import LastSeen
 from poise.session.reports.run_report import MeasuredRun, RunReport, reported
 from poise.session.robot_file import task_of
+from poise.session.watched_run import WatchedRun
+from poise.wire.records.samples import AgentSample
 
 Meanwhile = Callable[[Run, float], object]
 """Called a few times a second with the run and its time so far [s]; may move
@@ -91,14 +92,28 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         for name in placed.result.aside:
             sentence = f"architecture '{name}' is put aside: {placed.why_aside}"
             book.note("wrong", sentence)
+        watched = WatchedRun(robot)
+        is_served = stack.enter_context(watched.served(robot.name, say))
         kept = stack.enter_context(keeping(robot, placed.where, record, say))
-        sampling = Sampling(kept.samples.add) if record else None
+
+        def take(sample: AgentSample) -> None:
+            watched.samples.add(sample)
+            if record is not None:
+                kept.samples.add(sample)
+
+        def look(run: Run, now: float) -> None:
+            watched.look()
+            meanwhile(run, now)
+
+        sampling = Sampling(take)
         up = stack.enter_context(
             started(kept.robot, placed.where, book, say, sampling, check, use_kept=True)
         )
-        say(f"running task '{chosen}' for up to {seconds:g} s")
+        shows = "; `poise top` and `poise dashboard` show it" if is_served else ""
+        say(f"running task '{chosen}' for up to {seconds:g} s{shows}")
         tasks = TaskManager(up.run, first.tasks.saved, partial(_facts, up.run))
-        around = _with_agents(up.run, check, meanwhile)
+        watched.begin(up.run, tasks)
+        around = _with_agents(up.run, check, look)
         seen = _measure(up, seconds, around, partial(_look, tasks, first.aside()))
         drain(up.run)
         entries = tuple(entry for entry in book.entries() if entry.at >= at)
@@ -153,13 +168,12 @@ def _measure(
 ) -> MeasuredRun:
     up.computers.begin()
     begin, began, at = up.run.agents.statuses(), time.monotonic(), time.time()
-    history, last_seen = History(up.run.robot, up.computers.faster), LastSeen()
+    history = History(up.run.robot, up.computers.faster)
     interrupted = False
 
     def look(_: float) -> None:
-        now, statuses = time.monotonic(), up.run.agents.statuses()
-        last_seen.look(statuses)
-        history.look(statuses, time.time(), now)
+        now = time.monotonic()
+        history.look(up.run.agents.statuses(), time.time(), now)
         meanwhile(up.run, now - began)
 
     try:
@@ -171,7 +185,6 @@ def _measure(
         end=up.run.agents.statuses(),
         began=at,
         history=tuple(history.moments),
-        last_seen=last_seen,
         seconds=time.monotonic() - began,
         invalid=up.computers.end(),
         interrupted=interrupted,

@@ -178,6 +178,17 @@ class Adaptation:
         """
         return what_if(self._facts(), component, computer, self._downtimes)
 
+    def note_asked(self, component: str, computer: str) -> None:
+        """Journal that a person asks for a move, and what else could be done."""
+        facts = self._facts()
+        try:
+            change = what_if(facts, component, computer, self._downtimes)
+        except PoiseError:  # the move itself says why not
+            return
+        what = f"asked to move '{component}' to '{computer}'"
+        others = alternatives(facts, self._downtimes)
+        self._run.journal.note("seen", what, what_if=change, alternatives=others)
+
     def close(self) -> None:
         """End what policies have started."""
         self._policies.close()

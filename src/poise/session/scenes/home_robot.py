@@ -209,7 +209,15 @@ def time_calls(examples: Path, console: Console, check: Check) -> dict[str, Summ
     """Return how long calls take: ``direct``, and by ``message`` between computers."""
     console.print("\n[bold]How long calls take")
     robot = load(examples / "calls" / "robot.yaml", say=console.print)
-    report = run(robot, "call", seconds=CALLS, say=console.print, check=check)
+    with progress(console, CALLS, live=True) as show:
+        report = run(
+            robot,
+            "call",
+            seconds=CALLS,
+            say=console.print,
+            meanwhile=show,
+            check=check,
+        )
     measures = report.component("caller").measures
     return {"direct": measures["near"], "message": measures["far"]}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Annotated
 
 import typer
@@ -44,14 +45,16 @@ def calibrate_command(
     console = console_to(stderr=as_json)
     robot = load_bare(file)
     seconds = parse_option("--for", for_, SECONDS)
-    console.print(f"calibrating for {2 * seconds:g} s")
-    with Interrupts() as interrupts:
+    console.print(f"calibrating for {2 * seconds:g} s, and a few more to start")
+    with Interrupts() as interrupts, console.status("") as shown:
+        began = time.monotonic()
+
+        def check() -> None:
+            interrupts.check()
+            shown.update(f"measuring since {time.monotonic() - began:.0f} s")
+
         result = calibrate(
-            robot,
-            reference=reference,
-            seconds=seconds,
-            force=force,
-            check=interrupts.check,
+            robot, reference=reference, seconds=seconds, force=force, check=check
         )
     if as_json:
         print_json(result)

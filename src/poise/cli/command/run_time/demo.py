@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
@@ -126,6 +127,11 @@ def demo_command(
         extent = SHORT if quick else FULL if full else USUAL
         _experiment(examples, extent, report, console, as_json=as_json)
         return
+    poise = _this_poise()
+    console.print(
+        f"To watch it live, run in another terminal:\n  {poise} dashboard   # or: top",
+        soft_wrap=True,
+    )
     with Interrupts() as interrupts:
         check = interrupts.check
         shown = DemoReport(
@@ -135,10 +141,22 @@ def demo_command(
         )
     print_json(shown) if as_json else _show(shown, console)
     _draw(shown.runs, console)
+    console.print(
+        "to watch T-Rot for longer:\n"
+        f"  {poise} up {examples / 'trot' / 'robot.yaml'} --dashboard",
+        soft_wrap=True,
+    )
     trouble = find_trouble(shown.runs)
     if trouble:
         Console(stderr=True).print(trouble)
         raise typer.Exit(1)
+
+
+def _this_poise() -> str:
+    """Return how this `poise` is started in any folder."""
+    path = Path(sys.executable).with_name("poise")
+    is_known = shutil.which("poise") == str(path) or not path.exists()
+    return "poise" if is_known else str(path)
 
 
 def _experiment(
@@ -227,9 +245,6 @@ def _draw(runs: Sequence[RunReport], console: Console) -> None:
     picture = drives_picture(drives, home.get("walls", ()), goal)
     _PICTURE.write_text(picture, encoding="utf-8")
     console.print(f"both drives are drawn in {_PICTURE.absolute()}")
-    console.print(
-        "to watch T-Rot live: `poise up --dashboard examples/trot/robot.yaml`"
-    )
 
 
 _ABOUT_TIMES = """
