@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 import time
+from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import Future
 
@@ -43,9 +44,13 @@ _EACH = 40
 
 
 @contextlib.contextmanager
-def told(robot: str, components: int) -> Iterator[None]:
-    """Answer on the control socket of a robot: all its figures change all the time."""
+def told(robot: str, components: int) -> Iterator[Counter[type[Command]]]:
+    """Answer on the control socket of a robot: all its figures change all the time.
+
+    Yields how often was asked for what.
+    """
     since = time.time()
+    asked: Counter[type[Command]] = Counter()
 
     def submit(command: Command) -> Future[Result | Refusal]:
         future: Future[Result | Refusal] = Future()
@@ -53,6 +58,7 @@ def told(robot: str, components: int) -> Iterator[None]:
         return future
 
     def answer(command: Command) -> Result | Refusal:
+        asked[type(command)] += 1
         match command:
             case StatusCommand():
                 return status(robot, components, time.time() - since, since)
@@ -63,7 +69,7 @@ def told(robot: str, components: int) -> Iterator[None]:
 
     with ControlServer(robot) as server:
         server.start(submit)
-        yield
+        yield asked
 
 
 def status(robot: str, components: int, at: float, since: float) -> RobotStatus:

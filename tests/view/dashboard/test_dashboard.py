@@ -13,7 +13,9 @@ from typing import Any
 import pytest
 
 from benchmarks.dashboard import FRAMES
+from benchmarks.synthetic.slow_link import SlowLink
 from benchmarks.synthetic.statuses import told
+from poise.manage.control_socket.records import StatusCommand
 from tests.command import POISE, robot_up, run_poise
 from tests.waiting import LONG, wait_long
 
@@ -127,35 +129,58 @@ def test_shows_a_robot_its_log_asks_what_if_moves_and_undoes(
         page.get_by_role("button", name="Undo: printer back to right").click()
         on(page, "right", "printer").wait_for()
 
-        # it follows what is done elsewhere
+        # it follows what is done elsewhere, and says what else there was
         assert run_poise("move", "printer", "left", "--robot", name).returncode == 0
         on(page, "left", "printer").wait_for()
-
-        page.get_by_role("button", name="moved component").first.click()
-        page.get_by_role("button", name="Close").click()
-        page.wait_for_selector(".q-dialog", state="detached")
+        assert run_poise("balance", "--cost", "0", "--robot", name).returncode == 0
+        in_time_line = page.locator('.moment[title^="asked to balance"]')
+        in_list = page.locator(".entries button", has_text="asked to move 'printer'")
+        for entry in in_time_line, in_list:
+            entry.first.click()
+            table = page.get_by_role("table").filter(has_text="cores too little")
+            table.get_by_role("cell", name="stay").wait_for()
+            assert table.get_by_role("cell", name="move").count()
+            page.get_by_role("button", name="Close").click()
+            page.wait_for_selector(".q-dialog", state="detached")
         found = axe.Axe().run(page).response["violations"]
         assert [v["id"] for v in found if v["impact"] in {"serious", "critical"}] == []
         page.goto("about:blank")  # it would complain that the server has ended
 
 
-def test_follows_managers_shows_many_components_and_bears_ten_pages(
+def test_follows_managers_over_any_link_and_bears_200_components_and_ten_pages(
     page: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The manager only tells: of 200 components, all of whose figures change."""
     monkeypatch.delenv(_IN_TEST)
     name = f"many-{os.getpid()}"
-    with dashboard(name) as address:
-        page.goto(address)
+    updates: list[str] = []
+
+    def note(update: str) -> None:
+        updates.append(update)
+
+    page.on("websocket", lambda socket: socket.on("framereceived", note))
+    with dashboard(name) as address, SlowLink(address) as link:
+        page.goto(link.address)
         page.get_by_text("No answer since").wait_for()
-        with told(name, 200):
+        with told(name, 200) as asked:
             page.wait_for_function(f"{_SHOWN} === 200")
             # it draws on while all figures change: no picture takes so long
-            assert page.evaluate(FRAMES, 2.0) > 1.0
+            assert page.evaluate(FRAMES, 1.0) > 1.0
+
+            # nothing passes, and nothing queues: of all that changes the last is sent
+            link.rate, link.delay = 0.0, 0.2
+            had = asked[StatusCommand]
+            wait_long(lambda: asked[StatusCommand] >= had + 10)
+        updates.clear()
+        link.rate = 12_500.0
         page.get_by_text("No answer since").wait_for()
+        assert 0 < sum("show" in each for each in updates) < 8
+        link.cut()
         with told(name, 5):
             page.wait_for_function(f"{_SHOWN} === 5")
             wait_long(lambda: not page.get_by_text("No answer since").count())
+            page.locator("[data-component]").first.press("Enter")
+            page.get_by_role("button", name="Close").click()
             others = [page.context.browser.new_page() for _ in range(9)]
             for each in others:
                 each.goto(address, timeout=_MS)

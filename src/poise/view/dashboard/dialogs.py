@@ -18,6 +18,8 @@ from poise.view.dashboard.state import Page, why
 from poise.wire.records.output import OutputLine
 
 _LOG_EVERY = 0.5
+_TAKEN_WITHIN = 10.0
+"""The next lines are sent when the page has the last ones, or after this time [s]."""
 _MOST_LINES = 200
 """So many lines of a log are shown."""
 
@@ -89,7 +91,9 @@ class Actions:
         """Show a decision, why it was taken, and what else there was."""
         facts = entry.facts if isinstance(entry.facts, dict) else {}
         decision = facts.get("decision") or {}
-        proposal = decision.get("proposal") or facts.get("proposal")
+        proposal = (
+            decision.get("proposal") or facts.get("proposal") or facts.get("what_if")
+        )
         with self._place, _dialog() as dialog:
             ui.html(f"<h2>{_text(f'{entry.kind}: {entry}')}</h2>")
             if reason := why(entry):
@@ -99,7 +103,7 @@ class Actions:
                 ui.html(_terms({"stay as it is": stay, "what was proposed": go}))
                 if proposal["trouble"]:
                     ui.label(f"As it was: {proposal['trouble']}").classes("refused")
-                for step in proposal["steps"]:
+                for step in proposal.get("steps", ()):
                     ui.label(
                         f"{step['kind']} {step['component']}: "
                         f"{step['source'] or '-'} to {step['target'] or '-'}"
@@ -144,6 +148,8 @@ class Actions:
             content = f"<pre tabindex=0>{_text(text)}</pre>"
             if content != shown.content:
                 shown.content = content
+                with contextlib.suppress(TimeoutError):  # on a slow link nothing queues
+                    await ui.run_javascript("true", timeout=_TAKEN_WITHIN)
 
         ui.timer(_LOG_EVERY, read)
 

@@ -11,6 +11,7 @@ const STATES = { active: "", inactive: "⏸ ", unresponsive: "⚠ ", failed: "�
 const FEW = 12; // rows of a table that is not opened
 const LARGE = 60; // of more components only the connectors of one, or of those searched, are drawn
 const MINUTES = 5; // what the time line spans
+const PATIENCE = 5; // without news for more seconds the page says so
 
 const CLOCK = new Intl.DateTimeFormat([], { timeStyle: "medium", hour12: false });
 const percent = (x) => (x === undefined || x === null ? "" : `${(100 * x).toFixed(x < 0.0995 ? 1 : 0)} %`);
@@ -36,6 +37,7 @@ export default {
     <span v-for="task in robot.tasks || []">task <b>{{ task }}</b></span>
     <label class="find">Find <input type="search" v-model="wanted" aria-label="Find components"></label>
   </div>
+  <p v-if="late" class="trouble">⚠ Nothing came for {{ late }} s: the link to this page is slow, or down.</p>
   <div role="status" aria-live="polite">
     <p v-if="robot.trouble" class="trouble">⚠ No answer since {{ clock(robot.since) }}, trying again;
       below is what was known last. {{ robot.trouble }}</p>
@@ -45,6 +47,7 @@ export default {
     </ul>
     <p v-else-if="robot.name && !robot.trouble" class="fine">✓ everything is as the robot file says</p>
   </div>
+  <p v-if="deadlines" :class="deadlines.areMet ? 'fine' : 'missed'">{{ deadlines.text }}</p>
 
   <section aria-label="Computers" class="area" ref="area" @mouseleave="near = null">
     <svg class="wires" aria-hidden="true" :width="size.width" :height="size.height">
@@ -119,7 +122,7 @@ export default {
 </div>`,
 
   data: () => ({
-    parts: {}, now: 0, wanted: "", near: null, over: null, more: {},
+    parts: {}, now: 0, late: 0, wanted: "", near: null, over: null, more: {},
     places: {}, size: { width: 0, height: 0 }, kinds: KINDS, glyphs: GLYPHS, few: FEW, ago: [0, 1, 2, 3, 4],
   }),
 
@@ -139,6 +142,14 @@ export default {
     wires() {
       const found = byName(this.parts.connectors).map((wire) => this.wire(wire)).filter(Boolean);
       return this.isLarge ? found.filter((wire) => wire.picked) : found;
+    },
+    deadlines() {
+      const timers = byName(this.parts.timers).filter((t) => t.deadline);
+      if (!timers.length || this.robot.trouble) return null;
+      const late = timers.filter((t) => t.now > 0).sort((a, b) => b.now - a.now);
+      if (!late.length) return { areMet: true, text: "✓ all timers meet their deadlines now" };
+      const worst = late.slice(0, 3).map((t) => `${t.name} ${percent(t.now)}`).join(", ");
+      return { areMet: false, text: `▲ ${late.length} of ${timers.length} timers miss deadlines now; most of all ${worst}` };
     },
     entries() { return Object.values(this.parts.entries || {}).sort((a, b) => b.number - a.number); },
     recent() {
@@ -173,13 +184,22 @@ export default {
   mounted() {
     this.observer = new ResizeObserver(() => this.measure());
     this.observer.observe(this.$refs.area);
+    this.taken = performance.now();
+    this.ticker = setInterval(() => {
+      const waited = (performance.now() - this.taken) / 1000;
+      this.late = waited > PATIENCE ? Math.round(waited) : 0;
+    }, 1000);
   },
-  unmounted() { this.observer.disconnect(); },
+  unmounted() {
+    this.observer.disconnect();
+    clearInterval(this.ticker);
+  },
 
   methods: {
     percent,
-    // Takes what has changed; answers, so that a slow link gets fewer updates.
+    // Takes what has changed; says so, so that a slow link gets fewer updates.
     show(changes, now, isWhole) {
+      this.$emit("taken");
       if (isWhole) this.parts = {};
       for (const [part, records] of Object.entries(changes)) {
         const known = { ...this.parts[part], ...records };
@@ -187,7 +207,8 @@ export default {
         this.parts[part] = Object.freeze(known); // Vue watches nothing inside: that takes long
       }
       this.now = now;
-      return true;
+      this.taken = performance.now();
+      this.late = 0;
     },
     measure() {
       const area = this.$refs.area, at = area.getBoundingClientRect(), places = {};

@@ -83,7 +83,7 @@ def _task(report: Any) -> str:  # noqa: ANN401, `view` does not import the manag
     why = f" ({report.why})" if report.why else ""
     now = [each.name for each in report.actions if each.is_at_work]
     then = [each.name for each in report.actions if not each.is_at_work]
-    parts = [f"{report.name} {report.state}{why}"]
+    parts = [f"{report.name}: {report.state}{why}"]
     parts += [f"now {', '.join(now)}"] if now else []
     parts += [f"waits to begin {', '.join(then)}"] if then else []
     parts += [f"next {', '.join(report.next)}"] if report.next else []
@@ -111,7 +111,7 @@ def why(entry: JournalEntry) -> str:
         for each in facts.get("policies", ())
     ]
     decision = facts.get("decision") or {}
-    proposal = decision.get("proposal") or facts.get("proposal")
+    proposal = decision.get("proposal") or facts.get("proposal") or facts.get("what_if")
     if proposal:
         now, then = proposal["now"]["total"], proposal["then"]["total"]
         parts.append(f"F = {now:.4g} becomes {then:.4g}")
