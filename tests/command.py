@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import io
 import json
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -12,7 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import jsonschema
+import pytest
 
+from poise.cli.main import main
 from tests.busy import skip_as_busy
 from tests.waiting import LONG
 
@@ -20,6 +24,8 @@ POISE = (sys.executable, "-m", "poise")
 STARVED = "this machine was too busy to give the emulated computers"
 OUTPUT_SCHEMA = Path(__file__).parents[1] / "docs/output.schema.json"
 _BY_LINE = {"echo", "hz", "log"}
+_STARTING = {"agent", "calibrate", "demo", "profile", "run", "up"}
+"""Commands that start robots."""
 
 Poise = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -45,22 +51,69 @@ def run_poise(
 ) -> subprocess.CompletedProcess[str]:
     """Run a command to its end; return what it said and its exit code.
 
-    Skip the test when it says that the host starved the emulated computers.
+    What starts a robot is a process of its own; to start one for what only asks would
+    take longer than to ask. Skip the test when it says that the host starved the
+    emulated computers.
     """
-    done = subprocess.run(
-        [*POISE, *map(str, words)],
+    texts = [str(word) for word in words]
+    is_starting = texts[0] in _STARTING and not {"show", "-h"} & {*texts}
+    done = (_started if is_starting else called)(texts, cwd)
+    if "--json" in texts and done.stdout:
+        check_output(texts, done.stdout)
+    for line in done.stderr.splitlines():
+        if done.returncode and STARVED in line:
+            skip_as_busy(line)
+    return done
+
+
+def _started(
+    words: Sequence[str], cwd: Path | None
+) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*POISE, *words],
         cwd=cwd,
         capture_output=True,
         text=True,
         timeout=LONG,
         check=False,
     )
-    if "--json" in words and done.stdout:
-        check_output([str(word) for word in words], done.stdout)
-    for line in done.stderr.splitlines():
-        if done.returncode and STARVED in line:
-            skip_as_busy(line)
-    return done
+
+
+def called(
+    words: Sequence[str], cwd: Path | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end in this process."""
+    out, err = io.StringIO(), io.StringIO()
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+        contextlib.chdir(cwd or Path.cwd()),
+        _handlers_kept(),
+    ):
+        patch.setattr(sys, "argv", ["poise", *words])
+        code = _exit_code(main)
+    return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
+
+
+@contextlib.contextmanager
+def _handlers_kept() -> Iterator[None]:
+    """Restore what signals do in this process, which a command changes."""
+    ending = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+    handlers = [(number, signal.getsignal(number)) for number in ending]
+    try:
+        yield
+    finally:
+        for number, handler in handlers:
+            signal.signal(number, handler)
+
+
+def _exit_code(call: Callable[[], object]) -> int:
+    try:
+        call()
+    except SystemExit as ended:
+        return int(ended.code or 0)
+    pytest.fail("a command ends its process")
 
 
 @contextlib.contextmanager

@@ -7,16 +7,20 @@ from pathlib import Path
 
 import pytest
 
+from tests.command import called
+from tests.waiting import LONG
+
 ROOT = Path(__file__).parents[2]
 POISE = "import sys; from poise.cli.main import main; sys.exit(main())"
 
 
-def poise(*arguments: str, before: str = "") -> subprocess.CompletedProcess[str]:
+def started(before: str, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run a command in a process that does something else before."""
     return subprocess.run(
-        [sys.executable, "-c", before + POISE, *arguments],
+        [sys.executable, "-c", before + POISE, *words],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=LONG,
         check=False,
     )
 
@@ -30,14 +34,14 @@ def bad_file(tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 def test_says_that_a_right_file_has_no_problems() -> None:
-    done = poise("check", str(ROOT / "examples/paper/robot.yaml"))
+    done = called(["check", str(ROOT / "examples/paper/robot.yaml")])
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.endswith("robot.yaml: no problems\n")
 
 
 @pytest.mark.slow
 def test_tells_every_problem_with_its_place_and_exits_1(bad_file: Path) -> None:
-    done = poise("check", str(bad_file))
+    done = called(["check", str(bad_file)])
     first, second, last = done.stderr.splitlines()
     assert first.startswith(f"{bad_file}:2:20: computers.main.cpu: '1 kB'")
     assert second.startswith(f"{bad_file}:2:31: computers.main.memory: '-1'")
@@ -47,7 +51,7 @@ def test_tells_every_problem_with_its_place_and_exits_1(bad_file: Path) -> None:
 
 @pytest.mark.slow
 def test_json_is_for_scripts(bad_file: Path) -> None:
-    done = poise("check", str(bad_file), "--json")
+    done = called(["check", str(bad_file), "--json"])
     report = json.loads(done.stdout)
     assert report["ok"] is False
     assert done.returncode == 1
@@ -65,7 +69,7 @@ def test_code_is_checked_when_the_file_is_right(tmp_path: Path) -> None:
         "architectures: {x: {function: f, components: {\n"
         '  a: {implementation: "nowhere.at:All"}}}}\n'
     )
-    done = poise("check", str(path))
+    done = called(["check", str(path)])
     assert done.returncode == 1
     assert f"{path}:4:7: there is no module 'nowhere'" in done.stderr
 
@@ -81,7 +85,7 @@ def test_code_that_ends_its_process_is_a_problem_and_json_stays_json(
         "architectures: {x: {function: f, components: {\n"
         '  a: {implementation: "bad:Bad"}}}}\n'
     )
-    done = poise("check", str(path), "--json")
+    done = called(["check", str(path), "--json"])
     (problem,) = json.loads(done.stdout)["problems"]
     assert (problem["line"], problem["column"], done.returncode) == (4, 7, 1)
     assert "module 'bad' ended the process with exit code 0" in problem["message"]
@@ -89,7 +93,7 @@ def test_code_that_ends_its_process_is_a_problem_and_json_stays_json(
 
 @pytest.mark.slow
 def test_prints_the_schema() -> None:
-    done = poise("check", "--schema")
+    done = called(["check", "--schema"])
     assert done.returncode == 0
     assert json.loads(done.stdout)["title"] == "Poise robot file"
 
@@ -97,7 +101,7 @@ def test_prints_the_schema() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("arguments", [["check"], ["chek"], ["check", "--jsn", "x"]])
 def test_wrong_use_exits_2(arguments: list[str]) -> None:
-    done = poise(*arguments)
+    done = called(arguments)
     assert done.returncode == 2
     assert done.stderr
     assert "Traceback" not in done.stderr
@@ -105,7 +109,7 @@ def test_wrong_use_exits_2(arguments: list[str]) -> None:
 
 @pytest.mark.slow
 def test_a_missing_file_is_a_problem_without_a_traceback(tmp_path: Path) -> None:
-    done = poise("check", str(tmp_path / "none.yaml"))
+    done = called(["check", str(tmp_path / "none.yaml")])
     assert done.returncode == 1
     assert "none.yaml: does not exist" in done.stderr
     assert "Traceback" not in done.stderr
@@ -118,15 +122,42 @@ def test_an_interrupt_ends_with_130() -> None:
         "def stop(*_):\n    raise KeyboardInterrupt\n"
         "c.check = stop\n"
     )
-    done = poise("check", "robot.yaml", before=interrupt)
+    done = started(interrupt, "check", "robot.yaml")
     assert (done.returncode, done.stderr) == (130, "")
+
+
+ALONE = """
+import importlib, os, sys
+import msgspec, rich.console, rich.table, typer, yaml, zenoh
+from poise.cli.command_table import COMMANDS
+
+for where in sorted({where for where, _ in COMMANDS.values()}):
+    if not (child := os.fork()):
+        importlib.import_module(f"poise.cli.command.{where}")
+        os._exit(0)
+    if os.waitpid(child, 0)[1]:
+        sys.exit(where)
+"""
+
+
+@pytest.mark.slow
+def test_every_command_can_be_loaded_alone() -> None:
+    """Most tests call commands in their own process, where much is loaded before."""
+    done = subprocess.run(
+        [sys.executable, "-c", ALONE],
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=LONG,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.slow
 def test_help_loads_nothing_heavy() -> None:
-    done = poise(
-        "--help",
-        before="import atexit, sys; atexit.register(lambda: print("
+    done = started(
+        "import atexit, sys; atexit.register(lambda: print("
         "'loaded', [m for m in ('zenoh', 'numpy', 'ortools') if m in sys.modules]))\n",
+        "--help",
     )
     assert "loaded []" in done.stdout

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
 from importlib.metadata import version
 from pathlib import Path
 
@@ -14,26 +12,10 @@ from rich.console import Console
 
 from poise import RobotError, place
 from poise.model import Architecture, ComponentEntry, Computer, Robot
-from tests.command import POISE, Poise
-from tests.waiting import LONG
-
-pytestmark = pytest.mark.slow
+from tests.command import Poise, called
 
 HELLO = Path(__file__).parents[2] / "examples" / "hello" / "robot.yaml"
 LONG_NAME = "a_component_with_a_name_that_is_longer_than_the_terminal_is_wide" * 2
-
-
-def with_environment(
-    *words: str, **environment: str
-) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*POISE, *words],
-        capture_output=True,
-        text=True,
-        timeout=LONG,
-        env={**os.environ, **environment},
-        check=False,
-    )
 
 
 def test_it_tells_its_version(poise: Poise) -> None:
@@ -67,29 +49,36 @@ def test_h_is_help(poise: Poise, words: tuple[str, ...]) -> None:
     ],
 )
 def test_every_shell_completes_the_options_of_a_command(
-    environment: dict[str, str],
+    environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert "--placement" in with_environment(**environment).stdout
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    assert "--placement" in called([]).stdout
 
 
-def test_the_robot_file_may_stand_in_the_environment() -> None:
-    done = with_environment("check", POISE_ROBOT=str(HELLO))
+@pytest.mark.slow
+def test_the_robot_file_may_stand_in_the_environment(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("POISE_ROBOT", str(HELLO))
+    done = called(["check"])
     assert done.stdout == f"{HELLO}: no problems\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "code", "kind"),
     [
         (("run", "nowhere.yaml"), 1, "RobotError"),
-        (("run", HELLO, "--for", "soon"), 2, "UsageError"),
-        (("run", HELLO, "--wrong"), 2, "UsageError"),
+        (("run", str(HELLO), "--for", "soon"), 2, "UsageError"),
+        (("run", str(HELLO), "--wrong"), 2, "UsageError"),
         (("status", "--robot", "nobody"), 2, "UsageError"),
     ],
 )
 def test_errors_are_json_where_that_is_asked_for(
-    poise: Poise, words: tuple[str, ...], code: int, kind: str
+    words: tuple[str, ...], code: int, kind: str
 ) -> None:
-    done = poise(*words, "--json")
+    done = called([*words, "--json"])
     assert done.returncode == code
     told = json.loads(done.stdout)
     assert told.keys() == {"error", "kind", "problems"}
@@ -97,9 +86,9 @@ def test_errors_are_json_where_that_is_asked_for(
     assert told["error"] in done.stderr
 
 
-def test_problems_of_a_file_are_in_the_json(poise: Poise, tmp_path: Path) -> None:
+def test_problems_of_a_file_are_in_the_json(tmp_path: Path) -> None:
     (tmp_path / "robot.yaml").write_text("robot: r\ncomputers: {a: {cup: 1}}\n")
-    done = poise("run", "robot.yaml", "--json")
+    done = called(["run", "robot.yaml", "--json"], tmp_path)
     told = json.loads(done.stdout)
     assert told["kind"] == RobotError.__name__
     assert all(problem["line"] > 0 for problem in told["problems"])

@@ -15,8 +15,7 @@ import pytest
 
 from poise.cli.command_table import COMMANDS
 from poise.cli.json_outputs import OUTPUTS, schema
-from poise.cli.main import main
-from tests.command import OUTPUT_SCHEMA, check_output
+from tests.command import OUTPUT_SCHEMA, called, check_output
 
 ROOT = Path(__file__).parents[2]
 HELLO = ROOT / "examples/hello/robot.yaml"
@@ -66,16 +65,9 @@ def test_it_has_every_command_that_prints_json() -> None:
     ],
     ids=lambda words: " ".join(str(word) for word in words[:2]),
 )
-def test_what_a_command_prints_is_as_published(
-    words: list[object],
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    texts = ["poise", *map(str, words), "--json"]
-    monkeypatch.setattr("sys.argv", texts)
-    with pytest.raises(SystemExit):
-        main()
-    check_output(texts[1:], capsys.readouterr().out)
+def test_what_a_command_prints_is_as_published(words: list[object]) -> None:
+    texts = [*map(str, words), "--json"]
+    check_output(texts, called(texts).stdout)
 
 
 def test_another_thing_is_refused() -> None:

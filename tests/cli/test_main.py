@@ -60,8 +60,14 @@ def test_ctrl_c_ends_a_measurement(command: str, tmp_path: Path) -> None:
 HANGING = "import os, time\nprint('child', os.getpid(), flush=True)\ntime.sleep(600)\n"
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-@pytest.mark.parametrize("command", ["check", "run", "profile"])
+@pytest.mark.parametrize(
+    ("command", "sent"),
+    [
+        ("check", signal.SIGINT),
+        ("run", signal.SIGTERM),
+        ("profile", signal.SIGHUP),
+    ],
+)
 def test_a_signal_ends_a_check_of_hanging_code(
     command: str, sent: signal.Signals, tmp_path: Path
 ) -> None:

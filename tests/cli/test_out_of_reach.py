@@ -112,6 +112,11 @@ class Field:
         )
         self.file.write_text(FILE.format(name=self.name, computers=computers))
 
+    def forget(self) -> None:
+        """Remove what components told, and were told, in an earlier test."""
+        for name in ("sent", "came", "halt"):
+            (self.folder / name).unlink(missing_ok=True)
+
     def set_cable(self, name: str, state: str) -> None:
         argv = ["ip", "link", "set", "eth0", state]
         assert self.computers[name].popen(argv).wait(LONG) == 0
@@ -168,24 +173,29 @@ def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-@pytest.fixture
-def field(tmp_path: Path) -> Iterator[Field]:
+@pytest.fixture(scope="module")
+def field(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Field]:
+    """Keep the agents up for all tests, as real computers do."""
     if reasons := look().without_network():
         pytest.skip("; ".join(reasons))
     computers = tuple(
         Computer(name=name, capacity={"cpu": 0.5, "memory": 512e6}) for name in NAMES
     )
-    with Emulation(Robot(name="reach", computers=computers), tmp_path) as emulation:
-        yield Field(emulation, tmp_path)
+    folder = tmp_path_factory.mktemp("field")
+    with Emulation(Robot(name="reach", computers=computers), folder) as emulation:
+        yield Field(emulation, folder)
 
 
 @pytest.fixture
 def up(field: Field, runtime: Path, request: pytest.FixtureRequest) -> Iterator[Up]:
+    field.forget()
     up = Up(field, runtime, *getattr(request, "param", ()))
     try:
         up.wait_for("is up with task")
         yield up
     finally:
+        for name in NAMES:
+            field.set_cable(name, "up")
         up.end()
 
 

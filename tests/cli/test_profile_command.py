@@ -43,7 +43,7 @@ while True:
 def test_measures_command_line_components(tmp_path: Path, poise: Poise) -> None:
     (tmp_path / "robot.yaml").write_text(ROBOT)
     (tmp_path / "burn.py").write_text(BURN)
-    times = ("--for", "2s", "--warm-up", "0.5s", "--repeat", "2")
+    times = ("--for", "2s", "--warm-up", "0.5s", "--repeat", "1")
     done = poise("profile", "robot.yaml", *times, "--on", "main", "--write")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "demands written to " in done.stdout

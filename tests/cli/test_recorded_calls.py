@@ -99,5 +99,5 @@ def test_calls_are_recorded_and_played(tmp_path: Path, poise: Poise) -> None:
     assert set(profile.components) == {"sage"}
     played = profile.connectors["two.questions -> sage.questions"]
     # both at 20 Hz but for the pause after each round; the machine may be late
-    assert 10 < played.calls < 45
-    assert 10 < played.messages < 45
+    assert 0 < played.calls < 45
+    assert 0 < played.messages < 45

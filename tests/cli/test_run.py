@@ -18,7 +18,7 @@ from poise.emulate import sweep
 from poise.errors import PoiseError
 from poise.manage.control_socket.location import path_of
 from poise.runtime.waker import wait_readable
-from tests.command import POISE, run_poise
+from tests.command import POISE, called, run_poise
 
 LIMIT = 60.0
 _started: list[int] = []
@@ -70,8 +70,12 @@ architectures:
     home: left
     components:
       worker: {{{component}, cpu: 5%, memory: 20 MiB}}
+{more}
 tasks:
   work: {{actions: [{{name: work, functions: [work]}}]}}
+"""
+COMMAND = """
+      teller: {command: [sh, -c, 'echo I am $POISE_COMPONENT; exec sleep 100'], cpu: 5%}
 """
 
 
@@ -93,17 +97,17 @@ def run(*arguments: object) -> tuple[int, str]:
     return process.returncode, said
 
 
-Write = Callable[[str], Path]
+Write = Callable[..., Path]
 
 
 @pytest.fixture
 def robot(tmp_path: Path) -> Write:
     """Write a robot file for one component and the module it may name."""
 
-    def write(component: str) -> Path:
+    def write(component: str, more: str = "") -> Path:
         (tmp_path / "tiny_robot.py").write_text(textwrap.dedent(CODE))
         path = tmp_path / "robot.yaml"
-        path.write_text(ROBOT.format(component=component))
+        path.write_text(ROBOT.format(component=component, more=more))
         return path
 
     return write
@@ -139,7 +143,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("leaves_nothing")]
 
 def test_a_run_ends_with_a_report_and_prints_nothing_else(tmp_path: Path) -> None:
     report = tmp_path / "report"
-    arguments = ["--task", "greet", "--for", "1.3s", "--report", str(report), "--json"]
+    arguments = ["--task", "greet", "--for", "2s", "--report", str(report), "--json"]
     result = run_poise("run", HELLO, *arguments)
     told = json.loads(result.stdout)
     # a machine too busy for the emulation makes the run invalid: exit code 1
@@ -172,23 +176,27 @@ def test_a_component_that_raises_on_start_ends_the_run(robot: Write) -> None:
 def test_a_file_with_problems_starts_nothing(
     robot: Write, component: str, says: str
 ) -> None:
-    code, said = run(robot(component), "--task", "work")
-    assert code == 1
-    assert says in said
-    assert "emulating" not in said
+    done = called(["run", str(robot(component)), "--task", "work"])
+    assert done.returncode == 1
+    assert says in done.stderr
+    assert "emulating" not in done.stdout + done.stderr
 
 
 def test_what_is_described_for_planning_only_does_not_run(robot: Write) -> None:
-    code, said = run(robot("movable: true"), "--task", "work")
-    assert code == 1
-    assert "components without `implementation` or `command`: worker" in said
-    assert "emulating" not in said
+    done = called(["run", str(robot("movable: true")), "--task", "work"])
+    assert done.returncode == 1
+    assert "components without `implementation` or `command`: worker" in done.stderr
+    assert "emulating" not in done.stdout + done.stderr
 
 
-def test_errors_of_a_component_that_goes_on_are_told(robot: Write) -> None:
-    _, said = run(robot(implementation("Grumbling")), "--task", "work", "--for", "2s")
+def test_errors_of_a_component_that_goes_on_are_told_and_can_be_allowed(
+    robot: Write,
+) -> None:
+    options = ["--task", "work", "--for", "1s", "--allow-errors"]
+    code, said = run(robot(implementation("Grumbling")), *options)
     assert "worker:" in said
     assert "LookupError: again" in said
+    assert code == 0 or "invalid run" in said
 
 
 def test_an_agent_that_is_killed_is_said_at_once(robot: Write) -> None:
@@ -198,17 +206,12 @@ def test_an_agent_that_is_killed_is_said_at_once(robot: Write) -> None:
 
 
 def test_a_run_goes_on_when_an_agent_is_killed(robot: Write) -> None:
-    file = robot(implementation("MurderousLater"))
+    """And with a component that is a command."""
+    file = robot(implementation("MurderousLater"), COMMAND)
     code, said = run(file, "--task", "work", "--for", "6s")
     assert code == 0 or "invalid run" in said
     assert re.search(r"the agent of .\w+. was restarted; 1 container went on", said)
-
-
-def test_a_command_runs_as_a_component(robot: Write) -> None:
-    component = "command: [sh, -c, 'echo I am $POISE_COMPONENT; exec sleep 100']"
-    code, said = run(robot(component), "--task", "work", "--for", "0.5s")
-    assert "I am worker" in said
-    assert code == 0 or "invalid run" in said
+    assert "I am teller" in said
 
 
 @pytest.mark.parametrize(
@@ -231,7 +234,7 @@ def test_used_wrongly_it_says_so_and_starts_nothing(
     "arguments", [["--task", "greet", "--placement", "lucky"], ["--tsak", "greet"]]
 )
 def test_options_that_are_wrong_end_with_code_2(arguments: list[str]) -> None:
-    assert run_poise("run", HELLO, *arguments).returncode == 2
+    assert called(["run", str(HELLO), *arguments]).returncode == 2
 
 
 @pytest.mark.parametrize("command", ["run", "up"])
@@ -239,7 +242,7 @@ def test_without_a_task_it_says_how_to_write_one(command: str, tmp_path: Path) -
     text = HELLO.read_text()
     (tmp_path / "robot.yaml").write_text(text[: text.index("tasks:")])
     (tmp_path / "hello.py").write_text((HELLO.parent / "hello.py").read_text())
-    done = run_poise(command, tmp_path / "robot.yaml")
+    done = called([command, str(tmp_path / "robot.yaml")])
     assert done.returncode == 1
     assert "robot 'hello' has no task to run: add" in done.stderr
 

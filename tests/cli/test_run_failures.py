@@ -163,22 +163,6 @@ def test_a_container_that_ended_is_in_the_report(tmp_path: Path) -> None:
     assert "was killed by SIGKILL" in fault["message"]
 
 
-def test_errors_can_be_allowed(tmp_path: Path) -> None:
-    file = robot(tmp_path, "Grumbling")
-    code, report = run(file, "--for", "0.5s", "--placement", "static", "--allow-errors")
-    assert report["errors"]
-    assert code == (1 if report["invalid"] else 0)
-
-
-def test_a_port_that_got_nothing_is_said(tmp_path: Path) -> None:
-    file = robot(tmp_path, functions="work")
-    code, report = run(file, "--for", "0.5s", "--placement", "static")
-    silent = report["silent"][0]
-    assert silent["port"] in {"quick.numbers", "other.numbers"}
-    assert "component 'source', which publishes to it, does not run" in silent["reason"]
-    assert code == (1 if report["invalid"] else 0)
-
-
 def test_ctrl_c_ends_a_run_with_its_report(tmp_path: Path) -> None:
     with start(robot(tmp_path), "--for", "100s") as process:
         assert process.stderr is not None
@@ -192,11 +176,16 @@ def test_ctrl_c_ends_a_run_with_its_report(tmp_path: Path) -> None:
     assert report["seconds"] < 50
 
 
-def test_a_simulator_without_a_result_makes_the_run_invalid(tmp_path: Path) -> None:
-    file = robot(tmp_path)
+def test_a_simulator_without_a_result_and_a_port_that_got_nothing_are_said(
+    tmp_path: Path,
+) -> None:
+    file = robot(tmp_path, functions="work")
     simulator = "simulator: {command: [sh, -c, 'echo ready; exec sleep 100']}\n"
     file.write_text(file.read_text() + simulator)
     code, report = run(file, "--for", "0.5s")
     assert code == 1
     assert "the simulator ended without a result" in report["invalid"]
     assert report["simulation"] == {}
+    silent = report["silent"][0]
+    assert silent["port"] in {"quick.numbers", "other.numbers"}
+    assert "component 'source', which publishes to it, does not run" in silent["reason"]

@@ -148,7 +148,11 @@ def status() -> RobotStatus:
     return answer
 
 
-def test_a_running_robot_does_what_it_is_asked(up: Path) -> None:
+def test_a_running_robot_does_what_it_is_asked_and_tells_what_it_uses(
+    up: Path, port: int
+) -> None:
+    wait_until(lambda: 'cpu_cores{component="first"' in metrics(port))
+
     code, said = poise("move", "reader", "right", "--json")
     assert code == 0
     assert json.loads(said)["committed"]
@@ -181,12 +185,6 @@ def test_a_running_robot_does_what_it_is_asked(up: Path) -> None:
     told = [what for (what,) in journal.execute("SELECT what FROM entries")]
     journal.close()
     assert any("reader" in what for what in told)
-
-
-def test_what_it_uses_is_told_and_recorded(up: Path, port: int) -> None:
-    wait_until(lambda: 'cpu_cores{component="first"' in metrics(port))
-    assert poise("stop")[0] == 0
-    wait_until(lambda: not is_up())
     table = up / "table.csv"
     run_poise("recording", "export", up / "recording", "--to", table)
     assert "first" in table.read_text()

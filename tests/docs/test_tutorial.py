@@ -8,10 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from poise.cli.command_table import build
-from tests.command import Poise
+from tests.command import Poise, called
 
 ROOT = Path(__file__).parents[2]
 PAGE = "docs/tutorial.md"
@@ -28,11 +26,6 @@ def commands(step: int) -> list[list[str]]:
     return [shlex.split(line)[1:] for block in blocks for line in block.splitlines()]
 
 
-def in_process(*words: str) -> tuple[int, str]:
-    done = CliRunner().invoke(build(words), [*words])
-    return done.exit_code, done.output
-
-
 def test_there_are_seven_steps_each_with_a_command_or_a_file() -> None:
     assert len(STEPS) == 7
     assert all(
@@ -40,14 +33,11 @@ def test_there_are_seven_steps_each_with_a_command_or_a_file() -> None:
     )
 
 
-def test_step_1_shows_that_the_static_placement_does_not_fit(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.chdir(ROOT)
+def test_step_1_shows_that_the_static_placement_does_not_fit() -> None:
     ((*words,),) = commands(1)
-    code, output = in_process(*words)
-    assert code == 0
-    assert re.search(r"feasible +NO +yes", output)
+    done = called(words, ROOT)
+    assert done.returncode == 0
+    assert re.search(r"feasible +NO +yes", done.stdout)
 
 
 def test_it_has_the_files_of_a_robot(write_files: Write, tmp_path: Path) -> None:
@@ -56,21 +46,14 @@ def test_it_has_the_files_of_a_robot(write_files: Write, tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_steps_2_to_7_run(
-    write_files: Write, poise: Poise, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What starts no robot runs in this process, which is quicker."""
+def test_steps_2_to_7_run(write_files: Write, poise: Poise, tmp_path: Path) -> None:
     write_files(PAGE, tmp_path)
     computers = tmp_path / "computers.yaml"
     computers.write_text(computers.read_text().replace("patrol", ROBOT))
-    monkeypatch.chdir(tmp_path)
     for words in [words for step in range(2, 8) for words in commands(step)]:
-        if words[0] in {"check", "draw", "plan"} or words[:2] == ["profile", "show"]:
-            code, output = in_process(*words)
-        else:
-            by_name = words[0] in {"move", "status", "stop", "emulate"}
-            done = poise(*words, *(["--robot", ROBOT] if by_name else []))
-            code, output = done.returncode, done.stdout + done.stderr
+        by_name = words[0] in {"move", "status", "stop", "emulate"}
+        done = poise(*words, *(["--robot", ROBOT] if by_name else []))
+        code, output = done.returncode, done.stdout + done.stderr
         is_busy = "too busy to give" in output  # this machine; so it is no failure
         if code and is_busy and words[0] == "profile":
             pytest.skip(f"this machine is too busy to measure: {output}")

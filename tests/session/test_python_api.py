@@ -56,12 +56,24 @@ def test_the_names_are_listed_before_they_are_imported() -> None:
 
 
 @pytest.mark.slow
-def test_authors_of_components_do_not_pay_for_the_application() -> None:
-    code = (
-        "import sys; from poise import Component, every; "
-        "print([m for m in ('zenoh', 'rich', 'typer', 'yaml', 'poise.plan') "
-        "if m in sys.modules])"
-    )
+@pytest.mark.parametrize(
+    ("loaded", "without"),
+    [
+        (
+            "from poise import Component, every",
+            ["zenoh", "rich", "typer", "yaml", "poise.plan"],
+        ),
+        # containers are forked from it
+        (
+            "import poise.cli.command.run_time.agent",
+            ["rich", "yaml", "poise.model", "poise.plan"],
+        ),
+    ],
+)
+def test_components_do_not_pay_for_the_application(
+    loaded: str, without: list[str]
+) -> None:
+    code = f"import sys; {loaded}; print([m for m in {without} if m in sys.modules])"
     done = subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,

@@ -9,7 +9,6 @@ from typing import Annotated
 
 import msgspec
 import typer
-from rich.console import Console
 
 from poise.cli.completion import in_file
 from poise.errors import UsageError
@@ -45,6 +44,8 @@ def print_json(outcome: object) -> None:
 
 def busy(what: str) -> AbstractContextManager[object]:
     """Show in a terminal, on standard error, what a command does for so long."""
+    from rich.console import Console
+
     return Console(stderr=True, highlight=False).status(f"{what} ...")
 
 

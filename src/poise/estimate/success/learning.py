@@ -20,8 +20,8 @@ from poise.estimate.success import (
     SuccessStore,
 )
 from poise.model.robot import Architecture, Robot
-from poise.model.suggest import unknown
 from poise.model.tasks.steps import Action, actions_of
+from poise.suggest import unknown
 
 STORE = Path(".poise") / "success.sqlite"
 WELL = Situation()

@@ -22,9 +22,9 @@ from poise.manage.tasks.progress import (
     Try,
 )
 from poise.model.robot import Robot
-from poise.model.suggest import did_you_mean
 from poise.model.tasks.exclusive import clashes
 from poise.model.tasks.steps import Until
+from poise.suggest import did_you_mean
 
 _SAYINGS = {
     "paused": "is paused",

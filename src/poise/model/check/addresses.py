@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 from poise.endpoint import Endpoint
 from poise.model.robot import Robot
-from poise.model.suggest import listed
 from poise.model.yaml.positions import Finding
+from poise.suggest import listed
 
 
 def check_addresses(robot: Robot) -> Iterator[Finding]:

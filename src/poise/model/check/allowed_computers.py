@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from poise.model.check.file_paths import components
 from poise.model.hardware import fits
 from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
-from poise.model.suggest import listed
 from poise.model.yaml.positions import Finding, Path
+from poise.suggest import listed
 from poise.units import format_amount
 
 Names = frozenset[str]

@@ -8,8 +8,8 @@ from itertools import pairwise
 from poise.model.check.file_paths import component_names, connectors
 from poise.model.check.names import check_components_known
 from poise.model.robot import Architecture, Connector, Robot
-from poise.model.suggest import unknown
 from poise.model.yaml.positions import Finding, Path
+from poise.suggest import unknown
 
 
 def check_connectors(robot: Robot) -> Iterator[Finding]:

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 
 from poise.model.check.file_paths import component_names, components
 from poise.model.robot import Architecture, ComponentEntry, Robot
-from poise.model.suggest import unknown
 from poise.model.yaml.positions import Finding, Path
+from poise.suggest import unknown
 
 
 def check_names(robot: Robot) -> Iterator[Finding]:

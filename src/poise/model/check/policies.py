@@ -10,8 +10,8 @@ from poise.model.policy.policy import ACTIONS, Policy
 from poise.model.policy.shipped import policies_of, shipped
 from poise.model.policy.values import SUBJECTS, Subject
 from poise.model.robot import Robot
-from poise.model.suggest import did_you_mean, listed, unknown
 from poise.model.yaml.positions import Finding
+from poise.suggest import did_you_mean, listed, unknown
 
 
 def check_policies(robot: Robot) -> Iterator[Finding]:

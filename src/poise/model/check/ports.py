@@ -12,8 +12,8 @@ from msgspec import Struct
 
 from poise.model.check.file_paths import components, connectors
 from poise.model.robot import Connector, ConnectorEnd, PortKind, Robot
-from poise.model.suggest import did_you_mean
 from poise.model.yaml.positions import Finding, Path
+from poise.suggest import did_you_mean
 
 
 class KnownPort(Struct, frozen=True):

@@ -11,11 +11,11 @@ from poise.model.policy.condition import parse_condition
 from poise.model.policy.values import SUBJECTS
 from poise.model.repository import Repository
 from poise.model.robot import ConnectorEnd, Robot
-from poise.model.suggest import did_you_mean, listed, unknown
 from poise.model.tasks.exclusive import clashes
 from poise.model.tasks.phases import MOST_PHASES, TooManyPhasesError, phases_of
 from poise.model.tasks.steps import Action, Repeat, Subtask, Task, Until, walk
 from poise.model.yaml.positions import Finding, Path
+from poise.suggest import did_you_mean, listed, unknown
 
 
 def check_tasks(robot: Robot, repository: Repository) -> Iterator[Finding]:

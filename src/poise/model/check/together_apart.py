@@ -8,8 +8,8 @@ from itertools import combinations
 from poise.model.check.allowed_computers import Names, allowed_computers
 from poise.model.check.names import check_components_known
 from poise.model.robot import Robot
-from poise.model.suggest import listed
 from poise.model.yaml.positions import Finding
+from poise.suggest import listed
 
 
 def check_together_apart(robot: Robot) -> Iterator[Finding]:

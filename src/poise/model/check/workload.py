@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from poise.model.check.file_paths import component_names
 from poise.model.check.ports import KnownPort
 from poise.model.robot import Robot
-from poise.model.suggest import listed, unknown
 from poise.model.yaml.positions import Finding
+from poise.suggest import listed, unknown
 
 
 def check_workload(robot: Robot) -> Iterator[Finding]:

@@ -20,7 +20,7 @@ from msgspec import inspect as types
 
 from poise import units
 from poise.model.file_keys import keys_of
-from poise.model.suggest import did_you_mean, listed
+from poise.suggest import did_you_mean, listed
 from poise.units import Dimension, quoted
 
 LONGEST = 500

@@ -15,9 +15,9 @@ from msgspec import inspect as types
 
 from poise.errors import FileProblem
 from poise.model.file_keys import FileKey, form_of, keys_of
-from poise.model.suggest import did_you_mean, listed
 from poise.model.yaml.tree import Location, Node, Scalar
 from poise.model.yaml.untyped_values import NULLS, plain_value
+from poise.suggest import did_you_mean, listed
 from poise.units import parse, quoted
 
 Value: TypeAlias = Any

@@ -10,9 +10,9 @@ from types import ModuleType
 from typing import Any
 
 from poise.errors import RobotError
-from poise.model.suggest import did_you_mean, listed
 from poise.runtime.component.component import Component
 from poise.runtime.component.error_report import told_in_brief
+from poise.suggest import did_you_mean, listed
 
 
 def find(implementation: str, folder: str) -> type[Component]:

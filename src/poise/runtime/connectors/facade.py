@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Any, NoReturn
 
 from poise.errors import Unavailable
-from poise.model.suggest import did_you_mean, listed
 from poise.runtime.connectors.interface import Method
+from poise.suggest import did_you_mean, listed
 
 
 class Facade:

@@ -13,10 +13,10 @@ from poise.cli.options import AsJson, RobotFile, print_json
 from poise.errors import UsageError
 from poise.estimate.success.learning import Belief, beliefs_about, forget
 from poise.model.load import load
-from poise.model.suggest import unknown
 from poise.session.placing.repository import Listed, listed
 from poise.session.render.printable import console_to
 from poise.session.render.shared_tables.columns import table
+from poise.suggest import unknown
 from poise.units import counted
 
 AnyFile = Annotated[
