@@ -51,13 +51,21 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Schedul
 def pytest_collection_modifyitems(
     config: pytest.Config, items: list[pytest.Item]
 ) -> None:
-    """Put the slow tests first, so that the workers end together; or shuffle."""
+    """Put what is slow, and stays on one worker, first; or shuffle.
+
+    So the workers end together.
+    """
     for item in items:
         if _shares_fixtures(item):
             item.add_marker(pytest.mark.xdist_group(item.path.name))
     seed = config.getoption("--shuffle")
     if seed is None:
-        items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+        items.sort(
+            key=lambda item: (
+                item.get_closest_marker("slow") is None,
+                item.get_closest_marker("xdist_group") is None,
+            )
+        )
     else:
         chance = random.Random(seed)
         chance.shuffle(items)

@@ -37,8 +37,10 @@ def test_the_first_component_runs(
     assert poise("check", "robot.yaml").returncode == 0
     assert poise("plan", "robot.yaml", "--task", "greet").returncode == 0
     run = poise("run", "robot.yaml", "--task", "greet", "--for", "3s")
-    assert "printer has 20" in run.stdout + run.stderr
-    assert run.returncode == 0 or "invalid run:" in run.stdout
+    # a machine too busy for the emulation makes the run invalid
+    if "invalid run:" not in run.stdout:
+        assert run.returncode == 0
+        assert "printer has 20" in run.stdout + run.stderr
 
 
 @pytest.mark.slow
