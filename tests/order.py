@@ -6,6 +6,7 @@ What shares agents runs on one worker, for its file's fixtures are made once the
 from __future__ import annotations
 
 import random
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import pytest
@@ -47,17 +48,18 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Schedul
     return Scheduling(config, log)
 
 
-@pytest.hookimpl(trylast=True)
+@pytest.hookimpl(wrapper=True)
 def pytest_collection_modifyitems(
     config: pytest.Config, items: list[pytest.Item]
-) -> None:
+) -> Iterator[None]:
     """Put what is slow, and stays on one worker, first; or shuffle.
 
     So the workers end together.
     """
-    for item in items:
+    for item in items:  # before xdist looks for it
         if _shares_fixtures(item):
             item.add_marker(pytest.mark.xdist_group(item.path.name))
+    yield
     seed = config.getoption("--shuffle")
     if seed is None:
         items.sort(

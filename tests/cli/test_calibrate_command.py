@@ -49,6 +49,7 @@ def test_measures_speeds_and_costs_says_a_busy_machine_and_keeps_them(
     assert all(costs[kind].source.call > 0 for kind in ("local", "remote"))
 
 
+@pytest.mark.slow
 def test_knows_the_robots_computers(tmp_path: Path) -> None:
     done = called(["calibrate", "robot.yaml", "--reference", "middle"], tmp_path)
     assert done.returncode == 2
