@@ -1,28 +1,39 @@
 """The order of tests: those that take long come first, or as chance wants.
 
-What shares agents runs on one worker, for its file's fixtures are made once there.
+A file whose fixtures are shared, or that bears nothing of its own beside it, runs on
+one worker.
 """
 
 from __future__ import annotations
 
+import functools
 import random
-from collections.abc import Iterator
+import re
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from xdist.scheduler import LoadGroupScheduling
+from xdist.scheduler import LoadScopeScheduling
 
 if TYPE_CHECKING:
     from xdist.remote import Producer
     from xdist.workermanage import WorkerController
 
 
-class Scheduling(LoadGroupScheduling):
-    """Goes on when a worker has crashed.
+_TOGETHER = re.compile(r'scope="module"|mark\.one_worker\b')
+
+
+class Scheduling(LoadScopeScheduling):
+    """Gives some files to one worker each, and goes on when a worker has crashed.
 
     Else what that one had done would be handed out again, as work without a test, for
     whose end all others wait.
     """
+
+    def _split_scope(self, nodeid: str) -> str:
+        file = nodeid.partition("::")[0]
+        is_one = stays_together(self.config.rootpath / file)
+        return file if is_one else nodeid
 
     def remove_node(self, node: WorkerController) -> str | None:
         """Let others do what a worker has not done; return the test that crashed it."""
@@ -48,24 +59,20 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Schedul
     return Scheduling(config, log)
 
 
-@pytest.hookimpl(wrapper=True)
+@pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(
     config: pytest.Config, items: list[pytest.Item]
-) -> Iterator[None]:
+) -> None:
     """Put what is slow, and stays on one worker, first; or shuffle.
 
     So the workers end together.
     """
-    for item in items:  # before xdist looks for it
-        if _shares_fixtures(item):
-            item.add_marker(pytest.mark.xdist_group(item.path.name))
-    yield
     seed = config.getoption("--shuffle")
     if seed is None:
         items.sort(
             key=lambda item: (
                 item.get_closest_marker("slow") is None,
-                item.get_closest_marker("xdist_group") is None,
+                not stays_together(item.path),
             )
         )
     else:
@@ -75,8 +82,7 @@ def pytest_collection_modifyitems(
         items.sort(key=lambda item: files[item.path])
 
 
-def _shares_fixtures(item: pytest.Item) -> bool:
-    if not isinstance(item, pytest.Function):
-        return False
-    fixtures = item._fixtureinfo.name2fixturedefs.values()
-    return any(each.scope == "module" for defs in fixtures for each in defs)
+@functools.cache
+def stays_together(file: Path) -> bool:
+    """Return whether a file's tests run on one worker."""
+    return _TOGETHER.search(file.read_text(encoding="utf-8")) is not None

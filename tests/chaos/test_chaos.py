@@ -17,7 +17,6 @@ pytestmark = pytest.mark.slow
 TIME = 60.0
 
 
-@pytest.mark.xdist_group("chaos")
 @pytest.mark.timeout(400)
 def test_comes_back_each_time(tmp_path: Path) -> None:
     said: list[str] = []

@@ -11,7 +11,7 @@ from benchmarks.priorities import deadlines_met
 from poise.emulate.computer import CPU_GROUP, EmulatedComputer
 from tests.busy import needs_quiet_machine
 
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("cpu")]
+pytestmark = [pytest.mark.slow, pytest.mark.one_worker]
 
 
 _AHEAD = 0.25
