@@ -9,7 +9,6 @@ from time import perf_counter
 from msgspec.structs import replace
 
 from poise.errors import UsageError
-from poise.model.suggest import unknown
 from poise.plan.problem.problem import Item, Problem
 from poise.plan.problem.snapshot import Snapshot
 from poise.plan.result import Result
@@ -17,6 +16,7 @@ from poise.plan.result_records import Ask
 from poise.plan.solvers import alternatives, portfolio
 from poise.plan.solvers.portfolio import METHODS, UNLIMITED, Effort
 from poise.plan.what_if.changed_problem import keep_components
+from poise.suggest import unknown
 
 LONGEST = 1e9
 """A budget beyond this is as good as none [s]."""

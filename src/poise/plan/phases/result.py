@@ -8,13 +8,13 @@ from typing import TypedDict
 from msgspec import Struct, to_builtins
 
 from poise.errors import UsageError
-from poise.model.suggest import unknown
 from poise.plan.phases.costs import with_moves
 from poise.plan.phases.problem import NEVER, PhasedProblem, PhaseProblem
 from poise.plan.problem.problem import Problem
 from poise.plan.result import PlainResult, Result
 from poise.plan.result_records import Stopped
 from poise.plan.why.explain import Explanation, Rejection, explain
+from poise.suggest import unknown
 
 
 class PhaseMove(Struct, frozen=True, kw_only=True):

@@ -11,7 +11,7 @@ from msgspec import ValidationError, convert, structs, to_builtins
 
 from poise.errors import RobotError
 from poise.model.robot import Scale, Spread
-from poise.model.suggest import unknown
+from poise.suggest import unknown
 
 if TYPE_CHECKING:
     from poise.plan.problem.problem import Problem

@@ -8,8 +8,8 @@ from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.model.robot import Computer
-from poise.model.suggest import unknown
 from poise.plan.problem.problem import Item, Problem
+from poise.suggest import unknown
 
 
 def keep_components(problem: Problem, names: Collection[str]) -> Problem:
