@@ -58,5 +58,6 @@ def test_a_comparison_is_of_what_each_method_found(tmp_path: Path) -> None:
 def test_the_smallest_so_far_is_printed(tmp_path: Path) -> None:
     robot = random_robot(1, 60, 6, load=0.5)
     answer = interrupted(robot, tmp_path, "--budget", "600", "--smallest")
-    assert answer["stopped_by"] == "interrupted"
-    assert set(answer["placement"].values()) <= set(answer["computers"])
+    (phase,) = answer["tasks"]["all"]["phases"]
+    assert phase["stopped_by"] == "interrupted"
+    assert set(phase["placement"].values()) <= set(answer["computers"])

@@ -77,10 +77,8 @@ class Passed(TypedDict):
 
 
 class Planned(PlainResult, total=False):
-    """A placement. With --smallest its computers; with --explain why."""
+    """A placement; with --explain why."""
 
-    computers: list[str]
-    smallest_proven: bool
     explanation: dict[str, Any]
 
 
@@ -98,7 +96,7 @@ class Compared(TypedDict):
 
 
 class Smallest(TypedDict):
-    """The cheapest computers for tasks with phases."""
+    """The cheapest computers for tasks."""
 
     feasible: bool
     computers: list[str]

@@ -7,6 +7,7 @@ from random import Random
 import pytest
 from msgspec.structs import replace
 
+from benchmarks.random_robots import random_robot
 from poise import plan
 from poise.errors import UsageError
 from poise.model.robot import Computer, Link, Objective
@@ -67,6 +68,16 @@ def test_a_component_stays_where_it_is_best_over_all_phases() -> None:
     (move,) = cheap.moves
     assert (move.component, move.before, move.after) == ("a", "p0", "p1")
     assert (move.source, move.target) == ("one", "two")
+
+
+def test_one_phase_is_placed_as_without_phases() -> None:
+    problem = random_robot(3, 24, 3)
+    one = plan.solve_phases(plan.PhasedProblem.of_one("all", problem), steps=20_000)
+    same = plan.solve(problem, steps=20_000)
+    assert same.objective is not None
+    assert one.only[1].placement == same.placement
+    assert one.total == same.objective.total
+    assert (one.bound, one.proven) == (same.bound, same.proven)
 
 
 def random_task(seed: int) -> plan.PhasedProblem:

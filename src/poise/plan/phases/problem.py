@@ -40,6 +40,11 @@ class PhasedProblem(Struct, frozen=True, kw_only=True):
     phases: tuple[PhaseProblem, ...]
     move: Mapping[str, float] = {}
 
+    @classmethod
+    def of_one(cls, name: str, problem: Problem) -> PhasedProblem:
+        """Return it with one phase."""
+        return cls(phases=(PhaseProblem(name=name, problem=problem),))
+
     def changed(self, change: Callable[[Problem], Problem]) -> PhasedProblem:
         """Return it with the problem of every phase changed."""
         phases = (replace(p, problem=change(p.problem)) for p in self.phases)

@@ -9,7 +9,7 @@ from msgspec import Struct, to_builtins
 
 from poise.errors import UsageError
 from poise.plan.phases.costs import with_moves
-from poise.plan.phases.problem import NEVER, PhasedProblem, PhaseProblem
+from poise.plan.phases.problem import NEVER, PhasedProblem
 from poise.plan.problem.problem import Problem
 from poise.plan.result import PlainResult, Result
 from poise.plan.result_records import Stopped
@@ -138,8 +138,7 @@ class PhasedResult:
     @classmethod
     def of_one(cls, name: str, problem: Problem, result: Result) -> PhasedResult:
         """Return a result of one phase."""
-        phase = PhaseProblem(name=name, problem=problem)
-        return cls(PhasedProblem(phases=(phase,)), {name: result})
+        return cls(PhasedProblem.of_one(name, problem), {name: result})
 
     def first_with(self, name: str) -> str:
         """Return the first phase with a component or architecture, else the first."""

@@ -68,14 +68,16 @@ class PhaseSearch:
         into it once.
         """
         results: dict[str, Result] = {}
-        share = ALONE / len(self._problems)
+        count = len(self._problems)
+        share = ALONE / count if count > 1 else 1.0
         for name, problem in self._problems.items():
             same = next((n for n in results if self._problems[n] == problem), None)
             if same is not None:
                 results[name] = results[same]
                 continue
             result = self._decide(problem, share)
-            if not (result.feasible or result.proven or self.interrupted):
+            is_known = result.feasible or result.proven
+            if count > 1 and not (is_known or self.interrupted):
                 result = self._decide(problem, 1.0)
             results[name] = result
         return results

@@ -14,18 +14,20 @@ from time import perf_counter
 from poise.plan.phases.problem import PhasedProblem
 from poise.plan.phases.result import PhasedResult
 from poise.plan.phases.search import PhaseSearch
+from poise.plan.planner import BUDGET
 from poise.plan.result_records import Ask
 from poise.plan.solvers.portfolio import Effort
 
-BUDGET = 0.26
-"""How long to search by default [s]: with all around it, 0.3 s for 60 components."""
+PHASES_BUDGET = 0.26
+"""How long to search by default where there are several phases [s]: with all around it,
+0.3 s for 60 components."""
 GAIN = 1e-9
 """F that is lower by less is not better: rounding only."""
 
 
 def solve_phases(  # noqa: PLR0913 - each says how to decide, and has a default
     problem: PhasedProblem,
-    budget: float = BUDGET,
+    budget: float | None = None,
     method: str = "auto",
     seed: int = 0,
     *,
@@ -36,11 +38,14 @@ def solve_phases(  # noqa: PLR0913 - each says how to decide, and has a default
 ) -> PhasedResult:
     """Return the best placements of all phases found within `budget` [s].
 
-    The parameters are those of `poise.plan.solve`. A method other than ``auto`` and
+    The parameters are those of `poise.plan.solve`; the budget is 0.1 s unless given,
+    and 0.26 s for several phases. A method other than ``auto`` and
     ``search`` places one phase after the other only. A phase in which nothing was
     found, though there may be something, gets the whole budget once.
     """
     begin = perf_counter()
+    if budget is None:
+        budget = BUDGET if len(problem.phases) == 1 else PHASES_BUDGET
     search = PhaseSearch(
         problem, method, Effort(budget, steps, seed, stop), fewer=fewer
     )

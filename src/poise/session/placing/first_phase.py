@@ -63,9 +63,7 @@ def first_phase(
     name = "+".join(each.name for each in started.tries(first))
     if others and placement is None:
         problem = plan.problem_of(robot, functions=started.functions())
-        phased = plan.PhasedResult.of_one(
-            name, problem, plan.solve(problem, fewer=True)
-        )
+        phased = plan.solve_phases(plan.PhasedProblem.of_one(name, problem), fewer=True)
         chosen = Placement(task=first.name, method="auto", phased=phased)
     elif len(chosen.phases) > 1:
         phase = next(p for p in chosen.phased.problem.phases if p.name == name)

@@ -13,12 +13,10 @@ from poise.estimate.success import Situation
 from poise.estimate.success.learning import WELL, actions_in, learned
 from poise.model.robot import Robot
 from poise.model.tasks.phases import phases_of
-from poise.plan.phases.solve import BUDGET as PHASES_BUDGET
-from poise.plan.planner import BUDGET
 from poise.plan.solvers.portfolio import METHODS as SOLVERS
 from poise.session.placing.rules import RULES, by_rule, is_file, is_rule
 from poise.session.render.html.picture import planned_picture
-from poise.session.render.plan import phases_parts, plan_parts
+from poise.session.render.plan import plan_parts
 from poise.session.render.printable import Printable
 
 ALL = "all"
@@ -120,9 +118,7 @@ class Placement(Printable, Struct, frozen=True, kw_only=True):
 
     def parts(self) -> tuple[RenderableType, ...]:
         """Return what is printed."""
-        if len(self.phases) > 1:
-            return phases_parts(self.phased)
-        return plan_parts(self.result)
+        return plan_parts(self.phased)
 
     def picture(self) -> str:
         """Return each phase's computers with their components, as HTML."""
@@ -185,21 +181,13 @@ def place(  # noqa: PLR0913 - each is a choice of the user
         robot, actions_in(robot, task), situation=situation, explore=explore, seed=seed
     ).robot
     if task is None or at_once or not has_order(robot, task):
-        problem = plan.problem_of(robot, task)
-        result = ruled(method, robot, problem)
-        if result is None:
-            short = BUDGET if budget is None else budget
-            result = plan.solve(problem, short, method, seed, fewer=fewer)
-        phased = plan.PhasedResult.of_one(task or ALL, problem, result)
+        name = task or ALL
+        problem = plan.PhasedProblem.of_one(name, plan.problem_of(robot, task))
     else:
-        problems = plan.phased_problem_of(robot, task)
-        phased = ruled_phases(method, robot, problems) or plan.solve_phases(
-            problems,
-            PHASES_BUDGET if budget is None else budget,
-            method,
-            seed,
-            fewer=fewer,
-        )
+        problem = plan.phased_problem_of(robot, task)
+    phased = ruled(method, robot, problem) or plan.solve_phases(
+        problem, budget, method, seed, fewer=fewer
+    )
     return Placement(task=task, method=method, phased=phased)
 
 
@@ -209,32 +197,10 @@ def has_order(robot: Robot, task: str) -> bool:
     return is_there and len(phases_of(robot, task)) > 1
 
 
-def ruled_phases(
-    method: str, robot: Robot | None, problems: plan.PhasedProblem
+def ruled(
+    method: str, robot: Robot | None, problem: plan.PhasedProblem
 ) -> plan.PhasedResult | None:
     """Return what a rule places in each phase; None: a solver is to decide.
-
-    Raises
-    ------
-    UsageError
-        There is no such method, or the rule is a file.
-    """
-    if is_file(method):
-        raise UsageError(
-            f"placement {method}: a file places all at once, and this task has phases"
-        )
-    results = {
-        phase.name: result
-        for phase in problems.phases
-        if (result := ruled(method, robot, phase.problem)) is not None
-    }
-    return plan.PhasedResult(problems, results) if results else None
-
-
-def ruled(
-    method: str, robot: Robot | None, problem: plan.Problem
-) -> plan.Result | None:
-    """Return what a rule places; None: a solver is to decide.
 
     Parameters
     ----------
@@ -244,7 +210,8 @@ def ruled(
     Raises
     ------
     UsageError
-        There is no such method, or the rule needs a robot.
+        There is no such method, the rule needs a robot, or it is a file and there are
+        several phases.
     """
     if method in SOLVERS:
         return None
@@ -252,4 +219,14 @@ def ruled(
         raise UsageError(f"no method '{method}' (there are: {', '.join(METHODS)})")
     if robot is None:
         raise UsageError(f"'{method}' needs a robot file: a plain problem has no homes")
-    return plan.evaluate(problem, by_rule(method, robot, problem), method)
+    if is_file(method) and len(problem.phases) > 1:
+        raise UsageError(
+            f"placement {method}: a file places all at once, and this task has phases"
+        )
+    results = {
+        phase.name: plan.evaluate(
+            phase.problem, by_rule(method, robot, phase.problem), method
+        )
+        for phase in problem.phases
+    }
+    return plan.PhasedResult(problem, results)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import Any
 
 from rich.console import Console, RenderableType
 from rich.markup import escape
@@ -21,7 +20,14 @@ _MOST_BARS = 3
 """The most placements whose bars fit side by side."""
 
 
-def plan_parts(result: plan.Result) -> tuple[RenderableType, ...]:
+def plan_parts(phased: plan.PhasedResult) -> tuple[RenderableType, ...]:
+    """Return what is printed of a placement: its phases, or the only one whole."""
+    if len(phased.results) > 1:
+        return _phases(phased)
+    return _phase(phased.only[1])
+
+
+def _phase(result: plan.Result) -> tuple[RenderableType, ...]:
     """Return a result: placement and load by computer, then the terms of F."""
     if result.objective is None:
         return (_line("no placement", result.reason),)
@@ -62,13 +68,15 @@ def _line(head: str, text: str) -> str:
     return f"[bold red]{head}[/]: {escape(text)}"
 
 
-def show(result: plan.Result, console: Console) -> None:
-    """Print a result: placement and load by computer, then the terms of F."""
-    for part in plan_parts(result):
+def show(phased: plan.PhasedResult, console: Console) -> None:
+    """Print a placement."""
+    for part in plan_parts(phased):
         console.print(part, highlight=False)
 
 
-def show_smallest(few: plan.Smallest[Any], price: float, console: Console) -> None:
+def show_smallest(
+    few: plan.Smallest[plan.PhasedResult], price: float, console: Console
+) -> None:
     """Print on which computers everything fits, and for what price."""
     known = "no cheaper set will do" if few.proven else "a cheaper set may do"
     names = ", ".join(few.computers)
@@ -119,7 +127,7 @@ def _capacity(computer: Computer, resource: str) -> float:
     return computer.capacity.get(resource, 0.0) * speed
 
 
-def phases_parts(phased: plan.PhasedResult) -> tuple[RenderableType, ...]:
+def _phases(phased: plan.PhasedResult) -> tuple[RenderableType, ...]:
     """Return the phases of a task side by side, then what moves between them."""
     computers = phased.problem.phases[0].problem.computers
     rows = table("phase", *(computer.name for computer in computers), "F", "")
@@ -179,12 +187,6 @@ def _sum(phased: plan.PhasedResult) -> str:
     )
 
 
-def show_phases(phased: plan.PhasedResult, console: Console) -> None:
-    """Print the phases of a task side by side."""
-    for part in phases_parts(phased):
-        console.print(part, highlight=False)
-
-
 def show_comparison(
     problem: plan.Problem, results: dict[str, plan.Result], console: Console
 ) -> None:
@@ -211,7 +213,17 @@ def show_comparison(
             console.print(f"{name}: {result.reason}", highlight=False)
 
 
-def show_explanation(explanation: plan.Explanation, console: Console) -> None:
+def show_explanation(
+    explanation: plan.Explanation | plan.Rejection, console: Console
+) -> None:
+    """Print why something is where it is, or not there, and what else would cost."""
+    if isinstance(explanation, plan.Rejection):
+        _show_rejection(explanation, console)
+    else:
+        _show_options(explanation, console)
+
+
+def _show_options(explanation: plan.Explanation, console: Console) -> None:
     """Print why a component is where it is, and what each other computer costs."""
     console.print(
         f"{explanation.component} is on {explanation.computer}: {explanation.reason}",
@@ -243,7 +255,7 @@ def show_explanation(explanation: plan.Explanation, console: Console) -> None:
     console.print(rows)
 
 
-def show_rejection(rejection: plan.Rejection, console: Console) -> None:
+def _show_rejection(rejection: plan.Rejection, console: Console) -> None:
     """Print why an architecture was not chosen, and what it would cost."""
     what = f"architecture {rejection.architecture} was not chosen"
     if rejection.chosen:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import typer
 from rich.console import Console
 
 from poise import plan
-from poise.cli.command.design_time.phases import plan_phases
 from poise.cli.command.design_time.what_if import changed_problem
 from poise.cli.completion import in_file
 from poise.cli.interrupts import Interrupts
@@ -20,15 +19,12 @@ from poise.estimate.success import Situation
 from poise.estimate.success.learning import actions_in, learned
 from poise.model import load
 from poise.model.robot import Robot
-from poise.plan.phases.solve import BUDGET as PHASES_BUDGET
-from poise.plan.planner import BUDGET
-from poise.session.placing.placement import has_order, ruled, ruled_phases
+from poise.session.placing.placement import ALL, has_order, ruled
 from poise.session.profiles import profiled
 from poise.session.render.plan import (
     show,
     show_comparison,
     show_explanation,
-    show_rejection,
     show_smallest,
 )
 
@@ -142,32 +138,30 @@ def plan_command(
         tasks = [each.name for each in robot.tasks]
     is_phased = robot is not None and not at_once and _has_phases(robot, tasks)
     _check_phased(tasks, phase, compare, is_phased=is_phased)
+    if is_phased:
+        problems = {
+            name: plan.phased_problem_of(each, name)
+            for name in tasks
+            if (each := known(name)) is not None
+        }
+    else:
+        name = tasks[0] if tasks else None
+        each = known(name)
+        problem = plan.problem_of(each, name) if each else plan.load(file)
+        problems = {name or ALL: plan.PhasedProblem.of_one(name or ALL, problem)}
+    problems = {name: each.changed(changed) for name, each in problems.items()}
     with Interrupts() as interrupts:
         how = How(
             robot, method, budget, seed, steps, fewer, interrupts.has_come, not smallest
         )
-        if is_phased:
-            robots = {name: known(name) for name in tasks}
-            problems = {
-                name: plan.phased_problem_of(each, name).changed(changed)
-                for name, each in robots.items()
-                if each is not None
-            }
-            feasible = plan_phases(
-                problems,
-                how.solve_phases,
-                explain,
-                phase,
-                smallest=smallest,
-                json=json,
-            )
+        if smallest:
+            feasible = _answer_smallest(problems, how, json=json)
         else:
-            name = tasks[0] if tasks else None
-            each = known(name)
-            problem = plan.problem_of(each, name) if each else plan.load(file)
-            feasible = _plan_one(
-                changed(problem), how, explain, compare, smallest=smallest, json=json
-            )
+            (one,) = problems.values()
+            if compare is not None:
+                feasible = _answer_comparison(one, how, compare, json=json)
+            else:
+                feasible = _answer(one, how, explain, phase, json=json)
     if not feasible:
         raise typer.Exit(1)
 
@@ -184,28 +178,16 @@ class How(NamedTuple):
     stop: Callable[[], bool]
     why: bool
 
-    def solve(self, problem: plan.Problem, method: str | None = None) -> plan.Result:
-        """Place what runs at once."""
+    def solve(
+        self, problem: plan.PhasedProblem, method: str | None = None
+    ) -> plan.PhasedResult:
+        """Decide where components run; `method` is taken instead of the option's."""
         method = method or self.method
         with busy("placing"):
-            return ruled(method, self.robot, problem) or plan.solve(
+            return ruled(method, self.robot, problem) or plan.solve_phases(
                 problem,
-                BUDGET if self.budget is None else self.budget,
+                self.budget,
                 method,
-                self.seed,
-                steps=self.steps,
-                fewer=self.fewer,
-                stop=self.stop,
-                why=self.why,
-            )
-
-    def solve_phases(self, problem: plan.PhasedProblem) -> plan.PhasedResult:
-        """Place the phases of a task."""
-        with busy("placing"):
-            return ruled_phases(self.method, self.robot, problem) or plan.solve_phases(
-                problem,
-                PHASES_BUDGET if self.budget is None else self.budget,
-                self.method,
                 self.seed,
                 steps=self.steps,
                 fewer=self.fewer,
@@ -230,10 +212,12 @@ def _check_together(
             f"--compare and {other} together: {other} is about one method's placement; "
             "take it with --method"
         )
+    if smallest and explain is not None:
+        raise UsageError(
+            f"{other} and --smallest: find the computers first, then ask with --without"
+        )
     if len(tasks) > 1 and not smallest:
         raise UsageError(f"--task {' --task '.join(tasks)}: several need --smallest")
-    if len(tasks) > 1 and explain is not None:
-        raise UsageError(f"{other}: about one task only, not {' and '.join(tasks)}")
     if phase is not None and explain is None:
         raise UsageError(f"--phase {phase}: it goes with --explain")
     if at_once and len(tasks) != 1:
@@ -281,70 +265,75 @@ def _robot(
     return None
 
 
-def _plan_one(
-    problem: plan.Problem,
+def _answer(
+    problem: plan.PhasedProblem,
     how: How,
     explain: str | None,
-    compare: str | None,
+    phase: str | None,
     *,
-    smallest: bool,
     json: bool,
 ) -> bool:
-    """Decide and print what runs at once; return whether it is feasible."""
-    if compare is not None:
-        names = [name.strip() for name in compare.split(",")]
-        results = {name: how.solve(problem, name) for name in names}
-        _answer_comparison(problem, results, json=json)
-        return any(result.feasible for result in results.values())
-    few = plan.smallest([problem], how.solve) if smallest else None
-    result = few.results[0] if few else how.solve(problem)
-    _answer(_on_computers(problem, few), result, few, explain, json=json)
+    """Decide and print, or why something is where it is; return whether it holds."""
+    result = how.solve(problem)
+    several = len(result.results) > 1
+    explanation = None
+    if explain is not None and (several or result.only[1].placement):
+        phase = phase or result.first_with(explain)
+        explanation = result.explain(phase, explain)
+    if json:
+        plain = result.to_dict() if several else result.only[1].to_dict()
+        extra = {"explanation": explanation} if explanation else {}
+        print_json(
+            {**plain, **extra, **({"phase": phase} if several and extra else {})}
+        )
+        return result.feasible
+    console = Console()
+    if explanation is None:
+        show(result, console)
+        return result.feasible
+    if several:
+        console.print(f"phase {phase}:", highlight=False)
+    show_explanation(explanation, console)
     return result.feasible
 
 
-def _on_computers(
-    problem: plan.Problem, few: plan.Smallest[plan.Result] | None
-) -> plan.Problem:
-    """Return the problem on the computers that were chosen."""
-    kept = few.computers if few else ()
-    dropped = [h.name for h in problem.computers if kept and h.name not in kept]
-    return plan.without(problem, dropped) if dropped else problem
-
-
-def _answer(
-    problem: plan.Problem,
-    result: plan.Result,
-    few: plan.Smallest[plan.Result] | None,
-    explain: str | None,
-    *,
-    json: bool,
-) -> None:
-    extra: dict[str, Any] = {}
-    if few:
-        extra |= {"computers": few.computers, "smallest_proven": few.proven}
-    explanation = None
-    if explain is not None and result.placement:
-        explanation = plan.explain(problem, result.placement, explain)
-        extra["explanation"] = explanation
+def _answer_smallest(
+    tasks: Mapping[str, plan.PhasedProblem], how: How, *, json: bool
+) -> bool:
+    """Print the cheapest computers on which each task fits; return whether all do."""
+    problems = [*tasks.values()]
+    few = plan.smallest(problems, how.solve)
+    known = problems[0].phases[0].problem.computers
+    price = sum(h.price for h in known if h.name in few.computers)
+    results = dict(zip(tasks, few.results, strict=False))
     if json:
-        print_json({**result.to_dict(), **extra})
-        return
+        answer = {
+            "feasible": few.feasible,
+            "computers": few.computers,
+            "price": price,
+            "smallest_proven": few.proven,
+            "tasks": {task: result.to_dict() for task, result in results.items()},
+        }
+        print_json(answer)
+        return few.feasible
     console = Console()
-    if few and result.feasible:
-        price = sum(h.price for h in problem.computers)
+    if few.feasible:
         show_smallest(few, price, console)
-    if isinstance(explanation, plan.Rejection):
-        show_rejection(explanation, console)
-    elif explanation is not None:
-        show_explanation(explanation, console)
-    else:
+    for task, result in results.items():
+        if len(tasks) > 1:
+            console.print(f"\n[bold]{task}[/]", highlight=False)
         show(result, console)
+    return few.feasible
 
 
 def _answer_comparison(
-    problem: plan.Problem, results: dict[str, plan.Result], *, json: bool
-) -> None:
+    problem: plan.PhasedProblem, how: How, methods: str, *, json: bool
+) -> bool:
+    """Print what several methods find; return whether one of them holds."""
+    names = [name.strip() for name in methods.split(",")]
+    results = {name: how.solve(problem, name).only[1] for name in names}
     if json:
         print_json({"results": {name: r.to_dict() for name, r in results.items()}})
     else:
-        show_comparison(problem, results, Console())
+        show_comparison(problem.phases[0].problem, results, Console())
+    return any(result.feasible for result in results.values())
