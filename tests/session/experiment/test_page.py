@@ -17,14 +17,18 @@ from poise.session.experiment.trials import SHORT, USUAL, Extent, schedule
 from poise.session.render.experiment import experiment_parts
 
 
-def found(extent: Extent, invalid: str = "") -> tuple[ExperimentReport, list[Result]]:
+def found(
+    extent: Extent, invalid: str = "", without_chains: str = ""
+) -> tuple[ExperimentReport, list[Result]]:
     results = [
         Result(
             trial=trial,
             at=0.0,
             invalid=invalid,
             functions={"navigation": trial.arm != "static"},
-            chains={"pose": Missed(of=10, missed=2, median=0.1, p99=0.2)},
+            chains={}
+            if trial.arm == without_chains
+            else {"pose": Missed(of=10, missed=2, median=0.1, p99=0.2)},
             timers={"a.<b>": Missed(of=10, missed=1)},
             cpu_share={"main": 0.5},
             world={"path_error": 0.031, "said": "</script>"},
@@ -70,6 +74,16 @@ def test_it_draws_an_interval_for_each_arm_and_function() -> None:
     assert titles[1:] == [
         f"{a}: 100% (34% to 100%)" for a in ("random", "greedy", "Poise")
     ]
+
+
+def test_an_arm_has_its_colour_also_where_others_have_no_line() -> None:
+    report, results = found(USUAL, without_chains="static")
+    _, *plots = pictures(experiment_page(report, USUAL, results))
+    legends = [
+        [(each.text, each.get("y")) for each in plot.iter("text")][-8:]
+        for plot in plots
+    ]
+    assert legends[0] == legends[1]
 
 
 def test_it_draws_where_each_arm_breaks() -> None:

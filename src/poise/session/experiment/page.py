@@ -81,12 +81,14 @@ def _load_curves(arms: Sequence[ArmSummary]) -> Iterator[str]:
     for each in tried:
         load = loads[each.condition]
         shares = [s.share for s in each.success.values() if s.share is not None]
+        # each arm has its place, and with that its colour, in both
         works_here = works.setdefault(each.placement, [])
+        misses_here = misses.setdefault(each.placement, [])
         missed = [m for m in each.deadline_miss_share.values() if m is not None]
         if shares:
             works_here.append((load, sum(shares) / len(shares)))
         if missed:
-            misses.setdefault(each.placement, []).append((load, max(missed)))
+            misses_here.append((load, max(missed)))
     yield "<h2>Where each arm breaks</h2>"
     yield _LOAD
     yield "<h3>Functions that worked</h3>"

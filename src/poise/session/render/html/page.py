@@ -32,7 +32,7 @@ _PAGE = """<!doctype html>
 body {{ font: 15px/1.45 system-ui, sans-serif; max-width: 66em; margin: 1.5em auto;
   padding: 0 1em }}
 h2 {{ margin-top: 1.6em; border-bottom: 1px solid #8888 }}
-table {{ border-collapse: collapse }}
+table {{ border-collapse: collapse; display: block; overflow-x: auto }}
 th, td {{ text-align: left; vertical-align: top; padding: .25em 1em .25em 0;
   border-bottom: 1px solid #8884 }}
 td:first-child, td:nth-child(2) {{ white-space: nowrap }}
