@@ -1,4 +1,4 @@
-"""Other computers' clocks: asked for over links, and known in every container."""
+"""Other computers' clocks: known by heartbeats, and in every container."""
 
 from __future__ import annotations
 
@@ -12,16 +12,18 @@ from pathlib import Path
 import pytest
 
 from poise.clock import DRIFT, Stamp, SystemClock
+from poise.endpoint import Endpoint
 from poise.manage.journal import Journal
 from poise.model import load
-from poise.runtime.agent.clock_synchronisation import ClockSynchronisation
+from poise.runtime.agent.fence import Fence
+from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
 from poise.runtime.agent.sampling.watchdog import Silence
 from poise.runtime.agent.supervision.container_processes import ContainerProcess
 from poise.runtime.execution.clocks import ComputerClock
 from poise.runtime.waker import wait_readable
 from poise.session.launch.start import Sampling, started
 from poise.wire import record_channel
-from poise.wire.control_session import open_session
+from poise.wire.control_session import locator
 from poise.wire.records.clocks import Clocks, ClockStatus
 from poise.wire.records.container import ToContainer
 from poise.wire.records.deployment import ContainerSpec
@@ -100,30 +102,33 @@ def test_a_container_is_told_what_is_new_while_it_responds() -> None:
 @pytest.mark.slow
 def test_two_agents_learn_of_each_others_clocks() -> None:
     """One process plays both; its one clock is the truth."""
-    port = free_port()
+    clocks = {"main": SystemClock(), "vision": Ahead()}
+    where = {name: Endpoint("127.0.0.1", free_port()) for name in clocks}
+    agents = {name: locator(each) for name, each in where.items()}
     with ExitStack() as stack:
-        known = {}
-        for name, clock in (("main", SystemClock()), ("vision", Ahead())):
-            session = stack.enter_context(
-                open_session(
-                    listen=[f"tcp/127.0.0.1:{port}"] if name == "main" else [],
-                    connect=[] if name == "main" else [f"tcp/127.0.0.1:{port}"],
-                )
+        exchanges = {}
+        for name, clock in clocks.items():
+            exchanges[name] = each = HeartbeatExchange(
+                "test",
+                name,
+                where[name],
+                Fence("test", name, lambda: None),
+                clock,
+                lambda: None,
             )
-            trips = ClockSynchronisation(session, "poise/test", name, clock)
-            trips.start()
-            stack.callback(trips.stop)
-            known[name] = trips.known
-        wait_until(lambda: all(each() for each in known.values()))
+            stack.callback(each.close)
+            each.begin("manager", agents, is_leased=False)
+        wait_until(lambda: all(each.clocks for each in exchanges.values()))
         for name, offset in (("main", AHEAD), ("vision", -AHEAD)):
-            (seen,) = known[name]().values()
+            (seen,) = exchanges[name].clocks.values()
             assert abs(seen.offset - offset) <= seen.error
             assert 0 < seen.trip < LIMIT
             # half a round trip, and what clocks run apart
             assert seen.error <= seen.trip / 2 + DRIFT * LIMIT
-        clock = ComputerClock("main")
-        clock.others = known["main"]()
-        since = clock.since(Ahead("vision").stamp())
+            assert not exchanges[name].links()  # of links that nothing can cut
+        here = ComputerClock("main")
+        here.others = exchanges["main"].clocks
+        since = here.since(Ahead("vision").stamp())
         assert since is not None
         assert -since.error <= since.value < LIMIT
 

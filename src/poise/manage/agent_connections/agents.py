@@ -84,9 +84,10 @@ class Agents(AgentReports):
     ) -> None:
         super().__init__(robot, endpoints, clock)
         self.manager = manager_id()
-        self._agents = endpoints if lease <= LEASE else {}
+        self._is_leased = lease <= LEASE
+        heard = endpoints if self._is_leased else {}
         self._heartbeats = AgentHeartbeats(
-            robot, self.manager.key, self._agents, clock, self.on_silent
+            robot, self.manager.key, heard, clock, self.on_silent
         )
         self._tokens: dict[str, int] = {}
         self._claimed: dict[str, int] = {}
@@ -234,7 +235,7 @@ class Agents(AgentReports):
                 lambda c=computer: self.obey(c),  # type: ignore[misc]
                 ANSWER_LIMIT,
             )
-        if self._agents:
+        if self._is_leased:
             self._heartbeats.start()
         return deployments
 
@@ -246,7 +247,7 @@ class Agents(AgentReports):
         while True:
             known = self._statuses[computer].token, self._tokens.get(computer, 0)
             token = self._tokens[computer] = max(known) + 1
-            claim = Claim(self.manager, take_over, self._agents)
+            claim = Claim(self.manager, take_over, self._endpoints, self._is_leased)
             answers, refusals = self._requests.send({computer: claim})
             if not refusals:
                 self._claimed[computer] = token
@@ -261,7 +262,7 @@ class Agents(AgentReports):
 
     def holds_lease(self, computer: str) -> bool:
         """Return whether an agent is heard and says that its lease is in force."""
-        return not self._agents or self._heartbeats.holds_lease(computer)
+        return not self._is_leased or self._heartbeats.holds_lease(computer)
 
     def is_cut_off(self, computer: str) -> bool:
         """Return whether an agent says that its lease has ended."""

@@ -14,7 +14,7 @@ import os
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
@@ -29,7 +29,6 @@ from poise.priority import ahead, go_first
 from poise.runtime._calls import PageSampler
 from poise.runtime.agent.agent_setup import AgentSetup
 from poise.runtime.agent.checkpoint_files import CheckpointFiles
-from poise.runtime.agent.clock_synchronisation import ClockSynchronisation
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
 from poise.runtime.agent.inbox import AgentInbox, answer
@@ -51,7 +50,6 @@ from poise.wire.connections.gateway import Gateway
 from poise.wire.connections.socket_path import socket_path
 from poise.wire.control_session import identity_key, locator, open_session
 from poise.wire.records.checkpoints import CheckpointCopy
-from poise.wire.records.clocks import ClockStatus
 from poise.wire.records.container import Order
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.migration import StepsFailed
@@ -91,7 +89,6 @@ class Agent:
         self._born = self._clock.now()
         self._stopping = False
         self._trouble: Callable[[], str] = str
-        self._clocks: Callable[[], Mapping[str, ClockStatus]] = dict
         self._usage: Callable[[], Usage] = dict
         self._silences: deque[Silence] = deque()
         try:
@@ -102,7 +99,7 @@ class Agent:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._folder = AgentFolder(folder)
         left = self._folder.left()
-        self._gateway, self._agents_before = left.gateway, left.agents
+        self._gateway = left.gateway
         # before any thread, zenoh session or descriptor of the agent's own exists
         held = () if setup.lifeline is None else (setup.lifeline,)
         self._zygote, self._zygote_pid = zygote.start(closing=held)
@@ -117,6 +114,7 @@ class Agent:
         self._requests = AgentInbox(setup.computer, self._waker.wake)
         wake, before = self._waker.wake, (left.manager, left.token)
         self._fence = Fence(setup.robot, setup.computer, wake, *before)
+        self._agents_before = left.agents, left.is_leased
         self._endpoint = Endpoint(setup.address, setup.port)
         self._locator = locator(self._endpoint)
         self._heartbeats: HeartbeatExchange
@@ -183,7 +181,6 @@ class Agent:
             if self._supervisor.wanted is not None:
                 checkpoints.keep_only(self._supervisor.wanted)
             sampler = self._sampler(samples)
-            clocks = ClockSynchronisation(session, prefix, setup.computer, self._clock)
             heartbeats = self._heartbeats = HeartbeatExchange(
                 setup.robot,
                 setup.computer,
@@ -192,7 +189,7 @@ class Agent:
                 self._clock,
                 self._waker.wake,
             )
-            heartbeats.begin_again(self._agents_before)
+            heartbeats.begin_again(*self._agents_before)
             self._managed = Managed(
                 self._fence, self._supervisor, heartbeats, self._say
             )
@@ -200,14 +197,11 @@ class Agent:
             try:
                 sampler.start()
                 self._usage = sampler.usage
-                clocks.start()
                 checkpoints.start()
-                self._clocks = clocks.known
                 self._serve(publisher)
             finally:
                 heartbeats.close()
                 checkpoints.stop()
-                clocks.stop()
                 sampler.stop()
                 managers.undeclare()  # type: ignore[no-untyped-call]
                 answers.undeclare()  # type: ignore[no-untyped-call]
@@ -232,6 +226,7 @@ class Agent:
                 token=self._fence.token,
                 wanted=self._supervisor.wanted,
                 agents=self._heartbeats.agents,
+                is_leased=self._heartbeats.is_leased,
             )
         )
 
@@ -265,7 +260,9 @@ class Agent:
         if isinstance(request, Claim):
             refused = self._fence.claim(request, asked.token)
             if refused is None:
-                self._heartbeats.begin(request.manager.key, request.agents)
+                self._heartbeats.begin(
+                    request.manager.key, request.agents, is_leased=request.is_leased
+                )
                 self._checkpoints.resend()
             answer(query, refused or Claimed(wanted))
         elif isinstance(request, Order):
@@ -309,7 +306,7 @@ class Agent:
             self._adoption.give_up()
             self._supervisor.reconcile()
             for process in self._supervisor.processes.values():
-                process.tell_clocks(self._clocks())
+                process.tell_clocks(self._heartbeats.clocks)
             reports.note(self._status(), self._fence.arrivals)
 
     def _wait(self, until: float) -> None:
@@ -373,7 +370,7 @@ class Agent:
             containers=statuses,
             faults=supervisor.health.faults(),
             health=supervisor.records(usage),
-            clocks=self._clocks(),
+            clocks=self._heartbeats.clocks,
             cut_off=self._managed.cut_off,
             links=self._heartbeats.links(),
         )

@@ -42,7 +42,7 @@ class ClockOffset:
         low, high = trip.answered - trip.returned, trip.received - trip.sent
         if low > high or trip.answered < trip.received:
             return
-        self._bounds.append((trip.returned, low, high))
+        self._bounds.append((trip.sent, low, high))
 
     def at(self, now: float) -> ClockStatus | None:
         """Return what is known at `now` [s, on this clock]; None before any round trip.
@@ -50,10 +50,10 @@ class ClockOffset:
         When bounds contradict each other a clock was set: older bounds are dropped.
         """
         low, high = float("-inf"), float("inf")
-        for returned, least, most in reversed(self._bounds):
-            wide = DRIFT * abs(now - returned)
+        for began, least, most in reversed(self._bounds):
+            wide = DRIFT * abs(now - began)
             if max(low, least - wide) > min(high, most + wide):
-                self._forget_until(returned)
+                self._forget_until(began)
                 break
             low, high = max(low, least - wide), min(high, most + wide)
         if low == float("-inf"):
@@ -65,6 +65,6 @@ class ClockOffset:
             trip=min(most - least for _, least, most in self._bounds),
         )
 
-    def _forget_until(self, returned: float) -> None:
-        while self._bounds and self._bounds[0][0] <= returned:
+    def _forget_until(self, began: float) -> None:
+        while self._bounds and self._bounds[0][0] <= began:
             self._bounds.popleft()

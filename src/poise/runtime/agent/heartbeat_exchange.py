@@ -1,4 +1,8 @@
-"""An agent's heartbeats: to its manager and to the other agents of its robot."""
+"""An agent's heartbeats: to its manager and to the other agents of its robot.
+
+They also tell how far the other computers' clocks are ahead: a heartbeat, and the next
+one of who heard it, make a round trip.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +13,13 @@ from collections.abc import Callable, Mapping
 
 from poise.clock import Clock
 from poise.endpoint import Endpoint
+from poise.runtime.agent.clock_offset import ClockOffset, RoundTrip
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.lease import Lease
 from poise.wire.contacts import ASK_AFTER, ASK_EVERY, Contacts
 from poise.wire.control_session import endpoint_of
 from poise.wire.heartbeats import Address, Heartbeats
+from poise.wire.records.clocks import ClockStatus
 from poise.wire.records.heartbeats import MANAGER, Heartbeat, LinkQuality
 
 log = logging.getLogger(__name__)
@@ -21,6 +27,8 @@ log = logging.getLogger(__name__)
 _STALLED = 0.3
 """An agent that did not run for so long [s] asks before it judges who is silent."""
 _GRACE = 0.15
+_CLOCKS_EVERY = 1.0
+"""What is known of clocks is worked out this often [s]."""
 
 
 class HeartbeatExchange:
@@ -37,8 +45,10 @@ class HeartbeatExchange:
     ----------
     is_cut_off
         Whether the lease has ended, and no manager has said since what runs elsewhere.
-    agents
+    agents, is_leased
         With whom it exchanges heartbeats, as in `Claim`.
+    clocks
+        What was known of every other computer's clock last, by name.
     """
 
     def __init__(
@@ -52,14 +62,19 @@ class HeartbeatExchange:
     ) -> None:
         self.is_cut_off = False
         self.agents: Mapping[str, str] = {}
+        self.is_leased = False
+        self.clocks: Mapping[str, ClockStatus] = {}
         self._computer = computer
         self._fence = fence
         self._clock = clock
         self._on_cut_off = on_cut_off
         self._contacts = Contacts(robot, computer, uuid.uuid4().hex)
         self._lease = Lease(self._contacts)
+        self._offsets: dict[str, ClockOffset] = {}
+        self._clocks_due = 0.0
         self._targets: dict[str, Address] = {}
         self._claimed_by = ""
+        self._has_begun = False
         self._lock = threading.Lock()
         self._looked_at = clock.now()
         self._grace_until = 0.0
@@ -76,14 +91,20 @@ class HeartbeatExchange:
         if self._heartbeats is not None:
             self._heartbeats.close()
 
-    def begin_again(self, agents: Mapping[str, str]) -> None:
+    def begin_again(self, agents: Mapping[str, str], is_leased: bool) -> None:  # noqa: FBT001, as kept
         """Go on in the place of an agent that was killed."""
         manager = self._fence.manager
         if manager is not None and agents:
-            self.begin(manager.key, agents, self._clock.now())
+            since = self._clock.now() if is_leased else None
+            self.begin(manager.key, agents, since, is_leased=is_leased)
 
     def begin(
-        self, key: str, agents: Mapping[str, str], since: float | None = None
+        self,
+        key: str,
+        agents: Mapping[str, str],
+        since: float | None = None,
+        *,
+        is_leased: bool,
     ) -> None:
         """Send heartbeats from now on to those whom a manager names.
 
@@ -91,19 +112,18 @@ class HeartbeatExchange:
         ----------
         key
             The manager's.
-        agents
+        agents, is_leased
             As in `Claim`.
         since
             As for `Lease.begin`.
         """
-        self.agents = agents
+        self.agents, self.is_leased = agents, is_leased
         others = {
             name: endpoint_of(where)
             for name, where in agents.items()
             if name != self._computer
         }
         with self._lock:
-            is_first = not self._claimed_by
             is_new = key != self._claimed_by
             self._claimed_by = key
             self._lease.begin(others.keys(), since)
@@ -111,12 +131,16 @@ class HeartbeatExchange:
                 self._contacts.forget(MANAGER)
                 self._targets.clear()
             self._targets |= {name: (e.host, e.port) for name, e in others.items()}
-        if self._heartbeats is not None and is_first and agents:
+        is_first = not self._has_begun and (is_leased or bool(others))
+        if self._heartbeats is not None and is_first:
+            self._has_begun = True
             self._heartbeats.send_to(self._targets)
             self._heartbeats.start()
 
     def links(self) -> Mapping[str, LinkQuality]:
-        """Return how the ways to the other computers are."""
+        """Return how the ways to the other computers are, where that matters."""
+        if not self.is_leased:  # nothing cuts them, and they may have to wait for CPU
+            return {}
         with self._lock:
             return self._contacts.qualities(self._clock.now())
 
@@ -132,7 +156,13 @@ class HeartbeatExchange:
                 self._targets[MANAGER] = source
             elif beat.sender not in self._targets:
                 return False
-            is_news = self._contacts.note(beat, self._clock.now())
+            now = self._clock.now()
+            is_news = self._contacts.note(beat, now)
+            echo = beat.heard.get(self._computer) if is_news else None
+            if echo is not None and beat.sender != MANAGER:
+                came = beat.sent - echo.held
+                trip = RoundTrip(echo.sent, came, beat.sent, now)
+                self._offsets.setdefault(beat.sender, ClockOffset()).add(trip)
         return is_news and (beat.sender == MANAGER or self._computer in beat.asks)
 
     def _next_beat(self) -> tuple[Heartbeat, float]:
@@ -143,6 +173,7 @@ class HeartbeatExchange:
         if now - self._looked_at > _STALLED:  # it could hear nobody meanwhile
             self._grace_until = now + _GRACE
         self._looked_at = now
+        self._note_clocks(now)
         is_managed = self._fence.is_managed()
         if is_managed and not self.is_cut_off and self._has_ended(now):
             self.is_cut_off = True
@@ -156,6 +187,12 @@ class HeartbeatExchange:
             revoked=self._lease.revoked(),
         )
         return beat, ASK_EVERY if is_late else self._contacts.pause(now)
+
+    def _note_clocks(self, now: float) -> None:
+        if now >= self._clocks_due or self._offsets.keys() != self.clocks.keys():
+            self._clocks_due = now + _CLOCKS_EVERY
+            found = {name: each.at(now) for name, each in sorted(self._offsets.items())}
+            self.clocks = {name: clock for name, clock in found.items() if clock}
 
     def _has_ended(self, now: float) -> bool:
         if self._lease.is_revoked(self._computer, self._fence.token):

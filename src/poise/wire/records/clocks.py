@@ -1,18 +1,10 @@
-"""What computers tell each other of their clocks: small records, once a second."""
+"""What is known of other computers' clocks."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
 from msgspec import Struct
-
-
-class ClockAnswer(Struct, frozen=True, array_like=True):
-    """When a question came to a computer and when its answer left [s, on its clock]."""
-
-    computer: str
-    received: float
-    answered: float
 
 
 class ClockStatus(Struct, frozen=True, kw_only=True):

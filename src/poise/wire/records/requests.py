@@ -16,7 +16,7 @@ from poise.wire.records.migration import MigrationSteps, StepsDone, StepsFailed
 from poise.wire.records.output import OutputLines, ReadOutput
 from poise.wire.records.taps import Tap, TapReading
 
-PROTOCOL = 8
+PROTOCOL = 9
 """Manager, agents and containers of different protocol versions refuse each other."""
 
 
@@ -54,12 +54,15 @@ class Claim(Struct, frozen=True, tag=True):
         Even if another one is obeyed.
     agents
         Computer -> zenoh endpoint, of all agents of the robot: they exchange
-        heartbeats. Empty: they do not, and nothing is leased.
+        heartbeats.
+    is_leased
+        Whether the manager exchanges heartbeats with them, too; else nothing is leased.
     """
 
     manager: ManagerId
     take_over: bool = False
     agents: Mapping[str, str] = {}
+    is_leased: bool = False
 
 
 class Claimed(Struct, frozen=True, tag=True):

@@ -41,8 +41,8 @@ class AgentState(Struct, frozen=True, kw_only=True):
     ----------
     gateway
         Its IP address and TCP port.
-    agents
-        Those with which it exchanges heartbeats, as in `Claim`.
+    agents, is_leased
+        With whom it exchanges heartbeats, as in `Claim`.
     boot
         When the computer has started since, nothing of it holds.
     """
@@ -52,6 +52,7 @@ class AgentState(Struct, frozen=True, kw_only=True):
     token: int = 0
     wanted: Deployment | None = None
     agents: Mapping[str, str] = {}
+    is_leased: bool = False
     boot: str = ""
     protocol: int = PROTOCOL
 
