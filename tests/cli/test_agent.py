@@ -24,11 +24,8 @@ def agents(ports: Mapping[str, int]) -> Iterator[None]:
     processes = []
     try:
         for name, port in ports.items():
-            peers = [
-                f"--peer=[::1]:{other}" for other in ports.values() if other != port
-            ]
             argv = [*POISE, "agent", name, "--robot", "hello", "--address", "::1"]
-            processes.append(subprocess.Popen([*argv, f"--port={port}", *peers]))
+            processes.append(subprocess.Popen([*argv, f"--port={port}"]))
         yield
     finally:
         for process in processes:

@@ -102,8 +102,6 @@ class Field:
             argv = [*POISE, "agent", name, "--robot", self.name]
             argv += ["--address", addresses[name]]
             argv += ["--folder", str(self.computers[name].folder)]
-            for other in addresses.keys() - {name}:
-                argv += ["--peer", addresses[other]]
             self.computers[name].popen(argv)
         self.file = folder / "robot.yaml"
         computers = "\n".join(

@@ -109,7 +109,4 @@ def agent(
     argv = [sys.executable, "-m", "poise", "agent", name, "--robot", robot]
     argv += ["--address", "127.0.0.1", "--port", str(ports[name])]
     argv += ["--folder", str(folder / name), "--lifeline", str(lifeline)]
-    for other, port in ports.items():
-        if other != name:
-            argv += ["--peer", f"127.0.0.1:{port}"]
     return subprocess.Popen(argv, pass_fds=[lifeline], stderr=subprocess.DEVNULL)

@@ -25,7 +25,6 @@ def open_session(
     *,
     listen: Sequence[str] = (),
     connect: Sequence[str] = (),
-    gossip: bool = True,
     lease: float = 10.0,
 ) -> zenoh.Session:
     """Open a zenoh session as a peer that connects only to given peers.
@@ -34,8 +33,6 @@ def open_session(
     ----------
     listen, connect
         zenoh endpoints, such as ``tcp/10.0.0.2:7447``.
-    gossip
-        Whether it also connects to the peers of its peers.
     lease
         A link without traffic for this time is lost [s].
 
@@ -57,13 +54,7 @@ def open_session(
             "period_increase_factor": 2,
         },
         "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": gossip,
-        # with it, all peers announce each new peer to all others (with 11 peers: 10 ms
-        # of CPU on each instead of 2)
-        "scouting/gossip/multihop": False,
-        "scouting/gossip/autoconnect_strategy": {
-            "peer": {"to_router": "always", "to_peer": "greater-zid"}
-        },
+        "scouting/gossip/enabled": False,
         "open/return_conditions/connect_scouted": False,
         "transport/link/tx/lease": int(lease * 1000),
         # shared memory would pass through network namespaces, and between containers

@@ -92,11 +92,8 @@ class Agents(AgentReports):
         self._tokens: dict[str, int] = {}
         self._claimed: dict[str, int] = {}
         self.checkpoints = CheckpointCopies()
-        # no gossip: it talks to the agents that it knows, and to no other manager
         with ahead():  # zenoh's threads do nothing but carry messages
-            self._session = open_session(
-                connect=tuple(endpoints.values()), gossip=False, lease=lease
-            )
+            self._session = open_session(connect=tuple(endpoints.values()), lease=lease)
         prefix = f"poise/{robot}"
         self._requests = AgentRequests(self._session, prefix, self, clock, self._tokens)
         self._declared = [

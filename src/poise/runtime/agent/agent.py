@@ -146,7 +146,6 @@ class Agent:
             self._open_gateway() as gateway,
             open_session(
                 listen=[self._locator],
-                connect=setup.peers,
                 lease=setup.lease,
             ) as session,
         ):

@@ -21,8 +21,6 @@ class AgentSetup(Struct, frozen=True, kw_only=True):
         TCP port of the agent.
     gateway
         TCP port for connections from other computers to its containers; 0: a free one.
-    peers
-        zenoh endpoints of the other computers' agents.
     folder
         A folder of its own for sockets; the same one when it is started again.
     lifeline
@@ -38,7 +36,6 @@ class AgentSetup(Struct, frozen=True, kw_only=True):
     address: str
     port: int = 7447
     gateway: int = 0
-    peers: tuple[str, ...] = ()
     folder: str
     lifeline: int | None = None
     lease: float = LEASE

@@ -59,13 +59,9 @@ class EmulatedAgents:
 
     def start(self, name: str) -> None:
         """Start the agent of a computer, for the first time or after it ended."""
-        computers = self.emulation.computers
-        computer = computers[name]
+        computer = self.emulation.computers[name]
         argv = [sys.executable, "-m", "poise", "agent", name, "--robot", self._robot]
         argv += ["--address", computer.address, "--folder", str(computer.folder)]
-        for other in computers.values():
-            if other is not computer:
-                argv += ["--peer", str(agent_of(other))]
         self.processes[name] = computer.popen(
             [*argv, "--lifeline", str(self._lifeline), *self._options],
             stdin=subprocess.DEVNULL,

@@ -19,9 +19,9 @@ from poise.runtime.agent.agent import Agent
 from poise.runtime.agent.agent_setup import AgentSetup
 from poise.session.launch.temporary_folders import agent_folder
 from poise.units import SECONDS
-from poise.wire.control_session import LEASE, locator
+from poise.wire.control_session import LEASE
 
-_PORTS = 1 << 16
+_LAST = 65535
 
 
 def agent_command(
@@ -30,14 +30,17 @@ def agent_command(
     address: Annotated[
         str, typer.Option(help="IP address by which the others reach this computer.")
     ],
-    port: Annotated[int, typer.Option(help="TCP port.")] = AGENT_PORT,
-    peer: Annotated[
-        list[str] | None,
-        typer.Option(help="ADDRESS or ADDRESS:PORT of another computer's agent."),
-    ] = None,
+    port: Annotated[
+        int,
+        typer.Option(min=1, max=_LAST, help="TCP port, and UDP port for heartbeats."),
+    ] = AGENT_PORT,
     gateway: Annotated[
         int,
-        typer.Option(help="TCP port for connectors from other computers; 0: any."),
+        typer.Option(
+            min=0,
+            max=_LAST,
+            help="TCP port for connectors from other computers; 0: any.",
+        ),
     ] = 0,
     folder: Annotated[
         Path | None,
@@ -58,12 +61,8 @@ def agent_command(
     When it is killed, they go on for a minute, and are adopted when it is started again
     with the same robot, address and port, or the same folder.
 
-    Example: poise agent main --robot t-rot --address 10.0.0.1 --peer 10.0.0.2
+    Example: poise agent main --robot t-rot --address 10.0.0.1
     """
-    if not 0 < port < _PORTS:
-        raise UsageError(f"--port {port}: a port lies between 1 and {_PORTS - 1}")
-    if not 0 <= gateway < _PORTS:
-        raise UsageError(f"--gateway {gateway}: a port lies between 0 and {_PORTS - 1}")
     _check_ip(address)
     logging.basicConfig(
         format=f"%(asctime)s {computer} %(levelname)s %(name)s: %(message)s",
@@ -83,7 +82,6 @@ def agent_command(
                 address=address,
                 port=port,
                 gateway=gateway,
-                peers=tuple(locator(_endpoint("--peer", each)) for each in peer or ()),
                 folder=str(place),
                 lifeline=lifeline,
                 lease=lease,
@@ -101,16 +99,12 @@ def _say(sentence: str) -> None:
         sys.stdout.flush()
 
 
-def _endpoint(option: str, text: str) -> Endpoint:
-    try:
-        return Endpoint.parse(text)
-    except ValueError as error:
-        raise UsageError(f"{option}: {error}") from None
-
-
 def _check_ip(address: str) -> None:
     """Raise UsageError unless it is an IP address without a port."""
-    found = _endpoint("--address", address)
+    try:
+        found = Endpoint.parse(address)
+    except ValueError as error:
+        raise UsageError(f"--address: {error}") from None
     if not found.is_ip or found.host != address:
         raise UsageError(
             f"--address {address}: give an IP address of this computer, without "
