@@ -191,9 +191,9 @@ def test_the_age_of_a_message_from_a_computer_whose_clock_is_ahead(
     (tmp_path / "robot.yaml").write_text(ROBOT.format(**ports))
     (tmp_path / "eyes.py").write_text(EYES)
     with ExitStack() as stack:
-        for name in ports:
+        for name, port in ports.items():
             argv = [sys.executable, "-m", "poise", "agent", name, "--robot", "two"]
-            argv += ["--address", "127.0.0.1", "--port", str(ports[name])]
+            argv += ["--address", "127.0.0.1", "--port", str(port)]
             if name == "vision":
                 argv = ["unshare", "--time", "--monotonic", str(int(AHEAD)), *argv]
             agent = subprocess.Popen(argv)

@@ -9,7 +9,6 @@ from poise.emulate import EmulatedSet, find_set
 from poise.errors import UsageError
 from poise.model.robot import Robot
 from poise.session.callbacks import Say, log
-from poise.session.launch.agent_keeper import keeping_agents
 from poise.session.launch.emulated_agents import emulated_agents
 from poise.session.launch.temporary_folders import scratch_folder
 
@@ -42,10 +41,6 @@ def emulated(robot: Robot, *, say: Say = log.info) -> Iterator[EmulatedSet]:
         )
     with (
         scratch_folder("poise-run-") as folder,
-        emulated_agents(robot, folder / "computers", say, keep=True) as agents,
+        emulated_agents(robot, folder / "computers", say, keep=True),
     ):
-        kept = find_set(robot.name)
-        with keeping_agents(
-            agents, lambda computer, _: not kept.is_crashed(computer), say
-        ):
-            yield kept
+        yield find_set(robot.name)

@@ -13,7 +13,6 @@ from poise.endpoint import Endpoint
 from poise.errors import RunError
 from poise.model.robot import Robot
 from poise.session.callbacks import Say
-from poise.session.launch.agent_keeper import keeping_agents
 from poise.session.launch.emulated_agents import (
     UNCUT_LEASE,
     agent_of,
@@ -138,10 +137,7 @@ def computers_of(
         with _kept(kept, say) as computers:
             yield computers
         return
-    with (
-        emulated_agents(robot, folder, say, sample_every=sample_every) as agents,
-        keeping_agents(agents, lambda _, code: code < 0, say),
-    ):
+    with emulated_agents(robot, folder, say, sample_every=sample_every) as agents:
         yield Computers(
             _endpoints(agents.emulation.computers),
             agents.emulation.without,

@@ -1,4 +1,7 @@
-"""The agents of emulated computers: started here, and gone with this process."""
+"""The agents of emulated computers: started here, and gone with this process.
+
+An agent that was killed is started again, as systemd would.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,19 @@ import contextlib
 import os
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Self
 
-from poise.emulate import EmulatedComputer, Emulation
+from poise.emulate import EmulatedComputer, EmulatedSet, Emulation, find_set
+from poise.emulate.registry import locked
 from poise.endpoint import AGENT_PORT, Endpoint
+from poise.errors import PoiseError
 from poise.model.robot import Robot
+from poise.runtime.agent.supervision.back_off import BackOff
+from poise.runtime.waker import Waker, wait_readable
 from poise.session.callbacks import Say
 from poise.session.launch.printer import STDERR, Printer, relay
 from poise.units import counted
@@ -21,10 +31,12 @@ from poise.wire.records.samples import SAMPLE_EVERY
 UNCUT_LEASE = 10.0
 """The lease of agents that nothing can cut off from their manager, but that may have to
 wait for CPU [s]."""
+_LOOK_EVERY = 0.02
+"""While an agent has ended, it is looked whether it may start so often [s]."""
 
 
 class EmulatedAgents:
-    """The agents of all emulated computers of a robot.
+    """The agents of all emulated computers of a robot. Use it as a context manager.
 
     Parameters
     ----------
@@ -32,6 +44,11 @@ class EmulatedAgents:
         A descriptor for what they and their components print.
     lifeline
         A descriptor at whose end of file they end.
+    say
+        Takes sentences, on a thread of its own.
+    kept
+        The set that other processes use: any agent starts again, unless its computer
+        was crashed. None: only one that was killed does.
 
     Attributes
     ----------
@@ -45,20 +62,36 @@ class EmulatedAgents:
         emulation: Emulation,
         output: int,
         lifeline: int,
-        lease: float,
         sample_every: float,
+        say: Say,
+        kept: EmulatedSet | None,
     ) -> None:
+        lease = UNCUT_LEASE if kept is None else LEASE
         self.emulation = emulation
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         self._robot = robot
         self._output = output
         self._lifeline = lifeline
         self._options = ["--lease", f"{lease}", "--sample-every", f"{sample_every}"]
-        for name in emulation.computers:
-            self.start(name)
+        self._say = say
+        self._kept = kept
+        self._ended = {name: BackOff() for name in emulation.computers}
+        self._down: set[str] = set()
+        self._closing = Waker()
+        self._keeper = threading.Thread(target=self._keep, name="keeper", daemon=True)
 
-    def start(self, name: str) -> None:
-        """Start the agent of a computer, for the first time or after it ended."""
+    def __enter__(self) -> Self:
+        for name in self.emulation.computers:
+            self._start(name)
+        self._keeper.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._closing.wake()
+        self._keeper.join()
+        self._closing.close()
+
+    def _start(self, name: str) -> None:
         computer = self.emulation.computers[name]
         argv = [sys.executable, "-m", "poise", "agent", name, "--robot", self._robot]
         argv += ["--address", computer.address, "--folder", str(computer.folder)]
@@ -69,6 +102,44 @@ class EmulatedAgents:
             stderr=self._output,
             pass_fds=[self._lifeline],
         )
+
+    def _keep(self) -> None:
+        while not self._wait():
+            for name, process in list(self.processes.items()):
+                if process.poll() is not None:
+                    self._look_after(name, process.returncode)
+
+    def _wait(self) -> bool:
+        """Wait until an agent has ended or may start; return whether all end."""
+        with contextlib.ExitStack() as stack:
+            fds = [self._closing.fileno()]
+            for process in self.processes.values():
+                if process.poll() is None:
+                    fds.append(os.pidfd_open(process.pid))
+                    stack.callback(os.close, fds[-1])
+            limit = _LOOK_EVERY if len(fds) <= len(self.processes) else None
+            return fds[0] in wait_readable(fds, limit)
+
+    def _look_after(self, name: str, code: int) -> None:
+        """Start an agent again that has ended, when it is time."""
+        now, back_off = time.monotonic(), self._ended[name]
+        if name not in self._down:
+            self._down.add(name)
+            back_off.note_end(now)
+        if now < back_off.again_at:
+            return
+        try:
+            with locked():  # or it might start while its computer is being crashed
+                stays_down = self._kept.is_crashed(name) if self._kept else code >= 0
+                if stays_down:
+                    return
+                self._start(name)
+        except (PoiseError, OSError) as error:
+            back_off.note_end(now)
+            self._say(f"the agent of '{name}' cannot be started again: {error}")
+        else:
+            self._down.discard(name)
+            self._say(f"the agent of '{name}' ended ({code}) and is started again")
 
 
 def agent_of(computer: EmulatedComputer) -> Endpoint:
@@ -106,10 +177,11 @@ def emulated_agents(
         ):
             for sentence in emulation.without:
                 say(f"  without {sentence}")
-            lease = LEASE if keep else UNCUT_LEASE
-            yield EmulatedAgents(
-                robot.name, emulation, output, lifeline, lease, sample_every
-            )
+            kept = find_set(robot.name) if keep else None
+            with EmulatedAgents(
+                robot.name, emulation, output, lifeline, sample_every, say, kept
+            ) as agents:
+                yield agents
     finally:
         os.close(lifeline)
         os.close(held)

@@ -36,44 +36,6 @@ STOP_LIMIT = 2.0
 REST_LIMIT = 10.0
 """A container that sent a part of a record is killed when the rest takes longer [s].
 One that is at work sends all of it within a second, or ends."""
-_FIRST_DELAY = 0.1
-"""The first restart is at once, the second after this time [s]."""
-_LONGEST_DELAY = 5.0
-_CALM = 10.0
-"""After so long without an end a container's delay starts from the first again [s]."""
-
-
-class BackOff:
-    """How long to wait before a container that ended is started again.
-
-    The first time it is started at once. Then the delay doubles from 0.1 s up to 5 s,
-    times `jitter` in [0.5, 1), so that many
-    that broke for one reason do not come back at one moment.
-    """
-
-    def __init__(self) -> None:
-        self._ends = 0
-        self._ended_at = float("-inf")
-        self._again_at = float("-inf")
-
-    def note_end(self, now: float, jitter: float) -> None:
-        """Count an end at `now` [s]."""
-        if now - self._ended_at > _CALM:
-            self._ends = 0
-        delay = min(_FIRST_DELAY * 2 ** (min(self._ends, 16) - 1), _LONGEST_DELAY)
-        delay = delay if self._ends else 0.0
-        self._ends += 1
-        self._ended_at = now
-        self._again_at = now + delay * jitter
-
-    def is_over(self, now: float) -> bool:
-        """Whether it may be started again at `now` [s]."""
-        return now >= self._again_at
-
-    @property
-    def again_at(self) -> float:
-        """When it may be started again [s]."""
-        return self._again_at
 
 
 class ContainerProcess:

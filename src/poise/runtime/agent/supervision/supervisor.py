@@ -20,8 +20,8 @@ from msgspec import structs
 from poise.clock import Clock
 from poise.errors import Unavailable
 from poise.runtime.agent.sampling.watchdog import Silence
+from poise.runtime.agent.supervision.back_off import BackOff
 from poise.runtime.agent.supervision.container_processes import (
-    BackOff,
     ContainerProcess,
     ProcessEnd,
 )
@@ -103,7 +103,7 @@ class Supervisor:
         for name, spec in wanted.items():
             if name in self.processes:
                 self._tell(self.processes[name], spec)
-            elif name in self._backoffs and not self._backoffs[name].is_over(now):
+            elif name in self._backoffs and now < self._backoffs[name].again_at:
                 continue
             elif not self._awaits(name):
                 self._start(spec)

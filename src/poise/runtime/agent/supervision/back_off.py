@@ -1,0 +1,38 @@
+"""How long to wait before a process that ended is started again."""
+
+from __future__ import annotations
+
+_FIRST_DELAY, _LONGEST_DELAY = 0.1, 5.0
+"""The first restart is at once, the second after this time, then after twice that [s]."""
+_CALM = 10.0
+"""After so long without an end the next restart is at once again [s]."""
+
+
+class BackOff:
+    """The ends of one process.
+
+    Attributes
+    ----------
+    again_at
+        When it may be started again [s].
+    """
+
+    def __init__(self) -> None:
+        self.again_at = float("-inf")
+        self._delay = 0.0
+        self._ended_at = float("-inf")
+
+    def note_end(self, now: float, jitter: float = 1.0) -> None:
+        """Count an end at `now` [s].
+
+        Parameters
+        ----------
+        jitter
+            A factor in [0.5, 1], so that many that broke for one reason do not come
+            back at one moment.
+        """
+        if now - self._ended_at > _CALM:
+            self._delay = 0.0
+        self._ended_at = now
+        self.again_at = now + self._delay * jitter
+        self._delay = min(max(_FIRST_DELAY, 2 * self._delay), _LONGEST_DELAY)
