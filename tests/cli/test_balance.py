@@ -22,7 +22,7 @@ WHY = "ValueError at\n    maps[name] = found[/tmp] + [i for i in rest]"
 def test_why_it_was_called_off_is_told_as_it_is(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    steps = (TransitionStep(kind="move", component="eye", source="a", target="b"),)
+    steps = (TransitionStep("eye", "a", "b"),)
     terms = Terms(total=0.5, communication=0.0, balance=0.5)
     proposal = Proposal(
         shifted={}, now=terms, then=terms, placement={"eye": "b"}, steps=steps

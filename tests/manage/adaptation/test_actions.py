@@ -95,7 +95,7 @@ def test_a_move_keeps_the_limits_of_its_target() -> None:
 
 def test_a_move_keeps_the_budget_and_does_not_return_too_soon() -> None:
     limits, policy = MoveLimits(), about("low", do="move", to="right")
-    back = TransitionStep(kind="move", component="low", source="right", target="left")
+    back = TransitionStep("low", "right", "left")
     limits.note([back], 0.0)
     with pytest.raises(RunError, match="'low' left 'right' only lately"):
         take(robbed_of_two(), policy, limits, 1.0)

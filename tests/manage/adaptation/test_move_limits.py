@@ -11,7 +11,7 @@ from poise.manage.adaptation.move_limits import BUDGET, LONGEST_REST, MoveLimits
 from poise.manage.migration.transition import TransitionStep
 from tests.manage.adaptation.conftest import Make
 
-AWAY = TransitionStep(kind="move", component="a", source="left", target="right")
+AWAY = TransitionStep("a", "left", "right")
 
 
 def test_it_rests_twice_as_long_each_time() -> None:
@@ -100,9 +100,9 @@ def test_a_cold_move_bars_the_way_back_too() -> None:
     limits = MoveLimits()
     limits.note(
         [
-            TransitionStep(kind="stop", component="a", source="left"),
-            TransitionStep(kind="move", component="b", source="right", target="left"),
-            TransitionStep(kind="start", component="a", target="right"),
+            TransitionStep("a", "left"),
+            TransitionStep("b", "right", "left"),
+            TransitionStep("a", target="right"),
         ],
         0.0,
     )
@@ -113,8 +113,8 @@ def test_the_third_computer_of_an_intermediate_move_is_not_barred() -> None:
     limits = MoveLimits()
     limits.note(
         [
-            TransitionStep(kind="move", component="a", source="left", target="third"),
-            TransitionStep(kind="move", component="a", source="third", target="right"),
+            TransitionStep("a", "left", "third"),
+            TransitionStep("a", "third", "right"),
         ],
         0.0,
     )

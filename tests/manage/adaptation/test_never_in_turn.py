@@ -157,7 +157,7 @@ class World:
         before = dict(self.placement)
         for step in steps:  # a cold move is a stop and a start
             self.now += MOVE
-            if step.kind != "stop":
+            if step.target:
                 self.placement[step.component] = step.target
         self.moves += [
             Moved(self.now, component, source, self.placement[component])

@@ -83,7 +83,7 @@ def test_a_demand_shifts_as_the_mean_does(robot: Robot) -> None:
     found = propose(robot, "work", NOW, [grown], 0.01)
     assert counted(found) == pytest.approx({"eye": 0.6})
     assert found.trouble
-    assert {step.kind for step in found.steps} == {"move"}
+    assert all(step.source and step.target for step in found.steps)
     assert found.placement["eye"] != found.placement["mind"]
 
 

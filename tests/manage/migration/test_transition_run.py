@@ -18,8 +18,8 @@ from poise.wire.records.status import ComponentStatus
 from tests.manage.conftest import FakeAgents
 
 PLACEMENT = {"grabber": "left", "filter": "left"}
-START = TransitionStep(kind="start", component="thinker", target="right")
-STOP = TransitionStep(kind="stop", component="filter", source="left")
+START = TransitionStep("thinker", target="right")
+STOP = TransitionStep("filter", "left")
 
 
 @pytest.fixture
@@ -71,7 +71,7 @@ def test_what_was_replaced_stays_replaced_over_a_cold_move(
     run.placed["filter"] = structs.replace(
         run.placed["filter"], implementation="eye:Better"
     )
-    again = TransitionStep(kind="start", component="filter", target="right")
+    again = TransitionStep("filter", target="right")
     assert transit(run, (STOP, again)).committed
     assert told(agents)["filter"] == ("right", 1, "eye:Better")
 
@@ -79,9 +79,7 @@ def test_what_was_replaced_stays_replaced_over_a_cold_move(
 def test_a_move_that_is_refused_undoes_the_steps_before(
     run: Run, agents: FakeAgents
 ) -> None:
-    nowhere = TransitionStep(
-        kind="move", component="grabber", source="left", target="moon"
-    )
+    nowhere = TransitionStep("grabber", "left", "moon")
     report = transit(run, (START, nowhere))
     assert not report.committed
     assert "no computer 'moon'" in report.reason

@@ -65,10 +65,7 @@ class Actions:
             if target in self._limits.barred(now).get(component, ()):
                 raise RunError(f"'{component}' left '{target}' only lately")
             check_move(facts, component, target)
-        step = TransitionStep(
-            kind="move", component=component, source=source, target=target
-        )
-        self._limits.note([step], now)
+        self._limits.note([TransitionStep(component, source, target)], now)
         report = move(run, component, target)
         if not report.committed:
             raise RunError(report.reason)
@@ -99,8 +96,8 @@ class Actions:
         for name in sorted(components):
             at = facts.placement[name]
             steps += [
-                TransitionStep(kind="stop", component=name, source=at),
-                TransitionStep(kind="start", component=name, target=at),
+                TransitionStep(name, at),
+                TransitionStep(name, target=at),
             ]
         report = transit(run, tuple(steps))
         if not report.committed:

@@ -111,7 +111,7 @@ class MoveLimits:
         self._rests_until = now + self._rest
         self._rest = min(2 * self._rest, LONGEST_REST)
         steps = tuple(steps)
-        self._moves.extend(now for step in steps if step.kind != "stop")
+        self._moves.extend(now for step in steps if step.target)
         for component, (source, target) in _moves(steps).items():
             if not source or not target or source == target:
                 continue

@@ -90,9 +90,7 @@ def what_if(
     now, then = plan.evaluate(problem, before), plan.evaluate(problem, after)
     assert now.objective is not None  # noqa: S101, a given placement has terms
     assert then.objective is not None  # noqa: S101, the same
-    step = TransitionStep(
-        kind="move", component=component, source=source, target=computer
-    )
+    step = TransitionStep(component, source, computer)
     demands = {c.name: c.demand.get("cpu", 0.0) for c in robot.components()}
     sizes = {c.name: c.snapshot for c in components_of(facts.statuses)}
     return WhatIf(
@@ -204,9 +202,7 @@ def _single_moves(
                     max(0.0, -left[at] - more) - max(0.0, -left[at])
                     for at, more in change.items()
                 ),
-                TransitionStep(
-                    kind="move", component=component, source=source, target=target
-                ),
+                TransitionStep(component, source, target),
             )
 
 

@@ -9,7 +9,6 @@ computer; where none has room, one makes a cold move, and the plan says so.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Literal
 
 from msgspec import Struct
 
@@ -20,29 +19,32 @@ from poise.model.robot import ComponentEntry, Robot
 from poise.units import format_amount
 
 
-class TransitionStep(Struct, frozen=True, kw_only=True):
+class TransitionStep(Struct, frozen=True):
     """One step of a transition.
 
     Parameters
     ----------
     source, target
-        Computers; a start has no source, a stop no target.
+        Computers; a start has no source, a stop no target, and a move has both.
     why
         Why it is no direct live move: an intermediate or a cold one; else empty.
     """
 
-    kind: Literal["start", "stop", "move"]
     component: str
     source: str = ""
     target: str = ""
     why: str = ""
 
+    def inverse(self) -> TransitionStep:
+        """Return the step that undoes it."""
+        return TransitionStep(self.component, self.target, self.source)
+
     def __str__(self) -> str:
-        way = {
-            "start": f"start {self.component} on {self.target}",
-            "stop": f"stop {self.component} on {self.source}",
-            "move": f"move {self.component} from {self.source} to {self.target}",
-        }[self.kind]
+        way = f"move {self.component} from {self.source} to {self.target}"
+        if not self.source:
+            way = f"start {self.component} on {self.target}"
+        elif not self.target:
+            way = f"stop {self.component} on {self.source}"
         return f"{way} ({self.why})" if self.why else way
 
 
@@ -161,26 +163,15 @@ class _Planner:
     def _move(self, name: str, target: str, why: str = "") -> None:
         source = self._now[name]
         self._now[name] = target
-        self._add(
-            TransitionStep(
-                kind="move", component=name, source=source, target=target, why=why
-            )
-        )
+        self._steps.append(TransitionStep(name, source, target, why))
 
     def _stop(self, name: str, why: str = "") -> None:
         source = self._now.pop(name)
-        self._add(TransitionStep(kind="stop", component=name, source=source, why=why))
+        self._steps.append(TransitionStep(name, source, why=why))
 
     def _start(self, name: str, why: str) -> None:
         self._now[name] = self._then[name]
-        self._add(
-            TransitionStep(
-                kind="start", component=name, target=self._then[name], why=why
-            )
-        )
-
-    def _add(self, step: TransitionStep) -> None:
-        self._steps.append(step)
+        self._steps.append(TransitionStep(name, target=self._then[name], why=why))
 
 
 def _weight(component: ComponentEntry) -> tuple[float, float]:

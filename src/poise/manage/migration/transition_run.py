@@ -176,15 +176,14 @@ class _Transition:
     def take(self, step: TransitionStep) -> str:
         """Take a step; return why it failed, or an empty text."""
         try:
-            match step.kind:
-                case "move":
-                    report = move(self._run, step.component, step.target)
-                    self.moves.append(report)
-                    return report.reason
-                case "start":
-                    self._start(step.component, step.target)
-                case "stop":
-                    self._stop(step.component)
+            if not step.source:
+                self._start(step.component, step.target)
+            elif not step.target:
+                self._stop(step.component)
+            else:
+                report = move(self._run, step.component, step.target)
+                self.moves.append(report)
+                return report.reason
         except (RunError, UsageError) as error:
             return str(error)
         return ""
@@ -193,7 +192,7 @@ class _Transition:
         """Undo the steps that were taken, last first; return what went wrong there."""
         troubles = ""
         for step in reversed(taken):
-            reason = self.take(_inverse(step))
+            reason = self.take(step.inverse())
             if reason:
                 troubles += f"; rolling back '{step}' failed: {reason}"
         return troubles
@@ -228,13 +227,3 @@ class _Transition:
             )
             run.tell(run.placed.values())
             raise
-
-
-def _inverse(step: TransitionStep) -> TransitionStep:
-    kind = {"start": "stop", "stop": "start", "move": "move"}[step.kind]
-    return TransitionStep(
-        kind=kind,  # type: ignore[arg-type] # a dict of literals widens to str
-        component=step.component,
-        source=step.target,
-        target=step.source,
-    )

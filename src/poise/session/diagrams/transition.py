@@ -31,9 +31,9 @@ def _messages(step: TransitionStep, state: float) -> Iterator[Message]:
     """Yield what a step takes; docs/design/moves.md has all of its parts."""
     name, source, target = step.component, step.source, step.target
     why = f" ({step.why})" if step.why else ""
-    if step.kind == "start":
+    if not step.source:
         yield Message(MANAGER, target, f"start {name}{why}")
-    elif step.kind == "stop":
+    elif not step.target:
         yield Message(MANAGER, source, f"stop {name}{why}")
     else:
         size = f", {format_bytes(state)}" if state else ""

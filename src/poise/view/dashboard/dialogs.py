@@ -104,10 +104,8 @@ class Actions:
                 if proposal["trouble"]:
                     ui.label(f"As it was: {proposal['trouble']}").classes("refused")
                 for step in proposal.get("steps", ()):
-                    ui.label(
-                        f"{step['kind']} {step['component']}: "
-                        f"{step['source'] or '-'} to {step['target'] or '-'}"
-                    )
+                    way = f"{step.get('source') or '-'} to {step.get('target') or '-'}"
+                    ui.label(f"{step['component']}: {way}")
             if decision:
                 ui.label(
                     f"It costs {decision['cost']:.2f} and gains {decision['gain']:.2f} "

@@ -134,11 +134,6 @@ def _pinned(robot: Robot) -> dict[str, str]:
 
 def _steps(facts: Facts, where: Mapping[str, str]) -> list[TransitionStep]:
     return [
-        TransitionStep(
-            kind="move",
-            component=name,
-            source=facts.placement[name],
-            target=computer,
-        )
+        TransitionStep(name, facts.placement[name], computer)
         for name, computer in where.items()
     ]

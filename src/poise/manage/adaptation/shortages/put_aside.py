@@ -267,7 +267,7 @@ class PutAside:
 
     def _stop(self, components: Mapping[str, str]) -> bool:
         steps = tuple(
-            TransitionStep(kind="stop", component=component, source=computer)
+            TransitionStep(component, computer)
             for component, computer in sorted(components.items())
         )
         return transit(self._run, steps).committed

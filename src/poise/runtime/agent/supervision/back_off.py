@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 _FIRST_DELAY, _LONGEST_DELAY = 0.1, 5.0
-"""The first restart is at once, the second after this time, then after twice that [s]."""
+"""The second restart is after this time [s], the next after twice that, to this."""
 _CALM = 10.0
 """After so long without an end the next restart is at once again [s]."""
 
