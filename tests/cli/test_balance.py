@@ -30,7 +30,7 @@ def test_why_it_was_called_off_is_told_as_it_is(
     report = TransitionReport(steps=steps, committed=False, reason=WHY)
     answer = Rebalanced(proposal, report)
     monkeypatch.setattr(
-        "poise.session.running_robots.running.send_command", lambda *_: answer
+        "poise.manage.control_socket.client.send_command", lambda *_: answer
     )
     with pytest.raises(typer.Exit):
         balance_command()

@@ -247,13 +247,5 @@ class Refusal(Struct, frozen=True, tag=True):
         return classes[self.error](self.reason)
 
 
-class ControlRequest(Struct, frozen=True):
-    """One record on the control socket, from the client."""
-
-    command: Command
-
-
-class ControlResponse(Struct, frozen=True):
-    """One record on the control socket, from the manager."""
-
-    result: Result | Refusal
+Response = Result | Refusal
+"""What a client gets for its command."""

@@ -21,8 +21,6 @@ from poise.errors import RunError, UsageError
 from poise.manage.control_socket.location import is_alive, path_of
 from poise.manage.control_socket.records import (
     Command,
-    ControlRequest,
-    ControlResponse,
     Refusal,
     Result,
     StatusCommand,
@@ -136,10 +134,10 @@ class ControlServer:
     def _serve(self, connection: socket.socket) -> None:
         try:
             with connection, contextlib.suppress(WireError, RunError):
-                request = record_channel.receive(connection, ControlRequest)
-                result = self._result(connection, request.command)
+                command: Command = record_channel.receive(connection, Command)
+                result = self._result(connection, command)
                 if result is not None:
-                    record_channel.send(connection, ControlResponse(result))
+                    record_channel.send(connection, result)
         finally:
             self._threads.discard(threading.current_thread())
             self._free.release()

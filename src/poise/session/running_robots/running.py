@@ -5,16 +5,14 @@ from __future__ import annotations
 import secrets
 import time
 from collections.abc import Iterator
-from typing import TypeVar
 
 from msgspec.structs import asdict
 from rich.console import RenderableType
 
 from poise.errors import RunError, UsageError
 from poise.manage.adaptation.what_if import WhatIf
-from poise.manage.control_socket.client import send_command
+from poise.manage.control_socket.client import ask
 from poise.manage.control_socket.records import (
-    Command,
     JournalCommand,
     JournalEntries,
     LogCommand,
@@ -23,7 +21,6 @@ from poise.manage.control_socket.records import (
     RebalanceCommand,
     Rebalanced,
     ReplaceCommand,
-    Result,
     RobotStatus,
     StatusCommand,
     StopCommand,
@@ -41,8 +38,6 @@ from poise.wire.records.taps import SHOWN_ITEMS, TapReading
 _LOOK_EVERY = 0.25
 """What goes out over a connector is fetched after this time [s]."""
 __all__ = ["JournalEntry", "RolledBack", "Running", "Status", "WhatIf", "connect"]
-
-R = TypeVar("R", bound=Result)
 
 
 class RolledBack(RunError):
@@ -85,11 +80,11 @@ class Running:
     @property
     def tasks(self) -> RunningTasks:
         """Its tasks: ``running.tasks.start("fetch")``."""
-        return RunningTasks(lambda command: send_command(self.name, command))
+        return RunningTasks(self.name)
 
     def status(self) -> Status:
         """Return where components run, and how they and their computers are."""
-        status = self._send(StatusCommand(), RobotStatus)
+        status = ask(self.name, StatusCommand(), RobotStatus)
         return Status(**asdict(status))
 
     def move(
@@ -111,7 +106,7 @@ class Running:
 
     def what_if(self, component: str, computer: str) -> WhatIf:
         """Return what a move would change; nothing happens."""
-        return self._send(MoveCommand(component, computer, dry=True), WhatIf)
+        return ask(self.name, MoveCommand(component, computer, dry=True), WhatIf)
 
     def journal(self, after: int = 0) -> tuple[JournalEntry, ...]:
         """Return the last entries of its journal, oldest first: 500 at most.
@@ -121,7 +116,7 @@ class Running:
         after
             Only entries with a higher number.
         """
-        return self._send(JournalCommand(after), JournalEntries).entries
+        return ask(self.name, JournalCommand(after), JournalEntries).entries
 
     def replace(
         self, what: str, by: str, *, adapt: str = "", fresh: bool = False
@@ -161,7 +156,7 @@ class Running:
         RolledBack
             A move failed; everything is where it was.
         """
-        answer = self._send(RebalanceCommand(cost, dry_run), Rebalanced)
+        answer = ask(self.name, RebalanceCommand(cost, dry_run), Rebalanced)
         if answer.report is not None and not answer.report.committed:
             raise RolledBack(f"rolled back: {answer.report.reason}", answer)
         return answer
@@ -199,7 +194,7 @@ class Running:
         items
             Of longer lists, arrays and mappings the rest is left out.
         """
-        return self._send(TapCommand(connector, viewer, rate, items), TapReading)
+        return ask(self.name, TapCommand(connector, viewer, rate, items), TapReading)
 
     def log(
         self, component: str = "", *, last: int = 100, follow: bool = False
@@ -224,11 +219,11 @@ class Running:
         if component and component not in known:
             listed = ", ".join(sorted(known))
             raise UsageError(f"no component '{component}' (there are: {listed})")
-        reading = self._send(LogCommand(component, most=last), LogReading)
+        reading = ask(self.name, LogCommand(component, most=last), LogReading)
         yield reading
         while follow:
             time.sleep(_LOOK_EVERY)
-            reading = self._send(LogCommand(component, reading.after), LogReading)
+            reading = ask(self.name, LogCommand(component, reading.after), LogReading)
             yield reading
 
     def stop(self) -> None:
@@ -239,21 +234,15 @@ class Running:
         RunError
             Something still runs on a computer that is out of reach.
         """
-        remaining = self._send(StopCommand(), StopReport).remaining
+        remaining = ask(self.name, StopCommand(), StopReport).remaining
         if remaining:
             raise RunError("\n".join(remaining))
 
     def _migrate(self, command: MoveCommand | ReplaceCommand) -> MigrationReport:
-        report = self._send(command, MigrationReport)
+        report = ask(self.name, command, MigrationReport)
         if not report.committed:
             raise RolledBack(outcome_sentence(report), report)
         return report
-
-    def _send(self, command: Command, type_: type[R]) -> R:
-        result = send_command(self.name, command)
-        if not isinstance(result, type_):
-            raise RunError(f"the manager answered {result!r} to {command!r}")
-        return result
 
 
 def connect(name: str | None = None) -> Running:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Literal
 
-from poise.errors import RunError, Timeout, UsageError
+from poise.errors import Timeout, UsageError
+from poise.manage.control_socket.client import ask
 from poise.manage.control_socket.records import (
-    Command,
-    Result,
     RobotStatus,
     StatusCommand,
     TaskCommand,
@@ -28,8 +26,8 @@ class RunningTasks:
     when it gives no answer.
     """
 
-    def __init__(self, send: Callable[[Command], Result]) -> None:
-        self._send = send
+    def __init__(self, robot: str | None) -> None:
+        self._robot = robot
 
     def start(self, task: str, priority: int | None = None) -> TaskReport:
         """Start a task; it runs beside others, or waits for them.
@@ -55,10 +53,7 @@ class RunningTasks:
 
     def started(self) -> tuple[TaskReport, ...]:
         """Return the tasks that were started, the last ones that are over, too."""
-        status = self._send(StatusCommand())
-        if not isinstance(status, RobotStatus):
-            raise RunError(f"the manager answered {status!r} to a status")
-        return status.tasks
+        return ask(self._robot, StatusCommand(), RobotStatus).tasks
 
     def show(self, task: str) -> TaskReport:
         """Return a task that was started; of several of its name the last."""
@@ -93,7 +88,4 @@ class RunningTasks:
         task: str,
         priority: int | None = None,
     ) -> TaskReport:
-        done = self._send(TaskCommand(verb, task, priority))
-        if not isinstance(done, TaskDone):
-            raise RunError(f"the manager answered {done!r} to {verb} '{task}'")
-        return done.report
+        return ask(self._robot, TaskCommand(verb, task, priority), TaskDone).report
