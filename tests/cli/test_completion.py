@@ -10,7 +10,7 @@ import pytest
 import typer
 
 from poise.cli.command_table import build
-from poise.cli.completion import in_file, one_of, running
+from poise.cli.completion import in_file, running
 from poise.errors import RunError
 from poise.manage.control_socket.records import RobotStatus
 from poise.manage.tasks.report import TaskReport
@@ -83,10 +83,6 @@ def test_names_in_the_robot_file() -> None:
 @pytest.mark.parametrize("params", [{}, {"file": None}, {"file": Path("no such file")}])
 def test_without_a_file_there_are_no_names(params: dict[str, Any]) -> None:
     assert in_file("tasks")(context(**params), "") == []
-
-
-def test_words() -> None:
-    assert one_of("robots", "tasks")(context(), "t") == ["tasks"]
 
 
 @pytest.mark.parametrize(

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
+
+if TYPE_CHECKING:
+    from poise.session.running_robots.local_robots import Thing
 
 Complete = Callable[[typer.Context, str], list[str]]
 
 
-def running(what: str) -> Complete:
-    """Return what completes the names of things of robots that run here.
-
-    Parameters
-    ----------
-    what
-        One of `poise.session.running_robots.local_robots.THINGS`.
-    """
+def running(what: Thing) -> Complete:
+    """Return what completes the names of things of robots that run here."""
 
     def complete(context: typer.Context, begun: str) -> list[str]:
         from poise.session.running_robots.local_robots import names_of, robots_here
@@ -50,15 +48,6 @@ def in_file(what: str) -> Complete:
             return [each.name for each in robot.components()]
 
         return _fitting(names, begun)
-
-    return complete
-
-
-def one_of(*words: str) -> Complete:
-    """Return what completes one of some words."""
-
-    def complete(_: typer.Context, begun: str) -> list[str]:
-        return _fitting(lambda: words, begun)
 
     return complete
 

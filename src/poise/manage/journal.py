@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import msgspec
 from msgspec import Struct
@@ -32,7 +32,6 @@ wrong, right
 """
 
 _MOST_RECENT = 20
-KINDS: tuple[str, ...] = get_args(Kind)
 _ALL = -1
 
 _SCHEMA = """

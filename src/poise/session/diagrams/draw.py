@@ -6,7 +6,7 @@ import contextlib
 import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 from msgspec import Struct
 
@@ -22,7 +22,6 @@ from poise.session.diagrams.records import Diagram
 from poise.session.diagrams.transition import sequence_diagram
 
 What = Literal["components", "deployment", "transition"]
-WHAT: tuple[str, ...] = get_args(What)
 TEXTS: Mapping[str, Callable[[Diagram], str]] = {
     ".mmd": mermaid,
     ".puml": plantuml,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from typing import Literal
 
 from poise.errors import PoiseError
 from poise.manage.agent_connections.statuses import connectors_of
@@ -10,7 +11,7 @@ from poise.manage.control_socket.location import running_here
 from poise.manage.control_socket.records import RobotStatus
 from poise.session.running_robots.running import Running
 
-THINGS = ("robots", "tasks", "computers", "components", "connectors")
+Thing = Literal["robots", "tasks", "computers", "components", "connectors"]
 Robots = Mapping[str, RobotStatus | None]
 """Name -> status; None: it is starting, or its manager does not answer."""
 
@@ -36,8 +37,8 @@ def robots_here(name: str | None = None) -> Robots:
     return found
 
 
-def names_of(robots: Robots, what: str) -> Iterator[str]:
-    """Yield the names of all things of a kind, one of `THINGS`."""
+def names_of(robots: Robots, what: Thing) -> Iterator[str]:
+    """Yield the names of all things of a kind, a `Thing`."""
     if what == "robots":
         yield from robots
     else:

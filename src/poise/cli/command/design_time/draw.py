@@ -5,16 +5,15 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, cast
+from typing import Annotated
 
 import typer
 
-from poise.cli.completion import one_of
 from poise.cli.options import RobotFile, RobotTask
 from poise.errors import RobotError, UsageError
 from poise.model import load
 from poise.model.robot import Robot
-from poise.session.diagrams.draw import FORMATS, WHAT, What, draw
+from poise.session.diagrams.draw import FORMATS, What, draw
 from poise.session.placing.placement import place
 from poise.session.profiles import profiled
 from poise.session.render.printable import console_to
@@ -27,11 +26,7 @@ _ON_STDOUT = "-"
 def draw_command(
     file: RobotFile,
     what: Annotated[
-        str | None,
-        typer.Option(
-            help=f"{', '.join(WHAT)}; else as the placements ask for.",
-            autocompletion=one_of(*WHAT),
-        ),
+        What | None, typer.Option(help="Else as the placements ask for.")
     ] = None,
     task: RobotTask = None,
     placement: Annotated[
@@ -70,12 +65,10 @@ def draw_command(
 
     poise draw robot.yaml --what transition --compare static,auto -o -
     """
-    if what is not None and what not in WHAT:
-        raise UsageError(f"--what {what}: it is one of {', '.join(WHAT)}")
     if placement is not None and compare is not None:
         raise UsageError("--placement and --compare together: --compare names them all")
     names = [n.strip() for n in (compare or placement or "").split(",") if n.strip()]
-    chosen = what or ("deployment" if names else "components")
+    chosen: What = what or ("deployment" if names else "components")
     if chosen != "components" and not names:
         names = ["static", "auto"] if chosen == "transition" else ["auto"]
     console = console_to(stderr=True)
@@ -83,9 +76,7 @@ def draw_command(
     for sentence in found.says:
         console.print(sentence)
     robot = found.robot
-    drawing = draw(
-        robot, cast("What", chosen), _placements(robot, task, names), task=task
-    )
+    drawing = draw(robot, chosen, _placements(robot, task, names), task=task)
     if output == _ON_STDOUT:
         sys.stdout.write(drawing.text())
         return

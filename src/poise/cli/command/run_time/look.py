@@ -12,13 +12,13 @@ import typer
 import yaml
 
 from poise.cli.command.run_time.running_robot import Robot
-from poise.cli.completion import one_of, running
+from poise.cli.completion import running
 from poise.cli.options import AsJson, print_json
 from poise.errors import UsageError
 from poise.manage.agent_connections.statuses import connectors_of
 from poise.session.render.listing import listing
 from poise.session.render.printable import console_to
-from poise.session.running_robots.local_robots import THINGS, names_of, robots_here
+from poise.session.running_robots.local_robots import Thing, names_of, robots_here
 from poise.session.running_robots.rates import Rate
 from poise.session.running_robots.running import Running
 from poise.units import format_bytes
@@ -35,11 +35,7 @@ Connector = Annotated[
 
 def list_command(
     what: Annotated[
-        str | None,
-        typer.Argument(
-            help=f"Only names, a line each: {', '.join(THINGS)}.",
-            autocompletion=one_of(*THINGS),
-        ),
+        Thing | None, typer.Argument(help="Only names of these, a line each.")
     ] = None,
     robot: Robot = None,
     as_json: AsJson = False,
@@ -52,8 +48,6 @@ def list_command(
 
     poise list connectors
     """
-    if what is not None and what not in THINGS:
-        raise UsageError(f"'{what}': it is one of {', '.join(THINGS)}")
     robots = robots_here(robot)
     if as_json:
         print_json(robots)
