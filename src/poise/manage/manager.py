@@ -95,7 +95,6 @@ class Manager:
         adapts: bool = False,
         aside: str = "",
         keep: Callable[[Seen], object] | None = None,
-        explore: bool = False,
     ) -> None:
         self._run = run
         self._estimates = estimates
@@ -112,7 +111,7 @@ class Manager:
         self._lost = LostComputers(run)
         self._misses = DeadlineMisses()
         self._ages = ChainAges()
-        self.tasks = TaskManager(run, tasks, self._facts, explore=explore)
+        self.tasks = TaskManager(run, tasks, self._facts)
         self._put_aside = PutAside(run, self.tasks.now, aside)
         if aside:
             self._put_aside.look()

@@ -18,15 +18,12 @@ from poise.manage.deploy.running_components import ACTIVE_LIMIT, READY_LIMIT, Ru
 from poise.wire.records.status import State
 
 
-def prepare(run: Run, placement: Mapping[str, str], *, gently: bool = True) -> None:
+def prepare(run: Run, placement: Mapping[str, str]) -> None:
     """Let components be prepared on computers; return before they are.
 
     What is prepared elsewhere is dropped there; what is at work stays as it is.
 
-    Parameters
-    ----------
-    gently
-        Whether they take only the CPU time that others leave.
+    They take only the CPU time that others leave.
 
     Raises
     ------
@@ -36,7 +33,7 @@ def prepare(run: Run, placement: Mapping[str, str], *, gently: bool = True) -> N
     before = dict(run.prepared)
     for name, computer in placement.items():
         if name not in run.placed:
-            run.prepared[name] = _prepared(run, name, computer, gently=gently)
+            run.prepared[name] = _prepared(run, name, computer, gently=True)
     try:
         run.tell(run.placed.values())
     except RunError:

@@ -53,8 +53,6 @@ class TaskManager:
         What was started already; it is changed.
     facts
         Returns what is known now.
-    explore
-        Whether alternatives are tried in proportion to what they promise.
 
     Attributes
     ----------
@@ -67,12 +65,10 @@ class TaskManager:
         run: Run,
         saved: Saved,
         facts: Callable[[], Facts],
-        *,
-        explore: bool = False,
     ) -> None:
         self._run = run
         self._facts = facts
-        self._explore = explore or run.robot.explore
+        self._explore = run.robot.explore
         self.tasks = Tasks(run.robot, self._say, self._choose, saved)
         self._plans = PlanOverTime(run.robot)
         self._serving = Serving(run)

@@ -120,11 +120,11 @@ class Tasks:
             raise UsageError(f"task '{name}' is {record.state}, not paused")
         self._enter(record, "waiting", now, "it is resumed")
 
-    def cancel(self, name: str, now: float, why: str = "it was asked") -> None:
+    def cancel(self, name: str, now: float) -> None:
         """End a task; UsageError when it does not run."""
         record = self.find(name)
         self._rest(record, now)
-        self._enter(record, "cancelled", now, why)
+        self._enter(record, "cancelled", now, "it was asked")
 
     def find(self, name: str) -> TaskRecord:
         """Return a task that is not over; UsageError when there is none."""

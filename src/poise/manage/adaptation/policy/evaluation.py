@@ -69,11 +69,6 @@ class Policies:
         self._acted: dict[Key, float] = {}
         self.since: Mapping[Key, float] = {}
 
-    @property
-    def has_functions(self) -> bool:
-        """Whether one has a function of its own, which sees everything."""
-        return bool(self._functions)
-
     def troubles(self) -> tuple[str, ...]:
         """Return what is wrong with functions, for people."""
         return tuple(

@@ -78,9 +78,7 @@ class PutAside:
         self._held: set[str] = set()
         self._hold_at = 0.0
 
-    def put(
-        self, names: Iterable[str], why: str, now: float, *, force: bool = False
-    ) -> bool:
+    def put(self, names: Iterable[str], why: str, now: float) -> bool:
         """Stop architectures; return whether that went well.
 
         Their state is lost.
@@ -89,8 +87,6 @@ class PutAside:
         ----------
         why
             A clause for people: "container 'camera' crashes again and again".
-        force
-            Whether also reactive and deliberative ones are; only people may ask so.
 
         Raises
         ------
@@ -101,7 +97,7 @@ class PutAside:
         components: dict[str, str] = {}
         for name in names:
             architecture = _architecture(run.robot, name)
-            if architecture.layer != "sequencing" and not force:
+            if architecture.layer != "sequencing":
                 raise UsageError(
                     f"architecture '{name}' is in the {architecture.layer} layer, "
                     "which Poise never puts aside"

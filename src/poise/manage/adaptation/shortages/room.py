@@ -18,15 +18,12 @@ Homes = Mapping[str, tuple[str, ...]]
 
 
 def placed_beside(
-    facts: Facts, homes: Homes, *, fewer: bool = False, is_cautious: bool = False
+    facts: Facts, homes: Homes, *, is_cautious: bool = False
 ) -> plan.Result:
     """Return where components fit; those without homes do not count.
 
     Parameters
     ----------
-    fewer
-        Whether architectures of the sequencing layer are put aside by priority when not
-        all fit: the result names them.
     is_cautious
         Whether other programs are reckoned to want more on every computer, so that what
         is started now need not be stopped again.
@@ -43,7 +40,7 @@ def placed_beside(
         for bundle in problem.architectures
     )
     problem = replace(problem, architectures=bundles)
-    return plan.solve(problem, budget=SOLVE_FOR, fewer=fewer)
+    return plan.solve(problem, budget=SOLVE_FOR)
 
 
 def room_for_components(
