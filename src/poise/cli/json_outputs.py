@@ -16,7 +16,6 @@ from poise.cli.command.run_time.demo import DemoReport
 from poise.cli.command.run_time.emulate import ListedSet
 from poise.errors import FileProblem
 from poise.estimate.profile import Profile
-from poise.estimate.success.learning import Belief
 from poise.manage.adaptation.what_if import WhatIf
 from poise.manage.control_socket.records import Rebalanced, RobotStatus
 from poise.manage.journal import JournalEntry
@@ -28,6 +27,7 @@ from poise.plan.phases.result import PlainPhases
 from poise.plan.result import PlainResult
 from poise.session.calibration.calibrate import Calibration
 from poise.session.experiment.summary import ExperimentReport
+from poise.session.placing.repository import Described, Listed
 from poise.session.reports.run_report import RunReport
 from poise.session.running_robots.local_robots import Robots
 from poise.session.running_robots.rates import Rate
@@ -105,28 +105,6 @@ class Smallest(TypedDict):
     tasks: Mapping[str, PlannedPhases]
 
 
-Listed = TypedDict(
-    "Listed",
-    {
-        "function": str,
-        "architecture": str,
-        "from": str,
-        "package": str,
-        "layer": str,
-        "quality": float,
-        "hash": str,
-        "components": list[str],
-        "unused": str,
-    },
-)
-
-
-class Printable(Listed):
-    """An architecture of `poise repository show`."""
-
-    learned: list[Belief]
-
-
 _SCENES = [get_type_hints(play)["return"] for _, play in SCENES.values()]
 OUTPUTS: Mapping[str, Sequence[Any]] = {
     "check": [Checked],
@@ -138,7 +116,7 @@ OUTPUTS: Mapping[str, Sequence[Any]] = {
     "policy": [list[Policy], list[Fired]],
     "repository": [list[Listed]],
     "repository list": [list[Listed]],
-    "repository show": [Printable],
+    "repository show": [Described],
     "run": [RunReport],
     "demo": [DemoReport, ExperimentReport, *_SCENES],
     "emulate list": [list[ListedSet]],

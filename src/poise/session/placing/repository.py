@@ -8,15 +8,15 @@ from msgspec import Struct
 
 from poise.errors import FileProblem, RobotError
 from poise.estimate.architecture_hash import hash_of
-from poise.estimate.success.learning import hash_in
+from poise.estimate.success.learning import Belief, hash_in
 from poise.manage.journal import Journal
 from poise.model.load import load_source
 from poise.model.repository import search
-from poise.model.robot import Architecture, Robot
+from poise.model.robot import Architecture, Layer, Robot
 from poise.session.placing.placement import Placement
 
 
-class Listed(Struct, frozen=True, kw_only=True):
+class Listed(Struct, frozen=True, kw_only=True, rename={"where": "from"}):
     """An architecture that a robot has, or could have from the repository.
 
     Parameters
@@ -32,11 +32,20 @@ class Listed(Struct, frozen=True, kw_only=True):
     """
 
     function: str
-    architecture: Architecture
+    architecture: str
     where: str
     package: str
+    layer: Layer
+    quality: float
     hash: str
+    components: tuple[str, ...]
     unused: str = ""
+
+
+class Described(Listed, frozen=True, kw_only=True):
+    """The same, with how often actions succeeded with it."""
+
+    learned: tuple[Belief, ...]
 
 
 def listed(file: Path | None) -> list[Listed]:
@@ -99,9 +108,12 @@ def note_architectures(journal: Journal, robot: Robot, placement: Placement) -> 
 def _row(a: Architecture, where: str, unused: str, folders: tuple[str, ...]) -> Listed:
     return Listed(
         function=a.function,
-        architecture=a,
+        architecture=a.name,
         where=where,
         package=a.package,
+        layer=a.layer,
+        quality=a.quality,
         hash=hash_of(a, folders),
+        components=tuple(component.name for component in a.components),
         unused=unused,
     )

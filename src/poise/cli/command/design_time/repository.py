@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from msgspec import structs
 from rich.console import Console
 from rich.markup import escape
 
@@ -13,7 +14,7 @@ from poise.cli.options import AsJson, RobotFile, print_json
 from poise.errors import UsageError
 from poise.estimate.success.learning import Belief, beliefs_about, forget
 from poise.model.load import load
-from poise.session.placing.repository import Listed, listed
+from poise.session.placing.repository import Described, Listed, listed
 from poise.session.render.printable import console_to
 from poise.session.render.shared_tables.columns import table
 from poise.suggest import unknown
@@ -41,7 +42,7 @@ def list_command(file: AnyFile = None, as_json: AsJson = False) -> None:
     """
     rows = listed(file)
     if as_json:
-        print_json([_plain(row) for row in rows])
+        print_json(rows)
     elif rows:
         _show_list(rows, console_to())
     else:
@@ -58,13 +59,13 @@ def show_command(name: Name, file: AnyFile = None, as_json: AsJson = False) -> N
     poise repository show laser_navigator robot.yaml
     """
     rows = listed(file)
-    row = next((row for row in rows if row.architecture.name == name), None)
+    row = next((row for row in rows if row.architecture == name), None)
     if row is None:
-        names = [row.architecture.name for row in rows]
+        names = [row.architecture for row in rows]
         raise UsageError(unknown("architecture", name, names))
     beliefs = [] if file is None or row.unused else beliefs_about(load(file), name)
     if as_json:
-        print_json({**_plain(row), "learned": beliefs})
+        print_json(Described(**structs.asdict(row), learned=tuple(beliefs)))
     else:
         _show(row, beliefs, console_to())
 
@@ -80,39 +81,24 @@ def reset_command(name: Name, file: RobotFile) -> None:
     console_to().print(f"{counted(count, 'outcome')} of '{name}' forgotten")
 
 
-def _plain(row: Listed) -> dict[str, object]:
-    return {
-        "function": row.function,
-        "architecture": row.architecture.name,
-        "from": row.where,
-        "package": row.package,
-        "layer": row.architecture.layer,
-        "quality": row.architecture.quality,
-        "hash": row.hash,
-        "components": [c.name for c in row.architecture.components],
-        "unused": row.unused,
-    }
-
-
 def _show_list(rows: list[Listed], console: Console) -> None:
     shown = table("function", "architecture", "quality", "hash", "from", folds=4)
     for row in rows:
-        a = row.architecture
         source = f"{row.where} ({row.package})" if row.package else row.where
         unused = f"\nnot used: {row.unused}" if row.unused else ""
-        shown.add_row(
-            a.function, a.name, f"{a.quality:g}", row.hash, escape(source + unused)
-        )
+        quality = f"{row.quality:g}"
+        where = escape(source + unused)
+        shown.add_row(row.function, row.architecture, quality, row.hash, where)
     console.print(shown)
 
 
 def _show(row: Listed, beliefs: list[Belief], console: Console) -> None:
-    a = row.architecture
+    what = f"{row.architecture} provides {row.function}"
     for sentence in (
-        f"{a.name} provides {a.function}, quality {a.quality:g}, {a.layer} layer",
+        f"{what}, quality {row.quality:g}, {row.layer} layer",
         f"from {row.where}" + (f", package {row.package}" if row.package else ""),
         f"hash {row.hash}",
-        f"components: {', '.join(c.name for c in a.components)}",
+        f"components: {', '.join(row.components)}",
         *((f"not used: {row.unused}",) if row.unused else ()),
     ):
         console.print(escape(sentence), highlight=False)
