@@ -100,7 +100,7 @@ class Mind(Component):
     def restore(self, state: bytes) -> None:
         self.heard = 0
 """
-BETWEEN = "memory.known -> mind.known", "mind.looking -> eye.looking"
+BETWEEN = "memory.known-mind.known", "mind.looking-eye.looking"
 
 
 @pytest.fixture(name="folder")
@@ -132,7 +132,7 @@ def test_measures_shared_isolated_and_command_line_components(
     timer = mind.timers["think"]
     assert timer.period == 0.1
     assert 0.005 <= timer.median <= timer.p99 * 1.05 <= timer.maximum * 1.1
-    kept = profile.connectors["mind.archive -> archive.archive"]
+    kept = profile.connectors["mind.archive-archive.archive"]
     assert kept.calls > 0
     # 1000 characters there and a number back, and the heads of both
     assert 1000 < kept.size < 1200

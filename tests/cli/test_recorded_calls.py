@@ -97,7 +97,7 @@ def test_calls_are_recorded_and_played(tmp_path: Path, poise: Poise) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     profile = profile_file.read(tmp_path / "profile.yaml")
     assert set(profile.components) == {"sage"}
-    played = profile.connectors["two.questions -> sage.questions"]
+    played = profile.connectors["two.questions-sage.questions"]
     # both at 20 Hz but for the pause after each round; the machine may be late
     assert 0 < played.calls < 45
     assert 0 < played.messages < 45

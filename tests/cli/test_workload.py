@@ -105,10 +105,8 @@ def test_who_was_recorded_need_not_run(robot: Robot, folder: Path) -> None:
     rig = rig_of(busy, "thinking", "main", apart=False)
     assert rig.feeding == ()
     assert rig.placement == {"mind": "main", PLAYER: OTHERS}
-    assert [str(c) for c in rig.robot.connectors] == [
-        f"{PLAYER}.output_0 -> mind.heard"
-    ]
-    assert rig.played == {"ear.heard -> mind.heard": f"{PLAYER}.output_0 -> mind.heard"}
+    assert [str(c) for c in rig.robot.connectors] == [f"{PLAYER}.output_0-mind.heard"]
+    assert rig.played == {"ear.heard-mind.heard": f"{PLAYER}.output_0-mind.heard"}
 
 
 def test_what_is_generated_wins_over_what_was_recorded(
@@ -176,7 +174,7 @@ def test_measures_on_what_was_recorded_and_on_what_is_made_up(
         done = poise(*measure)
         assert done.returncode == 0, done.stdout + done.stderr
         profile = profile_file.read(folder / "profile.yaml")
-        found[workload] = profile.connectors["ear.heard -> mind.heard"]
+        found[workload] = profile.connectors["ear.heard-mind.heard"]
     played_, made = found.values()
     # 20 Hz but for the pause after each round; how late they come is the machine's
     assert 0 < played_.messages < 22

@@ -34,7 +34,7 @@ PROFILE = Profile(
         ),
         "mind": ComponentProfile(version="2", cpu=Distribution(mean=0.3), stable=False),
     },
-    connectors={"eye.x -> mind.x": ConnectorProfile(messages=10.0, size=1000.0)},
+    connectors={"eye.x-mind.x": ConnectorProfile(messages=10.0, size=1000.0)},
 )
 EMPTY = Profile(robot="r", poise="", computer="a", speed=1.0, at="", seconds=1.0)
 BEGINNINGS = {".svg": b"<?xml", ".png": b"\x89PNG", ".pdf": b"%PDF"}
@@ -44,16 +44,16 @@ BEGINNINGS = {".svg": b"<?xml", ".png": b"\x89PNG", ".pdf": b"%PDF"}
 @pytest.mark.parametrize("ending", BEGINNINGS)
 def test_the_name_says_the_format(tmp_path: Path, ending: str) -> None:
     path = tmp_path / f"profile{ending}"
-    plot_profile(PROFILE, {"eye.x -> mind.x": 0.1}, path)
+    plot_profile(PROFILE, {"eye.x-mind.x": 0.1}, path)
     assert path.read_bytes().startswith(BEGINNINGS[ending])
 
 
 @pytest.mark.slow
 def test_names_components_timers_and_connectors(tmp_path: Path) -> None:
     path = tmp_path / "profile.svg"
-    plot_profile(PROFILE, {"eye.x -> mind.x": 0.1}, path)
+    plot_profile(PROFILE, {"eye.x-mind.x": 0.1}, path)
     texts = {(e.text or "").strip() for e in ET.parse(path).iter() if e.text}
-    shown = {"eye", "mind", "eye.look", "eye.x -> mind.x", "p99 of 100 ms", "demand"}
+    shown = {"eye", "mind", "eye.look", "eye.x-mind.x", "p99 of 100 ms", "demand"}
     assert shown <= texts
     assert "CPU; not stable: mind" in texts
 

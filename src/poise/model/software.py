@@ -165,7 +165,8 @@ class Connector(Struct, frozen=True, kw_only=True):
         return self.traffic / 1e6 if self.overhead is None else self.overhead
 
     def __str__(self) -> str:
-        return f"{self.between[0]} -> {self.between[1]}"
+        """Return its name, at run time, too."""
+        return f"{self.between[0]}-{self.between[1]}"
 
 
 class Architecture(Struct, frozen=True, kw_only=True):

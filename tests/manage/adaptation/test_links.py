@@ -112,7 +112,7 @@ def test_one_end_of_a_cut_link_moves_to_where_both_are_reached(
         ["middle", "right"],
     )
     assert found.why.startswith(
-        "link 'left-right' is cut, and 'a.out -> b.in' crosses it; 1 step: "
+        "link 'left-right' is cut, and 'a.out-b.in' crosses it; 1 step: "
     )
 
 
@@ -123,7 +123,7 @@ def test_nothing_moves_when_there_is_no_way_round_a_cut_link(
     found = decide(alone, {}, {})
     assert not found.acts
     assert found.why.startswith(
-        "it stays as it is: link 'left-right' is cut, and 'a.out -> b.in' crosses it; "
+        "it stays as it is: link 'left-right' is cut, and 'a.out-b.in' crosses it; "
     )
 
 

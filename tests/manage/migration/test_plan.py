@@ -141,9 +141,9 @@ def test_the_alternatives_of_a_connector_share_a_slot() -> None:
     robot = _alternatives()
     layout = DeploymentPlan(robot, "/run")
     slots = {str(each): layout.slot_of(each) for each in robot.connectors}
-    assert slots["source.calls -> c.port"] == slots["source.calls -> a.port"]
+    assert slots["source.calls-c.port"] == slots["source.calls-a.port"]
     # what comes from different components is not the same
-    assert slots["c.out -> sink.in"] != slots["b.out -> sink.in"]
+    assert slots["c.out-sink.in"] != slots["b.out-sink.in"]
 
 
 def test_what_was_buffered_for_one_goes_to_the_alternative() -> None:

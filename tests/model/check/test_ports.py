@@ -47,7 +47,7 @@ architectures:
         ),
         (
             "{between: [drive.walls, map.walls]}, {between: [▸drive.walls, free]}",
-            ["'drive.walls' requires one provider", "drive.walls -> free"],
+            ["'drive.walls' requires one provider", "drive.walls-free"],
         ),
     ],
 )
@@ -93,4 +93,4 @@ def test_a_required_port_may_be_joined_to_alternatives(
     refuse(robot.replace("FUNCTION", "g"), "requires one provider", "same function")
     within = TO_BOTH.replace("plan.walls", "sketch.walls")
     robot = ALTERNATIVES.replace("FUNCTION", "f").replace("CONNECTORS", within)
-    refuse(robot, "requires one provider", "drive.walls -> sketch.walls")
+    refuse(robot, "requires one provider", "drive.walls-sketch.walls")

@@ -120,7 +120,7 @@ def test_tells_memory_of_components_and_what_they_share() -> None:
 
 def test_rates_are_those_of_use_and_sizes_those_of_the_wire() -> None:
     found = figures(SUBJECT, [observed(0.1)], apart()).connectors
-    assert found == {"eye.x -> mind.x": ConnectorProfile(messages=10.0, size=500.0)}
+    assert found == {"eye.x-mind.x": ConnectorProfile(messages=10.0, size=500.0)}
 
 
 def test_weighs_snapshots_and_counts_cpu_of_the_reference() -> None:

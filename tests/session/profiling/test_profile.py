@@ -62,7 +62,7 @@ def test_a_component_without_messages_is_said_and_not_recorded(tmp_path: Path) -
     assert found.unrecorded == ["mind"]
     written = profile_file.read(tmp_path / "profile.yaml")
     assert set(written.components) == {"blind", "clock"}
-    assert set(written.connectors) == {"clock.now -> mind.now"}
+    assert set(written.connectors) == {"clock.now-mind.now"}
 
 
 @pytest.mark.slow

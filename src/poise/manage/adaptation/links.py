@@ -80,7 +80,7 @@ def link_values(facts: Facts) -> Iterator[LinkValues]:
     """Yield what policies may ask of links."""
     traffic: dict[frozenset[str | None], float] = {}
     for connector in facts.robot.all_connectors():
-        now = facts.traffic.get(_key(connector))
+        now = facts.traffic.get(str(connector))
         if now is not None:
             ends = _ends(connector, facts.placement)
             carried = now.size * (now.calls + now.messages)
@@ -131,7 +131,7 @@ def wasted(
     """
     shares: dict[str, float] = {}
     for connector, state in crossing(facts, placement, bad):
-        now = facts.traffic.get(_key(connector))
+        now = facts.traffic.get(str(connector))
         rate = max(connector.rate, now.calls + now.messages if now else 0.0)
         for end in connector.between:
             before = shares.get(end.component, 0.0)
@@ -200,10 +200,6 @@ def beyond_cuts(
                 if at in other:
                     found.setdefault(name, set()).add(other[at])
     return found
-
-
-def _key(connector: Connector) -> str:
-    return f"{connector.between[0]}-{connector.between[1]}"
 
 
 def _ends(connector: Connector, placement: Mapping[str, str]) -> frozenset[str | None]:

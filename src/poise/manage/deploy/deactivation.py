@@ -11,7 +11,6 @@ from poise.manage.agent_connections.statuses import (
     components_of,
     connectors_of,
 )
-from poise.manage.deploy.deployment_plan import name_of
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import Run
 from poise.manage.deploy.topological_order import levels
@@ -112,7 +111,7 @@ def unprocessed(run: Run, targets: Collection[str]) -> dict[str, int]:
     for end in connectors_of(run.agents.statuses()):
         ends.setdefault(end.name, []).append(end)
     wanted = {
-        name_of(connector): connector.between[1].component
+        str(connector): connector.between[1].component
         for connector in run.layout.connectors(run.placed)
     }
     left = {name: _left(same) for name, same in ends.items()}

@@ -167,7 +167,7 @@ class DeploymentPlan:
         The nth connector from a port to an architecture has the slot of the nth from
         there to its alternatives.
         """
-        return self._slots[name_of(connector)]
+        return self._slots[str(connector)]
 
     def joined(
         self,
@@ -186,7 +186,7 @@ class DeploymentPlan:
         first, second = connector.between
         slot = self.slot_of(connector)
         return ConnectorSpec(
-            name=name_of(connector),
+            name=str(connector),
             slot=slot,
             kind=kind,
             source=source.component,
@@ -281,12 +281,6 @@ class DeploymentPlan:
                         yield self.joined(connector, source, target, gateways)
 
 
-def name_of(connector: Connector) -> str:
-    """Return the name that a connector has at run time."""
-    source, target = connector.between
-    return f"{source}-{target}"
-
-
 def _ends(robot: Robot) -> dict[str, tuple[str, ...]]:
     """Return the ports of each component that end actions."""
     ends: dict[str, tuple[str, ...]] = {}
@@ -322,7 +316,7 @@ def _chains_over(
     answers: dict[str, dict[str, None]] = {}
     for connector in robot.all_connectors():
         source, target = (end.component for end in connector.between)
-        slot = slots[name_of(connector)]
+        slot = slots[str(connector)]
         for chain in robot.chains:
             hops = set(pairwise(chain.through))
             if (source, target) in hops:
@@ -346,7 +340,7 @@ def _slots(robot: Robot) -> dict[str, str]:
         there = homes[target.component]
         rank = counts[source, there.name]
         counts[source, there.name] += 1
-        name = name_of(connector)
+        name = str(connector)
         slots[name] = first.setdefault((source, there.function, rank), name)
     return slots
 

@@ -21,7 +21,7 @@ from poise.manage.agent_connections.statuses import (
     missing,
     unreached,
 )
-from poise.manage.deploy.deployment_plan import DeploymentPlan, name_of
+from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.journal import Journal
 from poise.manage.observe.faults import fault_sentence, faults_after, last_numbers
@@ -342,7 +342,7 @@ class Run:
         """Return the connectors that have an end on an excused computer."""
         away = {n for n, each in self.placed.items() if each.computer in self.excused}
         return {
-            name_of(connector)
+            str(connector)
             for connector in self.layout.connectors(self.placed)
             if not away.isdisjoint(end.component for end in connector.between)
         }

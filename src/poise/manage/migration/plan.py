@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
 
-from poise.manage.deploy.deployment_plan import DeploymentPlan, name_of
+from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.topological_order import levels
 from poise.model.robot import Connector
@@ -138,7 +138,7 @@ class MigrationPlan:
 
     def _buffer(self) -> Round:
         return [
-            (sender, Step("buffer", connectors=tuple(map(name_of, connectors))))
+            (sender, Step("buffer", connectors=tuple(map(str, connectors))))
             for sender, connectors in self._by_container(self._from)
         ]
 
@@ -166,7 +166,7 @@ class MigrationPlan:
             source, receiver = connector.between
             if source.component in self._sources or connector in self._from:
                 names = by_receiver.setdefault(receiver.component, [])
-                names.append(name_of(connector))
+                names.append(str(connector))
         for name, names in by_receiver.items():
             receiving = self._sources.get(name) or self._others[name]
             yield _step("drain channels", receiving, connectors=tuple(names))

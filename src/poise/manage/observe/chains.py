@@ -182,7 +182,7 @@ def _came(
     steps = set(pairwise(chain.through))
     for connector in robot.all_connectors():
         source, target = (end.component for end in connector.between)
-        name = f"{connector.between[0]}-{connector.between[1]}"
+        name = str(connector)
         if (source, target) in steps and (name, "target") in ends:
             yield target, ends[name, "target"]
         elif (target, source) in steps and (name, "source") in ends:

@@ -12,7 +12,7 @@ from poise.manage.agent_connections.statuses import (
     components_of,
     connectors_of,
 )
-from poise.manage.deploy.deployment_plan import DeploymentPlan, name_of
+from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.incarnation import Incarnation
 from poise.wire.records.status import AgentStatus, ComponentStatus, ContainerHealth
 
@@ -105,7 +105,7 @@ def find_unjoined(
         if connector.end == "source" and not connector.ready
     }
     for connector in layout.connectors(computers):
-        if (name := name_of(connector)) in unready:
+        if (name := str(connector)) in unready:
             source, target = (computers[end.component] for end in connector.between)
             what = f"connector '{name}' from '{source}' does not reach '{target}'"
             yield Deviation(what=what, computer=source, since=now)

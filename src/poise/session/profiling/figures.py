@@ -18,8 +18,7 @@ from poise.manage.agent_connections.statuses import (
     components_of,
     connectors_of,
 )
-from poise.manage.deploy.deployment_plan import name_of
-from poise.model.robot import Connector, Robot
+from poise.model.robot import Robot
 from poise.session.profiling.usage import MeasuredUsage
 from poise.wire.records.status import ComponentStatus, Summary
 
@@ -221,7 +220,7 @@ def _connectors(
     for connector in subject.robot.all_connectors():
         if connector.between[1].component not in subject.names:
             continue
-        key = _key(subject, connector)
+        key = subject.played.get(str(connector), str(connector))
         used = typical.measured.connectors.get(key)
         encoded = apart.measured.connectors.get(key)
         if used is not None and used.rate:
@@ -236,12 +235,6 @@ def _connectors(
                     largest=size.maximum,
                 ),
             )
-
-
-def _key(subject: Subject, connector: Connector) -> str:
-    """Return the run-time name of a connector, or of the replay's in its place."""
-    played = subject.played.get(str(connector))
-    return played.replace(" -> ", "-") if played else name_of(connector)
 
 
 def _sizes(statuses: Statuses) -> dict[str, Summary]:

@@ -13,7 +13,6 @@ from poise.manage.agent_connections.statuses import (
     connectors_of,
     located,
 )
-from poise.manage.deploy.deployment_plan import name_of
 from poise.model.robot import Connector, Robot
 from poise.wire.records.status import ErrorCount
 
@@ -126,7 +125,7 @@ def silent_ports(
     found = []
     for name in dict.fromkeys([*topics, *also]):
         leads = [c for c in robot.all_connectors() if str(c.between[1]) == name]
-        if not any(came.get(name_of(connector)) for connector in leads):
+        if not any(came.get(str(connector)) for connector in leads):
             reasons = [_reason(connector, running, sent) for connector in leads]
             reason = "; ".join(reasons) or "no connector leads to it"
             found.append(SilentPort(port=name, reason=reason))
@@ -137,7 +136,7 @@ def _reason(connector: Connector, running: set[str], sent: Mapping[str, int]) ->
     source = connector.between[0]
     if source.component not in running:
         return f"component '{source.component}', which publishes to it, does not run"
-    count = sent.get(name_of(connector), 0)
+    count = sent.get(str(connector), 0)
     if not count:
         return f"{source} published nothing"
     return f"{source} published {count}, and none arrived"
