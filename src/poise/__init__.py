@@ -36,13 +36,13 @@ if TYPE_CHECKING:
     from poise.runtime.component.ports import every as every
     from poise.runtime.component.ports import oneway as oneway
     from poise.runtime.component.ports import subscribed as subscribed
-    from poise.session.calibration.calibrate import Calibration as Calibration
-    from poise.session.calibration.calibrate import calibrate as calibrate
     from poise.session.diagrams.draw import Drawing as Drawing
     from poise.session.diagrams.draw import draw as draw
-    from poise.session.emulated import emulated as emulated
+    from poise.session.launch.emulated import emulated as emulated
     from poise.session.placing.placement import Placement as Placement
     from poise.session.placing.placement import place as place
+    from poise.session.profiling.calibrate import Calibration as Calibration
+    from poise.session.profiling.calibrate import calibrate as calibrate
     from poise.session.profiling.profile import Profiling as Profiling
     from poise.session.profiling.profile import profile as profile
     from poise.session.recordings.policy_events import PolicyEvent as PolicyEvent

@@ -14,9 +14,9 @@ from poise.emulate.starvation import StarvationWatch
 from poise.errors import RunError
 from poise.estimate.profile import Costs, KindCosts
 from poise.estimate.profile.store import Store
-from poise.session.calibration import calibrate as calibration
-from poise.session.calibration.calibrate import ComputerSpeed
-from poise.session.profiles import STORE
+from poise.session.profiling import calibrate as calibration
+from poise.session.profiling.calibrate import ComputerSpeed
+from poise.session.profiling.stored_profiles import STORE
 from tests.command import called
 
 HELLO = Path(__file__).parents[2] / "examples" / "hello"

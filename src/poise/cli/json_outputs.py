@@ -25,9 +25,9 @@ from poise.manage.tasks.report import TaskReport
 from poise.model.policy.policy import Policy
 from poise.plan.phases.result import PlainPhases
 from poise.plan.result import PlainResult
-from poise.session.calibration.calibrate import Calibration
 from poise.session.experiment.summary import ExperimentReport
 from poise.session.placing.repository import Described, Listed
+from poise.session.profiling.calibrate import Calibration
 from poise.session.reports.run_report import RunReport
 from poise.session.running_robots.local_robots import Robots
 from poise.session.running_robots.rates import Rate

@@ -12,7 +12,7 @@ from poise.model.load import Source, load_source
 from poise.model.robot import Robot
 from poise.runtime.isolated_check import check_code_isolated
 from poise.session.callbacks import Say, log, nothing
-from poise.session.profiles import profiled
+from poise.session.profiling.stored_profiles import profiled
 
 
 def check(file: str | PathLike[str]) -> tuple[FileProblem, ...]:

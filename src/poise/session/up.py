@@ -27,7 +27,7 @@ from poise.session.launch.start import Sampling, Started, started
 from poise.session.placing.first_phase import first_phase
 from poise.session.placing.placement import Placement
 from poise.session.placing.repository import note_architectures
-from poise.session.profiles import read_profile
+from poise.session.profiling.stored_profiles import read_profile
 from poise.session.robot_file import task_of
 from poise.session.running_robots.running import Running
 from poise.wire.records.recorded import Recorded

@@ -1,1 +1,1 @@
-"""Starts a robot on its computers, and leaves nothing behind."""
+"""Gives a robot its computers, starts it there, and leaves nothing behind."""

@@ -1,1 +1,1 @@
-"""Measures what components need, each architecture alone."""
+"""Measures what components need, and how fast computers and connectors are."""

@@ -19,7 +19,6 @@ from poise.estimate.profile.code_version import version_of
 from poise.manage.agent_connections.statuses import components_of
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
-from poise.session.profiles import check_keepable, read_profile, store_of
 from poise.session.profiling.figures import (
     Figures,
     Observed,
@@ -29,6 +28,11 @@ from poise.session.profiling.figures import (
 )
 from poise.session.profiling.measurement import Tick, measure_alone
 from poise.session.profiling.rig import EMPTY, ProfilingRig, rig_of
+from poise.session.profiling.stored_profiles import (
+    check_keepable,
+    read_profile,
+    store_of,
+)
 from poise.session.reports.run_errors import silent_ports
 
 Progress = Callable[[str, float], AbstractContextManager[Tick]]

@@ -11,7 +11,7 @@ from poise.manage.observe.estimates import DemandEstimate, Estimates
 from poise.manage.observe.recording import load
 from poise.model.robot import Robot
 from poise.session.callbacks import Say, log
-from poise.session.profiles import read_profile
+from poise.session.profiling.stored_profiles import read_profile
 from poise.session.recordings.export import Which, export, rows
 
 if TYPE_CHECKING:

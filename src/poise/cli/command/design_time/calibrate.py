@@ -12,7 +12,7 @@ from poise.cli.interrupts import Interrupts
 from poise.cli.options import AsJson, RobotFile, parse_option, print_json
 from poise.errors import RunError
 from poise.model.robot import Robot
-from poise.session.calibration.calibrate import Calibration, calibrate
+from poise.session.profiling.calibrate import Calibration, calibrate
 from poise.session.render.printable import console_to
 from poise.session.render.shared_tables.columns import table
 from poise.session.robot_file import load_bare

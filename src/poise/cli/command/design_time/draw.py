@@ -15,7 +15,7 @@ from poise.model import load
 from poise.model.robot import Robot
 from poise.session.diagrams.draw import FORMATS, What, draw
 from poise.session.placing.placement import place
-from poise.session.profiles import profiled
+from poise.session.profiling.stored_profiles import profiled
 from poise.session.render.printable import console_to
 from poise.session.running_robots.running import Running
 

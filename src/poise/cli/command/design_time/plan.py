@@ -20,7 +20,7 @@ from poise.estimate.success.learning import actions_in, learned
 from poise.model import load
 from poise.model.robot import Robot
 from poise.session.placing.placement import ALL, has_order, ruled
-from poise.session.profiles import profiled
+from poise.session.profiling.stored_profiles import profiled
 from poise.session.render.plan import (
     show,
     show_comparison,

@@ -17,9 +17,9 @@ from poise.errors import RobotError
 from poise.estimate.overhead import overheads
 from poise.estimate.profile import Profile
 from poise.model.robot import Robot
-from poise.session.profiles import read_profile, stale, store_of
 from poise.session.profiling.measurement import Tick
 from poise.session.profiling.profile import Profiling, profile
+from poise.session.profiling.stored_profiles import read_profile, stale, store_of
 from poise.session.profiling.write_demands import write_demands
 from poise.session.render.printable import console_to
 from poise.session.render.profile import history_table, show_profile

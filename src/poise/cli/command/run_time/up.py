@@ -79,7 +79,7 @@ def up_command(
     with Printer() as printer, log_printer():
         say = printer.print
         robot = load(file, say=say, meanwhile=_import_the_rest)
-        from poise.session.detached import up_detached
+        from poise.session.launch.detached import up_detached
         from poise.session.placing.placement import place
         from poise.session.up import up
 

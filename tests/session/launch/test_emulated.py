@@ -22,7 +22,7 @@ from tests.waiting import LONG, wait_long, wait_until
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(LONG)]
 
-HELLO = Path(__file__).parents[2] / "examples" / "hello"
+HELLO = Path(__file__).parents[3] / "examples" / "hello"
 ECHO = """
 import socket, sys
 with socket.create_server((sys.argv[1], 0)) as server:

@@ -16,11 +16,15 @@ from poise.manage.journal import Journal
 from poise.manage.observe.recording import Recording
 from poise.model.robot import Robot
 from poise.runtime.workload.calibration import SCORES
-from poise.session.calibration.costs import costs_of
-from poise.session.calibration.robots import pairs, yardsticks
 from poise.session.callbacks import Check, nothing
 from poise.session.launch.start import Sampling, started
-from poise.session.profiles import check_keepable, read_profile, store_of
+from poise.session.profiling.calibration_robots import pairs, yardsticks
+from poise.session.profiling.connector_costs import costs_of
+from poise.session.profiling.stored_profiles import (
+    check_keepable,
+    read_profile,
+    store_of,
+)
 
 _WARM_UP = 1.0
 _SPREAD = 0.05

@@ -2,7 +2,7 @@
 
 import pytest
 
-from poise.session.calibration.calibrate import _doubt
+from poise.session.profiling.calibrate import _doubt
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,14 @@ from msgspec import Struct
 
 from poise.errors import RunError
 from poise.estimate.profile import Costs, KindCosts
-from poise.session.calibration.robots import EMPTY, KINDS, PAIRS, SIZES, TICKING, Pair
+from poise.session.profiling.calibration_robots import (
+    EMPTY,
+    KINDS,
+    PAIRS,
+    SIZES,
+    TICKING,
+    Pair,
+)
 from poise.wire.records.samples import AgentSample, ContainerSample
 
 

@@ -10,7 +10,7 @@ from poise.estimate.profile.code_version import version_of
 from poise.estimate.profile.distribution import Distribution
 from poise.model import load
 from poise.model.robot import Robot
-from poise.session.profiles import profiled, stale
+from poise.session.profiling.stored_profiles import profiled, stale
 from poise.session.profiling.write_demands import write_demands
 
 TEXT = """\

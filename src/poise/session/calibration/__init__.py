@@ -1,1 +1,0 @@
-"""Measures how fast computers are, and what connectors cost."""
