@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from poise.wire.connections.blocks import loan as loan
 else:
     _HOMES = {
-        "Calibration": "session.calibration.calibrate",
+        "Calibration": "session.profiling.calibrate",
         "CallError": "errors",
         "CalleeError": "errors",
         "Component": "runtime.component.component",
@@ -95,11 +95,11 @@ else:
         "Timeout": "errors",
         "Unavailable": "errors",
         "UsageError": "errors",
-        "calibrate": "session.calibration.calibrate",
+        "calibrate": "session.profiling.calibrate",
         "check": "session.robot_file",
         "connect": "session.running_robots.running",
         "draw": "session.diagrams.draw",
-        "emulated": "session.emulated",
+        "emulated": "session.launch.emulated",
         "every": "runtime.component.ports",
         "load": "session.robot_file",
         "loan": "wire.connections.blocks",

@@ -49,7 +49,7 @@ def test_an_outcome_that_was_rolled_back_is_json_too(
         downtime=0.0,
     )
     monkeypatch.setattr(
-        "poise.session.running_robots.running.send_command", lambda *_: report
+        "poise.manage.control_socket.client.send_command", lambda *_: report
     )
     with pytest.raises(typer.Exit):
         move_command("eye", "b", as_json=True)

@@ -323,7 +323,7 @@ def ring(*classes: str) -> tuple[str, str]:
 @pytest.mark.parametrize("classes", [["Round"] * 2, ["Round"] * 4, ["Filling"] * 3])
 def test_refuses_calls_that_go_round(check: Check, classes: list[str]) -> None:
     (problem,) = check(*ring(*classes))
-    last = f"c{len(classes) - 1}.out -> c0.into"
+    last = f"c{len(classes) - 1}.out-c0.into"
     assert "calls form a cycle: c0.out-c1.into" in problem.message
     assert f"called over {last} one-way" in problem.message
     assert problem.line == 9 + 2 * len(classes) + 2  # the last connector's

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from poise.manage.adaptation.decision import decide, shortage
+from poise.manage.adaptation.decision import decide
+from poise.manage.migration.residue import missing_cpu
 from poise.manage.observe.chains import ChainAge
 from poise.model.robot import Robot
 from poise.wire.records.status import AgentStatus, ComponentStatus, ContainerStatus
@@ -65,7 +66,8 @@ def test_what_is_reserved_is_no_room(two: Robot) -> None:
     computers = tuple(replace(c, reserve={"cpu": 0.5}) for c in two.computers)
     robot = replace(two, computers=computers)
     both = {"a": "left", "b": "left"}
-    assert shortage(robot, both, computers) == pytest.approx(0.4 - 0.25)
+    missing = sum(missing_cpu(robot, both).values())
+    assert missing == pytest.approx(0.4 - 0.25)
 
 
 LATE = ChainAge(

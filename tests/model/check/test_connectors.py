@@ -27,7 +27,7 @@ architectures:
         ("{between: [a, ▸bb]}", ["no component 'bb'", "'a', 'b', 'c', 'd'"]),
         ("{between: [a, ▸d]}", ["'d' is not in architecture 'nav'", "`connectors`"]),
         ("▸{between: [a.x, a.y]}", ["a.x-a.y joins a component to itself"]),
-        ("▸{between: [a, b]}", ["the connector a -> b is defined twice"]),
+        ("▸{between: [a, b]}", ["the connector a-b is defined twice"]),
     ],
 )
 def test_refuses_a_connector(refuse: Refuse, connector: str, words: list[str]) -> None:

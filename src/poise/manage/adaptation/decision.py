@@ -27,9 +27,10 @@ from poise.manage.adaptation.links import (
 )
 from poise.manage.adaptation.replan import Proposal, propose, with_present_demands
 from poise.manage.agent_connections.statuses import components_of
+from poise.manage.migration.residue import missing_cpu
 from poise.manage.migration.transition import TransitionStep
 from poise.model.check.allowed_computers import allowed_computers
-from poise.model.robot import Computer, Robot
+from poise.model.robot import Robot
 from poise.units import counted, format_cores
 
 HORIZON = 30.0
@@ -81,11 +82,11 @@ def decide(
         Component -> the downtime of its last move [s].
     """
     facts = facts.within_reach()
-    computers, bad = facts.computers_left(), bad_links(facts)
+    bad = bad_links(facts)
     barred = beyond_cuts(barred, facts.placement, bad)
-    robot = with_bad_links(replace(facts.robot, computers=computers), bad)
+    robot = with_bad_links(facts.robot_left(), bad)
     robot_now = with_present_demands(robot, facts.demand_estimates)
-    short = shortage(robot_now, facts.placement, computers)
+    short = sum(missing_cpu(robot_now, facts.placement).values())
     robot = _barring(robot, facts.placement, barred)
     causes = reason(facts, bad)
     in_vain = wasted(facts, robot_now, facts.placement, bad)
@@ -102,7 +103,7 @@ def decide(
         why = f"no placement can help: {causes}{late(facts)}{error}{room}"
         unable = Decision(acts=False, why=why)
         return _with_fewer(robot, facts, unable) if short else unable
-    left = shortage(robot_now, proposal.placement, computers)
+    left = sum(missing_cpu(robot_now, proposal.placement).values())
     in_vain -= wasted(facts, robot_now, proposal.placement, bad)
     gain = (short - left + relieved + in_vain) * HORIZON
     cost = cost_of(robot_now, proposal.steps, downtimes, starts_of(facts))
@@ -183,8 +184,8 @@ def _with_fewer(robot: Robot, facts: Facts, unable: Decision) -> Decision:
 
 def shortages_of(facts: Facts) -> dict[str, float]:
     """Return what components of each computer need and it does not have [cores]."""
-    robot = with_present_demands(facts.robot, facts.demand_estimates)
-    return _shortages(robot, facts.placement, facts.computers_left())
+    robot = with_present_demands(facts.robot_left(), facts.demand_estimates)
+    return missing_cpu(robot, facts.placement)
 
 
 def _suffering(facts: Facts) -> set[str]:
@@ -195,23 +196,6 @@ def _suffering(facts: Facts) -> set[str]:
         if each.estimate.starved >= STARVED
     }
     return starved | {each.component for each in facts.misses if each.is_late}
-
-
-def shortage(
-    robot: Robot, placement: Mapping[str, str], computers: Iterable[Computer]
-) -> float:
-    """Return the CPU that components need and their computers do not have [cores]."""
-    return sum(_shortages(robot, placement, tuple(computers)).values())
-
-
-def _shortages(
-    robot: Robot, placement: Mapping[str, str], computers: tuple[Computer, ...]
-) -> dict[str, float]:
-    needs = {c.name: 0.0 for c in computers}
-    for component in robot.components():
-        if (computer := placement.get(component.name)) in needs:
-            needs[computer] += component.demand.get("cpu", 0.0)
-    return {c.name: max(0.0, needs[c.name] - c.usable("cpu")) for c in computers}
 
 
 def cost_of(

@@ -88,6 +88,10 @@ class Facts(Struct, frozen=True, kw_only=True):
             for computer in self.robot.computers
         )
 
+    def robot_left(self) -> Robot:
+        """Return the robot with `computers_left`."""
+        return replace(self.robot, computers=self.computers_left())
+
     def situation(self) -> dict[str, float]:
         """Return what decides on a placement: CPU that is left, and needed [cores].
 

@@ -152,9 +152,12 @@ class Adaptation:
         facts = self._facts().within_reach()
         if not dry:
             self._put_aside.forgive()
-        robot = replace(facts.robot, computers=facts.computers_left())
         proposal = propose(
-            robot, facts.task, facts.placement, facts.demand_estimates, move
+            facts.robot_left(),
+            facts.task,
+            facts.placement,
+            facts.demand_estimates,
+            move,
         )
         if dry or not proposal.steps:
             return proposal, None

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from msgspec import Struct
-from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import RobotError, UsageError
@@ -13,6 +12,7 @@ from poise.manage.adaptation.decision import DOWNTIME, MOVE, cost_of, starts_of
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.replan import with_present_demands
 from poise.manage.agent_connections.statuses import components_of
+from poise.manage.migration.residue import residue
 from poise.manage.migration.transition import TransitionStep
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
@@ -149,9 +149,7 @@ def alternatives(
         Component -> the downtime of its last move [s].
     """
     facts = facts.within_reach()
-    robot = with_present_demands(
-        replace(facts.robot, computers=facts.computers_left()), facts.demand_estimates
-    )
+    robot = with_present_demands(facts.robot_left(), facts.demand_estimates)
     now = facts.placement
     try:
         problem = plan.problem_of(robot, facts.task, present=now, move=MOVE)
@@ -184,9 +182,7 @@ def _single_moves(
 ) -> Iterator[tuple[float, TransitionStep | None]]:
     """Yield what CPU is missing [cores]: as it is, and after each move."""
     demands = {c.name: c.demand.get("cpu", 0.0) for c in robot.components()}
-    left = {
-        c.name: c.usable("cpu") - _load(demands, now, c.name) for c in robot.computers
-    }
+    left = {name: each["cpu"] for name, each in residue(robot, now).items()}
     short = sum(max(0.0, -amount) for amount in left.values())
     yield short, None
     allowed = allowed_computers(robot)

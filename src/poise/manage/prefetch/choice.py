@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable, Mapping
 
 from msgspec import Struct
 
+from poise.manage.migration.residue import residue
 from poise.manage.tasks.likely import Likely
 from poise.model.hardware import fits
 from poise.model.robot import ComponentEntry, Robot
@@ -56,7 +57,9 @@ def choose(
         no action needs stays while there is room.
     """
     components = {component.name: component for component in robot.components()}
-    left = _left(robot, running, components)
+    left = residue(robot, running)
+    for amounts in left.values():
+        amounts["memory"] = robot.prefetch.memory * amounts.get("memory", 0.0)
     in_use = _exclusive_devices(robot, running, components)
     placement: dict[str, str] = {}
     why_not: dict[tuple[str, str], str] = {}
@@ -85,22 +88,6 @@ def _resting(component: str, computer: str) -> Likely:
     return Likely(
         task="", action=component, placement={component: computer}, probability=0.0
     )
-
-
-def _left(
-    robot: Robot, running: Mapping[str, str], components: Mapping[str, ComponentEntry]
-) -> dict[str, dict[str, float]]:
-    """Return computer -> resource -> how much of it prepared components may hold."""
-    left = {
-        computer.name: {r: computer.usable(r) for r in computer.capacity}
-        for computer in robot.computers
-    }
-    for name, computer in running.items():
-        for resource, amount in _held_by(components[name]):
-            left[computer][resource] = left[computer].get(resource, 0.0) - amount
-    for amounts in left.values():
-        amounts["memory"] = robot.prefetch.memory * amounts.get("memory", 0.0)
-    return left
 
 
 def _held_by(component: ComponentEntry) -> Iterable[tuple[str, float]]:

@@ -11,6 +11,7 @@ from poise.errors import RunError
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import Run
+from poise.manage.migration.residue import residue
 from poise.manage.observe.loads import Load
 from poise.manage.prefetch.choice import Choice, choose
 from poise.manage.prefetch.report import PrefetchReport
@@ -78,7 +79,7 @@ class Prefetch:
             return
         self._chosen_at = now
         likely = [each for each in likely if not self._is_barred(each)]
-        cpu = {name: self._cpu_left(name, loads) for name in self._run.computers()}
+        cpu = self._cpu_left(placement, loads)
         held = {name: each.computer for name, each in self._run.prepared.items()}
         choice = choose(self._run.robot, placement, likely, cpu=cpu, held=held)
         self._go_to(choice, likely, cpu)
@@ -145,20 +146,19 @@ class Prefetch:
                 unready.append(name)
         return unready
 
-    def _cpu_left(self, computer: str, loads: Mapping[str, Load]) -> float:
-        """Return the CPU of a computer that may be used to prepare [cores]."""
-        robot = self._run.robot
-        there = robot.computer(computer)
-        placed = self._run.placed
-        left = there.usable("cpu") - sum(
-            component.demand.get("cpu", 0.0)
-            for component in robot.components()
-            if component.name in placed and placed[component.name].computer == computer
-        )
-        if computer in loads:
-            load = loads[computer]
-            left = min(left, load.capacity - load.used)
-        return max(0.0, robot.prefetch.cpu * left / max(1.0, there.speed))
+    def _cpu_left(
+        self, placement: Mapping[str, str], loads: Mapping[str, Load]
+    ) -> dict[str, float]:
+        """Return computer -> CPU that may be used there to prepare [cores]."""
+        robot, found = self._run.robot, {}
+        unplaced = residue(robot, placement)
+        for name in self._run.computers():
+            left = unplaced[name]["cpu"]
+            if name in loads:
+                left = min(left, loads[name].capacity - loads[name].used)
+            speed = max(1.0, robot.computer(name).speed)
+            found[name] = max(0.0, robot.prefetch.cpu * left / speed)
+        return found
 
     def _note_failures(self) -> None:
         """Drop what cannot be prepared, and say why: its action may still begin."""

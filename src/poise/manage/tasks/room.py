@@ -11,6 +11,7 @@ from poise import plan
 from poise.errors import RobotError
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.replan import SOLVE_FOR, with_present_demands
+from poise.manage.migration.residue import residue
 from poise.manage.migration.transition import TransitionStep, plan_transition
 from poise.model.robot import Robot
 
@@ -52,10 +53,7 @@ def room_for_functions(
     """
     here = facts.within_reach()
     robot = _with_chosen(
-        replace(
-            with_present_demands(here.robot, here.demand_estimates),
-            computers=here.computers_left(),
-        ),
+        with_present_demands(here.robot_left(), here.demand_estimates),
         here.placement,
     )
     try:
@@ -98,15 +96,12 @@ def beyond_memory(
         Names of prepared components, those that go first come first.
     """
     needs = {c.name: c.demand.get("memory", 0.0) for c in robot.components()}
-    left = {computer.name: computer.usable("memory") for computer in robot.computers}
-    for name, at in (*placement.items(), *prepared.items()):
-        if at in left:
-            left[at] -= needs.get(name, 0.0)
+    left = residue(robot, {**placement, **prepared})
     gone = []
     for name in order:
-        at = prepared[name]
-        if left.get(at, 0.0) < 0 < needs.get(name, 0.0):
-            left[at] += needs[name]
+        here = left.get(prepared[name], {})
+        if here.get("memory", 0.0) < 0 < needs.get(name, 0.0):
+            here["memory"] += needs[name]
             gone.append(name)
     return gone
 
