@@ -28,7 +28,7 @@ from poise.manage.observe.recording import Recording
 from poise.manage.tasks.task_manager import TaskManager
 from poise.model.robot import Robot
 from poise.session.callbacks import Say
-from poise.session.profiles import read_profile
+from poise.session.profiling.stored_profiles import read_profile
 
 
 class WatchedRun:

@@ -29,6 +29,8 @@ _STALLED = 0.3
 _GRACE = 0.15
 _CLOCKS_EVERY = 1.0
 """What is known of clocks is worked out this often [s]."""
+_AT_FIRST = 2.0
+"""For so long it is with each heartbeat [s]: the quickest round trip counts."""
 
 
 class HeartbeatExchange:
@@ -72,9 +74,9 @@ class HeartbeatExchange:
         self._lease = Lease(self._contacts)
         self._offsets: dict[str, ClockOffset] = {}
         self._clocks_due = 0.0
+        self._began: float | None = None
         self._targets: dict[str, Address] = {}
         self._claimed_by = ""
-        self._has_begun = False
         self._lock = threading.Lock()
         self._looked_at = clock.now()
         self._grace_until = 0.0
@@ -131,9 +133,9 @@ class HeartbeatExchange:
                 self._contacts.forget(MANAGER)
                 self._targets.clear()
             self._targets |= {name: (e.host, e.port) for name, e in others.items()}
-        is_first = not self._has_begun and (is_leased or bool(others))
+        is_first = self._began is None and (is_leased or bool(others))
         if self._heartbeats is not None and is_first:
-            self._has_begun = True
+            self._began = self._clock.now()
             self._heartbeats.send_to(self._targets)
             self._heartbeats.start()
 
@@ -189,7 +191,8 @@ class HeartbeatExchange:
         return beat, ASK_EVERY if is_late else self._contacts.pause(now)
 
     def _note_clocks(self, now: float) -> None:
-        if now >= self._clocks_due or self._offsets.keys() != self.clocks.keys():
+        is_first = self._began is not None and now < self._began + _AT_FIRST
+        if now >= self._clocks_due or is_first:
             self._clocks_due = now + _CLOCKS_EVERY
             found = {name: each.at(now) for name, each in sorted(self._offsets.items())}
             self.clocks = {name: clock for name, clock in found.items() if clock}
