@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import msgspec
 from msgspec import Struct
@@ -32,6 +32,7 @@ wrong, right
 """
 
 _MOST_RECENT = 20
+KINDS: tuple[str, ...] = get_args(Kind)
 _ALL = -1
 
 _SCHEMA = """

@@ -13,7 +13,7 @@ from rich.markup import escape
 
 from poise.cli.options import AsJson, print_json
 from poise.errors import UsageError
-from poise.manage.journal import JournalEntry, Kind, read_journal
+from poise.manage.journal import KINDS, JournalEntry, read_journal
 from poise.session.render.printable import console_to
 
 _LOOK_EVERY = 0.2
@@ -23,7 +23,7 @@ _COLOURS = {"wrong": "red", "failed": "red", "right": "green", "decided": "bold"
 def journal_command(
     file: Annotated[Path, typer.Argument(help="What `poise up --journal` writes.")],
     kind: Annotated[
-        list[Kind] | None, typer.Option(help="Only these; may be repeated.")
+        list[str] | None, typer.Option(help=f"Only these: {', '.join(KINDS)}.")
     ] = None,
     about: Annotated[
         str | None, typer.Option(help="Only entries that name this, such as 'vision'.")
@@ -47,6 +47,8 @@ def journal_command(
 
     poise journal journal.sqlite --about vision --follow
     """
+    if unknown := set(kind or ()) - set(KINDS):
+        raise UsageError(f"--kind {unknown.pop()}: it is one of {', '.join(KINDS)}")
     if follow and as_json:
         raise UsageError("--follow and --json together: JSON is one whole object")
 
