@@ -90,7 +90,10 @@ def test_no_cheaper_set_of_computers_will_do() -> None:
             for names in itertools.combinations(prices, size)
             if can_hold_on(asked, names)
         ]
-        few = plan.smallest([asked], lambda p: plan.solve(p, steps=5000, why=False))
+        few = plan.smallest(
+            [plan.PhasedProblem.of_one("all", asked)],
+            lambda p: plan.solve_phases(p, steps=5000, why=False),
+        )
         assert few.feasible == bool(enough)
         assert few.proven
         if enough:
@@ -117,7 +120,8 @@ def test_smallest_counts_only_the_alternative_that_is_chosen() -> None:
             for name, quality in (("good", 1.0), ("plain", 0.5))
         ),
     )
-    assert plan.smallest([asked], plan.solve).computers == ("a",)
+    whole = plan.PhasedProblem.of_one("all", asked)
+    assert plan.smallest([whole], plan.solve_phases).computers == ("a",)
 
 
 def with_architectures(random: Random, functions: list[str]) -> Problem:

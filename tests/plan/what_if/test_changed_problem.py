@@ -54,9 +54,14 @@ def test_links_and_costs_go_with_their_computer(two_computers: Problem) -> None:
     assert left.components[0].cost == {"large": 0.5}
 
 
+def smallest(problem: Problem) -> plan.Smallest:
+    whole = plan.PhasedProblem.of_one("all", problem)
+    return plan.smallest([whole], plan.solve_phases)
+
+
 def test_smallest_finds_the_fewest_computers(two_computers: Problem) -> None:
     """Four of 1 fit the large computer of 4."""
-    few = plan.smallest([two_computers], plan.solve)
+    few = smallest(two_computers)
     assert few.computers == ("large",)
     assert few.feasible
 
@@ -71,7 +76,7 @@ def test_smallest_weighs_prices(two_computers: Problem) -> None:
             *(replace(small, name=f"small{i}") for i in range(3)),
         ),
     )
-    kept, _, _ = plan.smallest([problem], plan.solve)
+    kept, _, _ = smallest(problem)
     assert kept == ("small0", "small1")
 
 
@@ -79,6 +84,6 @@ def test_smallest_drops_one_by_one_when_there_are_many(
     two_computers: Problem,
 ) -> None:
     many = tuple(Computer(name=f"h{i}", capacity={"cpu": 2.0}) for i in range(14))
-    few = plan.smallest([replace(two_computers, computers=many)], plan.solve)
+    few = smallest(replace(two_computers, computers=many))
     assert len(few.computers) == 2
     assert few.feasible

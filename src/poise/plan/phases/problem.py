@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from msgspec import Struct
 from msgspec.structs import replace
 
-from poise.model.robot import Robot
+from poise.model.robot import Computer, Robot
 from poise.model.tasks.phases import phases_of
 from poise.plan.problem.from_robot import MEGABYTE, check_task, problem_of
 from poise.plan.problem.problem import Problem
@@ -39,6 +39,11 @@ class PhasedProblem(Struct, frozen=True, kw_only=True):
 
     phases: tuple[PhaseProblem, ...]
     move: Mapping[str, float] = {}
+
+    @property
+    def computers(self) -> tuple[Computer, ...]:
+        """The computers, which are the same in every phase."""
+        return self.phases[0].problem.computers
 
     @classmethod
     def of_one(cls, name: str, problem: Problem) -> PhasedProblem:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations
-from typing import Generic, NamedTuple, TypeVar, cast
-
-from msgspec.structs import replace
+from typing import NamedTuple
 
 from poise.errors import UsageError
 from poise.model.robot import Computer
@@ -14,18 +12,14 @@ from poise.plan.phases.problem import PhasedProblem
 from poise.plan.phases.result import PhasedResult
 from poise.plan.problem.arrays import arrays_of
 from poise.plan.problem.problem import Problem
-from poise.plan.result import Result
 from poise.plan.what_if.changed_problem import without
 from poise.plan.why.conflict import is_short
 
 MOST_SETS = 4096
 """Of how many computers all sets are looked at: with more, one is dropped at a time."""
 
-P = TypeVar("P", Problem, PhasedProblem)
-R = TypeVar("R", Result, PhasedResult)
 
-
-class Smallest(NamedTuple, Generic[R]):
+class Smallest(NamedTuple):
     """The computers on which each problem fits, and whether no cheaper set will do.
 
     `results` are in the order of the problems; after one that does not fit, none
@@ -34,7 +28,7 @@ class Smallest(NamedTuple, Generic[R]):
     """
 
     computers: tuple[str, ...]
-    results: tuple[R, ...]
+    results: tuple[PhasedResult, ...]
     proven: bool
 
     @property
@@ -48,7 +42,10 @@ class Smallest(NamedTuple, Generic[R]):
         return self.results[-1].stopped_by
 
 
-def smallest(problems: Sequence[P], decide: Callable[[P], R]) -> Smallest[R]:
+def smallest(
+    problems: Sequence[PhasedProblem],
+    decide: Callable[[PhasedProblem], PhasedResult],
+) -> Smallest:
     """Return the cheapest set of computers on which each problem fits, one at a time.
 
     The price of a set is the sum of its computers' prices; with all prices 1, the
@@ -62,18 +59,22 @@ def smallest(problems: Sequence[P], decide: Callable[[P], R]) -> Smallest[R]:
     problems
         One or more, on the same computers.
     decide
-        Solves one, such as ``lambda problem: solve(problem, 0.05)``.
+        Solves one, such as `solve_phases`.
     """
-    computers = _computers(problems[0])
+    computers = problems[0].computers
 
-    def attempt(kept: tuple[str, ...]) -> Smallest[R] | None:
+    def attempt(kept: tuple[str, ...]) -> Smallest | None:
         """Solve with some computers only; None: they clearly cannot do."""
-        smaller = [_on(problem, kept) for problem in problems]
-        if any(problem is None for problem in smaller):
+        dropped = {h.name for h in computers} - {*kept}
+        try:
+            smaller = [
+                each.changed(lambda p: _without(p, dropped)) for each in problems
+            ]
+        except UsageError:
             return None
-        results: list[R] = []
+        results: list[PhasedResult] = []
         for problem in smaller:
-            results.append(decide(cast("P", problem)))
+            results.append(decide(problem))
             if not results[-1].feasible:
                 break
         return Smallest(kept, tuple(results), results[-1].proven)
@@ -83,16 +84,10 @@ def smallest(problems: Sequence[P], decide: Callable[[P], R]) -> Smallest[R]:
     return _drop_one_by_one(computers, attempt)
 
 
-def _computers(problem: Problem | PhasedProblem) -> tuple[Computer, ...]:
-    if isinstance(problem, PhasedProblem):
-        problem = problem.phases[0].problem
-    return problem.computers
+Try = Callable[[tuple[str, ...]], Smallest | None]
 
 
-Try = Callable[[tuple[str, ...]], Smallest[R] | None]
-
-
-def _cheapest_first(computers: tuple[Computer, ...], attempt: Try[R]) -> Smallest[R]:
+def _cheapest_first(computers: tuple[Computer, ...], attempt: Try) -> Smallest:
     proven = True
     every = tuple(h.name for h in computers)
     for kept in _by_price(computers):
@@ -117,28 +112,18 @@ def _by_price(computers: tuple[Computer, ...]) -> Iterator[tuple[str, ...]]:
     yield from sorted(sets, key=lambda kept: (sum(price[h] for h in kept), len(kept)))
 
 
-def _on(problem: P, kept: tuple[str, ...]) -> P | None:
-    """Return the problem on these computers; None when they clearly cannot do."""
-    if isinstance(problem, PhasedProblem):
-        parts = [(p, _on(p.problem, kept)) for p in problem.phases]
-        phases = [replace(p, problem=part) for p, part in parts if part is not None]
-        if len(phases) < len(parts):
-            return None
-        return replace(problem, phases=tuple(phases))
-    dropped = [h.name for h in problem.computers if h.name not in kept]
+def _without(problem: Problem, dropped: set[str]) -> Problem:
+    """Return the problem without some computers; UsageError: it clearly cannot do."""
     if not dropped:
         return problem
-    try:
-        smaller = without(problem, dropped)
-    except UsageError:
-        return None
+    smaller = without(problem, dropped)
     # Of architectures, not all may have to be placed.
     if not smaller.architectures and is_short(arrays_of(smaller)):
-        return None
+        raise UsageError("the other computers have too little")
     return smaller
 
 
-def _drop_one_by_one(computers: tuple[Computer, ...], attempt: Try[R]) -> Smallest[R]:
+def _drop_one_by_one(computers: tuple[Computer, ...], attempt: Try) -> Smallest:
     best = attempt(tuple(h.name for h in computers))
     assert best is not None  # noqa: S101 - of all computers none was dropped
     for computer in sorted(computers, key=lambda h: -h.price):

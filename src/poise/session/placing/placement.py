@@ -12,7 +12,6 @@ from poise.errors import UsageError
 from poise.estimate.success import Situation
 from poise.estimate.success.learning import WELL, actions_in, learned
 from poise.model.robot import Robot
-from poise.model.tasks.phases import phases_of
 from poise.plan.solvers.portfolio import METHODS as SOLVERS
 from poise.session.placing.rules import RULES, by_rule, is_file, is_rule
 from poise.session.render.html.picture import planned_picture
@@ -180,7 +179,7 @@ def place(  # noqa: PLR0913 - each is a choice of the user
     robot = learned(
         robot, actions_in(robot, task), situation=situation, explore=explore, seed=seed
     ).robot
-    if task is None or at_once or not has_order(robot, task):
+    if task is None or at_once:
         name = task or ALL
         problem = plan.PhasedProblem.of_one(name, plan.problem_of(robot, task))
     else:
@@ -189,12 +188,6 @@ def place(  # noqa: PLR0913 - each is a choice of the user
         problem, budget, method, seed, fewer=fewer
     )
     return Placement(task=task, method=method, phased=phased)
-
-
-def has_order(robot: Robot, task: str) -> bool:
-    """Return whether there is such a task, and it has more than one phase."""
-    is_there = any(each.name == task for each in robot.tasks)
-    return is_there and len(phases_of(robot, task)) > 1
 
 
 def ruled(

@@ -74,9 +74,7 @@ def show(phased: plan.PhasedResult, console: Console) -> None:
         console.print(part, highlight=False)
 
 
-def show_smallest(
-    few: plan.Smallest[plan.PhasedResult], price: float, console: Console
-) -> None:
+def show_smallest(few: plan.Smallest, price: float, console: Console) -> None:
     """Print on which computers everything fits, and for what price."""
     known = "no cheaper set will do" if few.proven else "a cheaper set may do"
     names = ", ".join(few.computers)
@@ -129,7 +127,7 @@ def _capacity(computer: Computer, resource: str) -> float:
 
 def _phases(phased: plan.PhasedResult) -> tuple[RenderableType, ...]:
     """Return the phases of a task side by side, then what moves between them."""
-    computers = phased.problem.phases[0].problem.computers
+    computers = phased.problem.computers
     rows = table("phase", *(computer.name for computer in computers), "F", "")
     for column in rows.columns[1:-2]:
         column.no_wrap = False

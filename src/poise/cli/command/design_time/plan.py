@@ -19,7 +19,7 @@ from poise.estimate.success import Situation
 from poise.estimate.success.learning import actions_in, learned
 from poise.model import load
 from poise.model.robot import Robot
-from poise.session.placing.placement import ALL, has_order, ruled
+from poise.session.placing.placement import ALL, ruled
 from poise.session.profiling.stored_profiles import profiled
 from poise.session.render.plan import (
     show,
@@ -136,9 +136,7 @@ def plan_command(
 
     if smallest and robot is not None and not tasks:
         tasks = [each.name for each in robot.tasks]
-    is_phased = robot is not None and not at_once and _has_phases(robot, tasks)
-    _check_phased(tasks, phase, compare, is_phased=is_phased)
-    if is_phased:
+    if tasks and not at_once:
         problems = {
             name: plan.phased_problem_of(each, name)
             for name in tasks
@@ -149,6 +147,8 @@ def plan_command(
         each = known(name)
         problem = plan.problem_of(each, name) if each else plan.load(file)
         problems = {name or ALL: plan.PhasedProblem.of_one(name or ALL, problem)}
+    has_phases = len(tasks) > 1 or any(len(p.phases) > 1 for p in problems.values())
+    _check_phases(tasks, phase, compare, has_phases=has_phases)
     problems = {name: each.changed(changed) for name, each in problems.items()}
     with Interrupts() as interrupts:
         how = How(
@@ -224,19 +224,14 @@ def _check_together(
         raise UsageError("--at-once: it is about one --task")
 
 
-def _check_phased(
-    tasks: list[str], phase: str | None, compare: str | None, *, is_phased: bool
+def _check_phases(
+    tasks: list[str], phase: str | None, compare: str | None, *, has_phases: bool
 ) -> None:
     """Raise UsageError for options that phases do not have, or only phases have."""
-    if is_phased and compare is not None:
+    if has_phases and compare is not None:
         raise UsageError(f"--compare: task '{tasks[0]}' has phases; take --at-once")
-    if phase is not None and not is_phased:
+    if phase is not None and not has_phases:
         raise UsageError(f"--phase {phase}: there are no phases, all is at once")
-
-
-def _has_phases(robot: Robot, tasks: list[str]) -> bool:
-    """Return whether it takes phases to answer: for several tasks, or one with some."""
-    return len(tasks) > 1 or any(has_order(robot, task) for task in tasks)
 
 
 def _robot(
@@ -303,7 +298,7 @@ def _answer_smallest(
     """Print the cheapest computers on which each task fits; return whether all do."""
     problems = [*tasks.values()]
     few = plan.smallest(problems, how.solve)
-    known = problems[0].phases[0].problem.computers
+    known = problems[0].computers
     price = sum(h.price for h in known if h.name in few.computers)
     results = dict(zip(tasks, few.results, strict=False))
     if json:
