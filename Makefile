@@ -18,8 +18,8 @@ demo: setup
 	@$(BIN)/poise demo
 
 # what takes long comes first (tests/order.py), so that both workers end together
-# three at a time on two CPUs, for most tests wait for processes
-PYTEST := $(BIN)/python -m pytest -q -n 3 --dist loadgroup --no-loadscope-reorder
+# four at a time on two CPUs, for most tests wait for processes
+PYTEST := $(BIN)/python -m pytest -q -n 4 --dist loadgroup --no-loadscope-reorder
 test: setup
 	@$(PYTEST) -m "not exhaustive"
 

@@ -19,7 +19,7 @@ SHORT = """
 from poise.cli.main import main
 from poise.session.scenes import home_robot
 
-home_robot.DRIVE, home_robot.MOVE_AT, home_robot.CALLS = 3.0, 1.0, 1.0
+home_robot.DRIVE, home_robot.MOVE_AT, home_robot.CALLS = 2.0, 0.5, 0.5
 main()
 """
 

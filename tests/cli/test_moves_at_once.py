@@ -11,13 +11,19 @@ import os
 import signal
 import subprocess
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from poise.errors import PoiseError
 from poise.manage.control_socket.client import send_command
-from poise.manage.control_socket.records import RobotStatus, StatusCommand
+from poise.manage.control_socket.records import (
+    MoveCommand,
+    RobotStatus,
+    StatusCommand,
+)
+from poise.manage.migration.report import MigrationReport
 from tests.command import POISE, robot_up
 from tests.manage.agents import TELLING
 from tests.waiting import LONG, wait_long
@@ -138,7 +144,6 @@ architectures:
 tasks:
   talk: {{actions: [{{name: talk, functions: [talk]}}]}}
 """
-MOVED = "runs on {} now"
 
 
 class Crowd:
@@ -171,12 +176,16 @@ class Crowd:
         is_busy.unlink(missing_ok=True)
         busy.touch()
         self._slow_is = "right" if self._slow_is == "left" else "left"
-        with _started(f"move slow {self._slow_is}") as move:
-            wait_long(is_busy.exists)
-            yield
-            busy.unlink()
-            told, _ = move.communicate(timeout=LONG)
-            assert MOVED.format(self._slow_is) in told, told
+        with ThreadPoolExecutor(1) as pool:
+            move = pool.submit(send_command, NAME, MoveCommand("slow", self._slow_is))
+            try:
+                wait_long(is_busy.exists)
+                yield
+            finally:
+                busy.unlink()
+            report = move.result(LONG)
+        assert isinstance(report, MigrationReport)
+        assert report.committed, report.reason
 
     def waiting(
         self, command: str, stack: contextlib.ExitStack

@@ -47,7 +47,7 @@ class Source(Telling):
         super().configure()
         self.sent = self.answered = self.refused = 0
 
-    @every(0.002)
+    @every(0.005)
     def produce(self):
         self.sent += 1
         self.numbers.publish(Number(self.sent))

@@ -131,7 +131,7 @@ class Slow(Counter):
 
     @subscribed(block=3)
     def numbers(self, message: Number):
-        threading.Event().wait(0.005)
+        threading.Event().wait(0.02)
         super().numbers(message)
 
 class Unrestorable(Counter):
@@ -493,7 +493,7 @@ def test_a_publisher_waits_for_a_slow_subscriber_that_moves(
     def waits() -> bool:
         """Whether a publication took as long as the subscriber's work."""
         ends = connectors_of(run.agents.statuses())
-        return any(end.wait.maximum > 0.004 for end in ends if end.end == "source")
+        return any(end.wait.maximum > 0.015 for end in ends if end.end == "source")
 
     world.wait_for(waits)
     assert world.wrong() == 0
