@@ -1,6 +1,9 @@
 """`poise check` as people and scripts run it."""
 
+import contextlib
 import json
+import os
+import pty
 import subprocess
 import sys
 from pathlib import Path
@@ -37,6 +40,23 @@ def test_says_that_a_right_file_has_no_problems() -> None:
     done = called(["check", str(ROOT / "examples/paper/robot.yaml")])
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.endswith("robot.yaml: no problems\n")
+
+
+@pytest.mark.slow
+def test_a_terminal_shows_that_it_goes_on() -> None:
+    ours, theirs = pty.openpty()
+    words = ["check", str(ROOT / "examples/hello/robot.yaml")]
+    with subprocess.Popen(
+        [sys.executable, "-m", "poise", *words], stdout=theirs, stderr=theirs
+    ):
+        os.close(theirs)
+        said = b""
+        with contextlib.suppress(OSError):  # its end
+            while part := os.read(ours, 4096):
+                said += part
+    os.close(ours)
+    assert b"checking" in said
+    assert b"no problems" in said
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 
 from poise.manage.journal import JournalEntry
 from poise.session.running_robots.running import Status
@@ -76,6 +77,13 @@ def test_only_late_deadlines_of_the_last_seconds_count_as_late_now() -> None:
     page = state.of(look(missed=10, releases=30, at=5.0), 4.0)
     assert page["timers"]["arm.tick"]["now"] == pytest.approx(0.25)
     assert page["components"]["arm"]["late"] == pytest.approx(0.25)
+
+
+def test_a_component_that_is_being_ended_is_no_longer_placed() -> None:
+    known = look(missed=5)
+    assert known.status is not None
+    gone = replace(known, status=replace(known.status, placement={"lid-2": "right"}))
+    assert "arm" not in PageState().of(gone, 0.0)["components"]
 
 
 def test_only_what_has_changed_is_sent() -> None:

@@ -20,6 +20,7 @@ from poise.session.diagrams.records import (
 
 _FONT = 'fontname="DejaVu Sans,Helvetica,Arial,sans-serif"'
 _MARKED = "#fff2cc"
+_BETWEEN = '"#8a8a8a"'
 _MOST_BESIDE = 4
 """So many architectures that lead to each other are drawn beside each other."""
 _WIDE = 1.6
@@ -47,7 +48,8 @@ def _components(diagram: ComponentDiagram) -> Iterator[str]:
     ends = _ends(diagram)
     for each in diagram.subsystems:
         function = "" if each.function == each.name else f": {each.function}"
-        label = f"{_small('«subsystem»')}{_bold(each.name + function)}"
+        lines = _small("«subsystem»"), f"{_bold(each.name + function)}<br/>"
+        label = "".join(lines).replace("<br/>", '<br align="left"/>')
         frame = _id("cluster", each.name)
         yield f"subgraph {frame} {{ label=<{label}> labeljust=l style=rounded"
         for name in each.components:
@@ -61,7 +63,9 @@ def _components(diagram: ComponentDiagram) -> Iterator[str]:
     is_deep = len(levels({*frames.values()}, leads)) > _MOST_BESIDE
     for join in diagram.joins:
         is_within = frames[join.source] == frames[join.target]
-        ranks = " constraint=false" if is_deep and not is_within else ""
+        # what crosses the titles of frames leaves them legible
+        ranks = "" if is_within else f" color={_BETWEEN}"
+        ranks += " constraint=false" if is_deep and not is_within else ""
         if join.kind == "call":
             look = f"arrowhead=icurve arrowsize=1.3{ranks}"
             yield f"{_id(join.source)} -> {_hub(join)} [{look}]"

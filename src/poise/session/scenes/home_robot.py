@@ -61,13 +61,18 @@ def drive_once(
     """Drive once; a second time when the host spoilt the first."""
     titles = {"static": "on Main what can be there", "auto": "where Poise puts it"}
     console.print(f"\n[bold]T-Rot, {titles[method]}")
-    robot = load(examples / "trot" / "robot.yaml", say=console.print)
+    robot = _load(examples / "trot", console)
     for _ in range(2):
         report = _serve(robot, place(robot, "serve", method=method), console, check)
         console.print(_outcome(report))
         if not report.invalid:
             break
     return report
+
+
+def _load(example: Path, console: Console) -> Robot:
+    with console.status("checking the robot file and its code ..."):
+        return load(example / "robot.yaml", say=console.print)
 
 
 def _navigators_cycle(report: RunReport) -> TimerStatus:
@@ -107,7 +112,7 @@ def move_while_driving(
 ) -> Scene:
     """Let the robot drive, move its localiser in mid-drive, and tell how it went."""
     console.print("\n[bold]T-Rot's localiser moves while it drives")
-    robot = load(examples / "trot" / "robot.yaml", say=console.print)
+    robot = _load(examples / "trot", console)
     placed = place(robot, "serve")
     target = next(c.name for c in robot.computers if c.name != placed[_MOVED])
     mover = _Mover(target)
@@ -208,7 +213,7 @@ def _serve(
 def time_calls(examples: Path, console: Console, check: Check) -> dict[str, Summary]:
     """Return how long calls take: ``direct``, and by ``message`` between computers."""
     console.print("\n[bold]How long calls take")
-    robot = load(examples / "calls" / "robot.yaml", say=console.print)
+    robot = _load(examples / "calls", console)
     with progress(console, CALLS, live=True) as show:
         report = run(
             robot,

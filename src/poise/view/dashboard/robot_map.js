@@ -37,7 +37,7 @@ export default {
     <span v-for="task in robot.tasks || []">task <b>{{ task }}</b></span>
     <label class="find">Find <input type="search" v-model="wanted" aria-label="Find components"></label>
   </div>
-  <p v-if="late" class="trouble">⚠ Nothing came for {{ late }} s: the link to this page is slow, or down.</p>
+  <p v-if="silent" class="trouble">⚠ Nothing came for {{ silent }} s: the link to this page is slow, or down.</p>
   <div role="status" aria-live="polite">
     <p v-if="robot.trouble" class="trouble">⚠ No answer since {{ clock(robot.since) }}, trying again;
       below is what was known last. {{ robot.trouble }}</p>
@@ -45,9 +45,12 @@ export default {
       <li v-for="what in robot.deviations.slice(0, 6)">▲ {{ what }}</li>
       <li v-if="robot.deviations.length > 6">and {{ robot.deviations.length - 6 }} more</li>
     </ul>
-    <p v-else-if="robot.name && !robot.trouble" class="fine">✓ everything is as the robot file says</p>
+    <p v-else-if="robot.name && !robot.trouble" class="fine">✓ everything runs as the robot file says</p>
   </div>
-  <p v-if="deadlines" :class="deadlines.areMet ? 'fine' : 'missed'">{{ deadlines.text }}</p>
+  <template v-if="!robot.trouble">
+    <p v-for="what in late" class="missed">▲ {{ what }}</p>
+    <p v-if="parts.timers && !late.length" class="fine">✓ all timers and chains meet their deadlines</p>
+  </template>
 
   <section aria-label="Computers" class="area" ref="area" @mouseleave="near = null">
     <svg class="wires" aria-hidden="true" :width="size.width" :height="size.height">
@@ -122,7 +125,7 @@ export default {
 </div>`,
 
   data: () => ({
-    parts: {}, now: 0, late: 0, wanted: "", near: null, over: null, more: {},
+    parts: {}, now: 0, silent: 0, wanted: "", near: null, over: null, more: {},
     places: {}, size: { width: 0, height: 0 }, kinds: KINDS, glyphs: GLYPHS, few: FEW, ago: [0, 1, 2, 3, 4],
   }),
 
@@ -143,13 +146,15 @@ export default {
       const found = byName(this.parts.connectors).map((wire) => this.wire(wire)).filter(Boolean);
       return this.isLarge ? found.filter((wire) => wire.picked) : found;
     },
-    deadlines() {
-      const timers = byName(this.parts.timers).filter((t) => t.deadline);
-      if (!timers.length || this.robot.trouble) return null;
-      const late = timers.filter((t) => t.now > 0).sort((a, b) => b.now - a.now);
-      if (!late.length) return { areMet: true, text: "✓ all timers meet their deadlines now" };
-      const worst = late.slice(0, 3).map((t) => `${t.name} ${percent(t.now)}`).join(", ");
-      return { areMet: false, text: `▲ ${late.length} of ${timers.length} timers miss deadlines now; most of all ${worst}` };
+    late() {
+      const timers = byName(this.parts.timers).filter((t) => t.deadline), chains = byName(this.parts.chains);
+      const missing = timers.filter((t) => t.now > 0).sort((a, b) => b.now - a.now);
+      const old = chains.filter((c) => c.p99 > c.deadline).sort((a, b) => b.missed / b.uses - a.missed / a.uses);
+      const worst = (several, tell) => several.slice(0, 3).map(tell).join(", ");
+      return [
+        missing.length && `${missing.length} of ${timers.length} timers miss deadlines now: ${worst(missing, (t) => `${t.name} ${percent(t.now)}`)}`,
+        old.length && `the data of ${old.length} of ${chains.length} chains was too old: ${worst(old, (c) => `${c.name} ${c.missed} of ${c.uses} times`)}`,
+      ].filter(Boolean);
     },
     entries() { return Object.values(this.parts.entries || {}).sort((a, b) => b.number - a.number); },
     recent() {
@@ -187,7 +192,7 @@ export default {
     this.taken = performance.now();
     this.ticker = setInterval(() => {
       const waited = (performance.now() - this.taken) / 1000;
-      this.late = waited > PATIENCE ? Math.round(waited) : 0;
+      this.silent = waited > PATIENCE ? Math.round(waited) : 0;
     }, 1000);
   },
   unmounted() {
@@ -208,7 +213,7 @@ export default {
       }
       this.now = now;
       this.taken = performance.now();
-      this.late = 0;
+      this.silent = 0;
     },
     measure() {
       const area = this.$refs.area, at = area.getBoundingClientRect(), places = {};

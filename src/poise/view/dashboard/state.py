@@ -46,8 +46,8 @@ class PageState:
         page["connectors"] = dict(_connectors(look))
         page["components"] = components = dict(_components(look))
         for each in timers.values():
-            component = components[each["component"]]
-            if each["deadline"] is not None and (each.get("now") or 0.0) > 0.0:
+            component = components.get(each["component"])  # None: it is being ended
+            if component and each["deadline"] is not None and each.get("now"):
                 component["late"] = max(component.get("late", 0.0), each["now"])
         page["computers"] = dict(_computers(look, components))
         return page

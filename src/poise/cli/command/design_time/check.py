@@ -10,7 +10,7 @@ from typing import Annotated
 import msgspec
 import typer
 
-from poise.cli.options import AsJson
+from poise.cli.options import AsJson, busy
 from poise.errors import FileProblem, UsageError
 from poise.session.robot_file import check
 from poise.units import counted
@@ -37,7 +37,8 @@ def check_command(
         return
     if file is None:
         raise UsageError("give a robot file, as in `poise check robot.yaml`")
-    problems = check(file)
+    with busy("checking"):
+        problems = check(file)
     _print_json(problems) if as_json else _print_text(file, problems)
     if problems:
         raise typer.Exit(1)

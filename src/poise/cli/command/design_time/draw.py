@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from poise.cli.options import RobotFile, RobotTask
+from poise.cli.options import RobotFile, RobotTask, busy
 from poise.errors import RobotError, UsageError
 from poise.model import load
 from poise.model.robot import Robot
@@ -81,7 +81,8 @@ def draw_command(
         sys.stdout.write(drawing.text())
         return
     path = Path(output or f"{robot.name}-{chosen}.svg")
-    drawing.save(path)
+    with busy("drawing"):
+        drawing.save(path)
     console.print(f"wrote {path}")
 
 

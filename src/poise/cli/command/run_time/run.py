@@ -66,7 +66,8 @@ def run_command(
     def say(sentence: str) -> None:
         console.print(escape(sentence))
 
-    robot = load(file, say=say)
+    with console.status("checking the robot file and its code ..."):
+        robot = load(file, say=say)
     chosen = task_of(robot, task)
     placed = place(robot, chosen, method=placement, fewer=True)
     if report is not None:
