@@ -8,10 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.recording import save
-from poise.model import load
-from poise.session.up import Samples
 from poise.wire.records.recorded import Recorded
 from poise.wire.records.samples import AgentSample, ComponentSample, ContainerSample
 from tests.command import Poise
@@ -40,22 +37,6 @@ def _folder(tmp_path: Path) -> Path:
     samples = [told(0.2 * k) for k in range(300)]
     save(Recorded(robot="r", samples=samples), tmp_path / "run.recording")
     return tmp_path
-
-
-@pytest.mark.parametrize("ends", [False, True])
-def test_drifts_are_told_until_the_simulated_world_ends(
-    folder: Path, *, ends: bool
-) -> None:
-    """It would need four times as much from 20 s on; the world may end there."""
-    said: list[str] = []
-    estimates = Estimates(load(folder / "robot.yaml"), None, emulated=True)
-    samples = Samples(estimates, None, said.append)
-    for k in range(300):
-        if ends and k == 100:
-            samples.end()
-        samples.take(told(0.2 * k))
-    assert ("'eye' needs" in "".join(said)) is not ends
-    assert ("world has ended" in "".join(said)) is ends
 
 
 @pytest.mark.slow

@@ -24,6 +24,7 @@ from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.recording import Recording
 from poise.manage.tasks.tasks import Tasks
 from poise.model.robot import Action, Robot, Task
+from poise.wire.records.samples import AgentSample, ComponentSample, ContainerSample
 from poise.wire.records.status import ComponentStatus, Fault
 from tests.manage.conftest import FakeAgents
 
@@ -45,9 +46,8 @@ class Managed:
         self.run = Run(robot, PLACEMENT, agents, self.journal, "/run")
         self.run.start()
         estimates = Estimates(robot, None, emulated=True)
-        self.manager = Manager(
-            self.run, tasks.saved, estimates, Recording(), lambda _: None
-        )
+        self.samples = Recording()
+        self.manager = Manager(self.run, tasks.saved, estimates, self.samples)
 
     def sentences_of_move(self) -> list[str]:
         """Return what the journal got of a move that was asked for, in order."""
@@ -65,6 +65,30 @@ class Managed:
 @pytest.fixture
 def managed(robot: Robot) -> Managed:
     return Managed(robot)
+
+
+def used(at: float) -> AgentSample:
+    """Return what was used: 10 % of a core, and from 20 s on 40 %."""
+    cpu, jobs = 0.1 * at + 0.3 * max(0.0, at - 20), round(10 * at)
+    thinker = ComponentSample("thinker", 0, cpu, 0.0, jobs, jobs)
+    container = ContainerSample("think", 1, at, cpu, 1, (thinker,), ())
+    return AgentSample("right", at, 0.0, (container,))
+
+
+@pytest.mark.parametrize("ends", [False, True])
+def test_drifts_are_told_until_the_simulated_world_ends(
+    managed: Managed, *, ends: bool
+) -> None:
+    """It would need four times as much from 20 s on; the world may end there."""
+    for numbers in (range(100), range(100, 300)):
+        for k in numbers:
+            managed.samples.add(used(0.2 * k))
+        managed.manager.work(0.0)
+        if ends:
+            managed.manager.end_estimates()
+    said = "".join(entry.what for entry in managed.journal.entries())
+    assert ("'thinker' needs" in said) is not ends
+    assert ("world has ended" in said) is ends
 
 
 def test_a_fault_is_told_while_a_move_waits(managed: Managed) -> None:

@@ -12,7 +12,6 @@ import queue
 import threading
 import time
 import traceback
-from collections.abc import Callable
 from concurrent.futures import Future
 
 from msgspec import structs
@@ -53,8 +52,6 @@ from poise.manage.observe.watch import Watch
 from poise.manage.prefetch.prefetch import Prefetch
 from poise.manage.tasks.progress import Saved
 from poise.manage.tasks.task_manager import TaskManager
-from poise.model.policy.seen import Seen
-from poise.wire.records.samples import AgentSample
 
 MOST_COMMANDS = 64
 """At most this many commands queue; further ones are refused."""
@@ -72,34 +69,32 @@ class Manager:
         Its tasks that were started.
     estimates
         What its components need.
-    take
-        Called with each sample, on the thread that calls `work`.
     samples
-        Where samples wait until then.
+        Where agents' samples wait until the thread that calls `work` takes them.
     adapts
         Whether it changes the placement by itself.
     aside
         Why not all that the task needs runs; empty: it does.
-    keep
-        Takes what policies see, to record it; None: that is not computed.
+    recording
+        Keeps the samples, and what policies see; None: nothing does.
     """
 
-    def __init__(  # noqa: PLR0913 - wired by hand, in one place
+    def __init__(
         self,
         run: Run,
         tasks: Saved,
         estimates: Estimates,
         samples: Recording,
-        take: Callable[[AgentSample], object],
         *,
         adapts: bool = False,
         aside: str = "",
-        keep: Callable[[Seen], object] | None = None,
+        recording: Recording | None = None,
     ) -> None:
         self._run = run
         self._estimates = estimates
         self._samples = samples
-        self._take = take
+        self._recording = recording
+        self._estimates_end = False
         self._commands: queue.Queue[tuple[Command, Results]] = queue.Queue(
             MOST_COMMANDS
         )
@@ -116,6 +111,7 @@ class Manager:
         if aside:
             self._put_aside.look()
         self._prefetch = Prefetch(run)
+        keep = recording.add_seen if recording else None
         self._adaptation = Adaptation(
             run, self._facts, self._put_aside, acts=adapts, keep=keep
         )
@@ -183,8 +179,7 @@ class Manager:
                 future.set_result(self._carry_out(command))
         prepared = self._run.prepared.items()
         self._estimates.resting = {(name, each.epoch) for name, each in prepared}
-        for sample in self._samples.take():
-            self._take(sample)
+        self._take_samples()
         self._look()
         self._lost.bring_back()
         if not self.is_stopping:
@@ -217,6 +212,25 @@ class Manager:
                 _answer(future, refusal or StopReport(remaining))
             while not self._commands.empty():
                 _answer(self._commands.get_nowait()[1], Refusal(text, "RunError"))
+
+    def end_estimates(self) -> None:
+        """Take no more samples: without a simulated world sensors are silent."""
+        if not self._estimates_end:
+            self._estimates_end = True
+            what = "the simulated world has ended: estimates stay as they are"
+            self._run.journal.note("seen", what)
+
+    def _take_samples(self) -> None:
+        """Estimate from samples, keep them, and say which demands have shifted."""
+        for sample in self._samples.take():
+            if self._estimates_end:
+                return
+            if self._recording is not None:
+                self._recording.add(sample)
+            for name, drift in self._estimates.take(sample):
+                needs = f"'{name}' needs {drift.after:.1%} of a core now"
+                what = f"{needs}, {drift.before:.1%} before"
+                self._run.journal.note("seen", what)
 
     def _has_news(self) -> bool:
         """Return whether something is to be done at once."""

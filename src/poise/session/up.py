@@ -31,7 +31,6 @@ from poise.session.profiling.stored_profiles import read_profile
 from poise.session.robot_file import task_of
 from poise.session.running_robots.running import Running
 from poise.wire.records.recorded import Recorded
-from poise.wire.records.samples import AgentSample
 
 if TYPE_CHECKING:
     from poise.manage.observe.export.opentelemetry import Telemetry
@@ -41,44 +40,13 @@ _END_LIMIT = 60.0
 """What the manager has begun, such as a move, ends within this time [s]."""
 
 
-class Samples:
-    """Takes what agents say of what is used."""
-
-    def __init__(
-        self, estimates: Estimates, recording: Recording | None, say: Say
-    ) -> None:
-        self._estimates = estimates
-        self._recording = recording
-        self._say = say
-        self._has_ended = False
-
-    def end(self) -> None:
-        """Take no more: without a simulated world sensors are silent."""
-        if not self._has_ended:
-            self._has_ended = True
-            self._say("the simulated world has ended: estimates stay as they are")
-
-    def take(self, sample: AgentSample) -> None:
-        """Estimate, keep, and say when a demand has shifted."""
-        if self._has_ended:
-            return
-        if self._recording is not None:
-            self._recording.add(sample)
-        for name, drift in self._estimates.take(sample):
-            self._say(
-                f"'{name}' needs {drift.after:.1%} of a core now, "
-                f"{drift.before:.1%} before"
-            )
-
-
 class Up(Running):
     """A robot that this process keeps up: its manager works on a thread of its own."""
 
-    def __init__(self, started: Started, manager: Manager, samples: Samples) -> None:
+    def __init__(self, started: Started, manager: Manager) -> None:
         super().__init__(started.run.robot.name)
         self.started = started
         self._manager = manager
-        self._samples = samples
         self._error: Exception | None = None
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._main, name="manager", daemon=True)
@@ -135,7 +103,7 @@ class Up(Running):
             while not self._manager.is_stopping:
                 self._manager.work(_LOOK_EVERY)
                 if world is not None and world.has_ended():
-                    self._samples.end()
+                    self._manager.end_estimates()
         finally:
             self._manager.stop()
 
@@ -252,20 +220,16 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         if send is not None and otel is not None:
             sender = send(robot.name, estimates, agents.statuses, otel)
             stack.callback(sender.close)
-        samples = Samples(
-            estimates, recording if record else None, partial(book.note, "seen")
-        )
         manager = Manager(
             it.run,
             goes_on_with(it.run, first.tasks, book),
             estimates,
             waiting,
-            samples.take,
             adapts=adapt,
             aside=placed.why_aside,
-            keep=recording.add_seen if record else None,
+            recording=recording if record else None,
         )
-        running = stack.enter_context(Up(it, manager, samples))
+        running = stack.enter_context(Up(it, manager))
         server.start(manager.submit)
         yield running
 

@@ -135,7 +135,7 @@ def test_a_manager_that_has_a_successor_leaves_the_robot_as_it_is(
     run, agents, journal = run_of(robot)
     run.start()
     estimates = Estimates(robot, None, emulated=True)
-    manager = Manager(run, Saved(), estimates, Recording(), lambda _: None)
+    manager = Manager(run, Saved(), estimates, Recording())
     agents.later = LATER
     with pytest.raises(TakenOver, match=r"user bob on desk \(process 8\) since"):
         manager.work(0.0)
