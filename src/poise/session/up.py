@@ -7,7 +7,6 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from poise.emulate import EmulatedComputer, set_for
@@ -55,12 +54,7 @@ class Up(Running):
         self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        _type: type[BaseException] | None,
-        error: BaseException | None,
-        _traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         self._manager.submit(StopCommand())
         if not self._ended.wait(_END_LIMIT):
             raise RunError(f"the manager was still busy after {_END_LIMIT:g} s")

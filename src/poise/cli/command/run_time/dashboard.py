@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import importlib.util
-import signal
 import socket
 import subprocess
 import sys
@@ -15,9 +13,9 @@ from typing import Annotated
 import typer
 
 from poise.errors import UsageError
+from poise.runtime.hosting.command_line import die_with_parent
 
 _PORT = 7480
-_PR_SET_PDEATHSIG = 1
 
 
 def dashboard_command(
@@ -67,16 +65,12 @@ def dashboard_beside(robot: str) -> Iterator[None]:
     with subprocess.Popen(  # noqa: S603, Poise itself
         [sys.executable, "-m", "poise", *words],
         stdin=subprocess.DEVNULL,
-        preexec_fn=_end_with_parent,  # noqa: PLW1509, it is one call
+        preexec_fn=die_with_parent,  # noqa: PLW1509, it is one call
     ) as server:
         try:
             yield
         finally:
             server.terminate()
-
-
-def _end_with_parent() -> None:
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def _free_port(host: str, port: int) -> int:
