@@ -83,14 +83,14 @@ class Computer(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         ),
     ] = None
 
+    def total(self, resource: str) -> float:
+        """Return how much it has of `resource`: capacity x speed."""
+        speed = self.speed if resource == "cpu" else 1.0
+        return self.capacity.get(resource, 0.0) * speed
+
     def usable(self, resource: str) -> float:
         """Return the usable amount of `resource`: capacity x speed - reserve."""
-        speed = self.speed if resource == "cpu" else 1.0
-        return (
-            self.capacity.get(resource, 0.0)
-            * speed
-            * (1 - self.reserve.get(resource, 0.0))
-        )
+        return self.total(resource) * (1 - self.reserve.get(resource, 0.0))
 
 
 class Device(Struct, frozen=True, kw_only=True):

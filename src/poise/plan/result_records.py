@@ -35,8 +35,9 @@ class Answer(NamedTuple):
 class Terms(Struct, frozen=True, kw_only=True):
     """F and its parts, weights included: they add up to `total`.
 
-    `move` holds every linear cost: of leaving the present computer, and of the
-    problem's cost matrix. `quality` is what a lesser alternative costs.
+    `move` holds every linear cost: of leaving the present computer, and what problems
+    say that a component costs on a computer. `quality` is what a lesser alternative
+    costs.
     """
 
     total: float

@@ -69,9 +69,7 @@ class Loads:
 
     def __init__(self, robot: Robot, *, emulated: bool) -> None:
         self._speeds = {c.name: 1.0 if emulated else c.speed for c in robot.computers}
-        self._capacities = {
-            c.name: c.capacity.get("cpu", 0.0) * c.speed for c in robot.computers
-        }
+        self._capacities = {c.name: c.total("cpu") for c in robot.computers}
         self._totals: dict[str, deque[_Total]] = {}
         self._lock = threading.Lock()
 

@@ -142,11 +142,7 @@ def arrays_of(problem: Problem) -> Arrays:
     unit_of, members = _units(problem, index)
     n, m, r = len(members), len(computers), len(resources)
     demand = [c.demand.get(k, 0.0) for c in components for k in resources]
-    capacity = [
-        h.capacity.get(k, 0.0) * (h.speed if k == "cpu" else 1.0)
-        for h in computers
-        for k in resources
-    ]
+    capacity = [h.total(k) for h in computers for k in resources]
     limit = [h.usable(k) for h in computers for k in resources]
     unit = {name: unit_of[i] for name, i in index.items()} if n < len(index) else index
     connectors = _connectors(problem, unit)

@@ -118,7 +118,7 @@ def _is_emulated(robot: Robot) -> bool:
 def _emulated(robot: Robot, computer: str) -> tuple[Robot, str]:
     """Return the robot with one other computer, as large as all together."""
     chosen = robot.computer(computer)
-    total = sum(c.capacity["cpu"] * c.speed for c in robot.computers)
+    total = sum(c.total("cpu") for c in robot.computers)
     memory = sum(c.capacity["memory"] for c in robot.computers)
     others = Computer(name=OTHERS, capacity={"cpu": total, "memory": memory})
     rig = msgspec.structs.replace(

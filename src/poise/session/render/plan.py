@@ -105,7 +105,7 @@ def _used(
 
 def _bar(computer: Computer, resource: str, used: float) -> str:
     """Return how much of a resource is used, as a bar and a share of the capacity."""
-    text, capacity = _share(computer, resource, used), _capacity(computer, resource)
+    text, capacity = _share(computer, resource, used), computer.total(resource)
     if capacity <= 0:
         return text
     full = min(BAR, round(used / capacity * BAR))
@@ -114,15 +114,10 @@ def _bar(computer: Computer, resource: str, used: float) -> str:
 
 def _share(computer: Computer, resource: str, used: float) -> str:
     """Return which share of a capacity is used; where there is none, how much is."""
-    capacity = _capacity(computer, resource)
+    capacity = computer.total(resource)
     if capacity <= 0:
         return units.format_amount(resource, used) if used else "none"
     return f"{used / capacity:.0%}"
-
-
-def _capacity(computer: Computer, resource: str) -> float:
-    speed = computer.speed if resource == "cpu" else 1.0
-    return computer.capacity.get(resource, 0.0) * speed
 
 
 def _phases(phased: plan.PhasedResult) -> tuple[RenderableType, ...]:
@@ -162,7 +157,7 @@ def _on(computer: Computer, result: plan.Result) -> str:
     shares = [
         f"{resource} {_share(computer, resource, used[computer.name, resource])}"
         for resource in result.problem.resources
-        if _capacity(computer, resource) > 0
+        if computer.total(resource) > 0
     ]
     names = [c for c, there in result.placement.items() if there == computer.name]
     return f"{', '.join(shares)}\n{_some(names)}"

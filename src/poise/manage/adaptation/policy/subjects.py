@@ -33,7 +33,7 @@ def _computers(facts: Facts) -> Iterator[Values]:
         yield ComputerValues(
             name=computer.name,
             lost=computer.name in facts.lost,
-            capacity=computer.capacity.get("cpu", 0.0) * computer.speed,
+            capacity=computer.total("cpu"),
             used=load.used if load else 0.0,
             background=load.background if load else 0.0,
             full=load is not None and load.is_full,

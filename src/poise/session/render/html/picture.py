@@ -62,7 +62,7 @@ def planned_picture(result: plan.Result, title: str) -> str:
     shares = {}
     for computer in problem.computers:
         used = sum(each.cpu for each in hosted if each.computer == computer.name)
-        has = computer.capacity.get("cpu", 0.0) * computer.speed
+        has = computer.total("cpu")
         shares[computer.name] = used / has if has else 0.0
     head = f"<p><b>{escape(title)}</b></p>" if title else ""
     return head + picture(shares, hosted)
