@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from poise.manage.journal import JournalEntry
 from poise.session.running_robots.running import Status
-from poise.view.dashboard.state import PageState, changes, why
+from poise.view.dashboard.state import PageState, Updates, changes, why
 from poise.view.live import Look
 from poise.wire.records.requests import ManagerId
 from poise.wire.records.status import (
@@ -96,6 +96,25 @@ def test_only_what_has_changed_is_sent() -> None:
     assert differ["components"]["arm"]["at"] == "right"
     assert "lid-2" not in differ["components"]
     assert differ["computers"]["left"] is None
+
+
+def test_a_page_gets_the_latest_when_it_took_the_last_update() -> None:
+    updates, wholes = Updates(), []
+    assert updates.next({"robot": {"": {"at": 1}}}, 10.0) == {"robot": {"": {"at": 1}}}
+    wholes.append(updates.is_whole)
+    assert updates.next({"robot": {"": {"at": 2}}}, 10.2) is None  # it may queue
+    updates.note_taken()
+    page = {"robot": {"": {"at": 3}}}
+    assert updates.next(page, 10.4) == {"robot": {"": {"at": 3}}}
+    wholes.append(updates.is_whole)
+    updates.note_taken()
+    assert updates.next(dict(page), 10.6) is None  # nothing is new
+    assert updates.next(page, 12.0) is None  # and nothing was read
+    assert updates.next(dict(page), 12.0) == {}
+    updates.begin_anew()
+    assert updates.next(page, 12.2) == page
+    wholes.append(updates.is_whole)
+    assert wholes == [True, False, True]
 
 
 def test_a_robot_that_gives_no_answer_is_shown_as_it_was() -> None:

@@ -37,7 +37,7 @@ export default {
     <span v-for="task in robot.tasks || []">task <b>{{ task }}</b></span>
     <label class="find">Find <input type="search" v-model="wanted" aria-label="Find components"></label>
   </div>
-  <p v-if="silent" class="trouble">⚠ Nothing came for {{ silent }} s: the link to this page is slow, or down.</p>
+  <p v-if="silent" class="trouble">⚠ Nothing came for {{ silent }} s: the manager is busy, or the link to this page is slow or down.</p>
   <div role="status" aria-live="polite">
     <p v-if="robot.trouble" class="trouble">⚠ No answer since {{ clock(robot.since) }}, trying again;
       below is what was known last. {{ robot.trouble }}</p>

@@ -7,21 +7,18 @@ import secrets
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from nicegui import app, background_tasks, run, ui
 from nicegui.events import GenericEventArguments
 
 from poise.view.dashboard.dialogs import Actions
 from poise.view.dashboard.guard import Guard, is_loopback
-from poise.view.dashboard.state import Page, PageState, changes
+from poise.view.dashboard.state import Page, PageState, Updates
 from poise.view.live import LiveReader, Look
 
 EVERY = 0.2
 """The page is this old at most, on a quick link [s]."""
 _LOOK_EVERY = 0.02
-_NEWS_EVERY = 1.0
-"""A page that hears nothing for longer than some of these [s] says so."""
 _RECONNECT_LIMIT = 20.0
 """A page that was cut off may come back within this time [s]. NiceGUI also derives from
 it for how long one update may be on its way before the connection counts as lost: 8 s.
@@ -72,7 +69,7 @@ class Dashboard:
             _place_theme()
         client.on_disconnect(lambda: self._note(client.id, is_there=False))
         client.on_delete(lambda: self._note(client.id, is_there=False))
-        updates = _Updates()
+        updates = Updates()
         robot_map.on("taken", updates.note_taken)
         client.on_connect(updates.begin_anew)
         client.on_connect(lambda: self._note(client.id, is_there=True))
@@ -101,36 +98,6 @@ class Dashboard:
         for entry in self._look.entries:
             if entry.number == event.args:
                 actions.show_entry(entry)
-
-
-class _Updates:
-    """What one page is sent: what has changed since it took the last update."""
-
-    def __init__(self) -> None:
-        self.is_whole = True
-        """Whether the last update was all there is."""
-        self._sent: Page = {}
-        self._sent_at = 0.0
-        self._is_on_the_way = False
-
-    def begin_anew(self) -> None:
-        """Send everything next: the connection is another one."""
-        self._sent, self._is_on_the_way = {}, False
-
-    def note_taken(self) -> None:
-        """Let the next one be sent; so on a slow link nothing queues."""
-        self._is_on_the_way = False
-
-    def next(self, page: Page, now: float) -> dict[str, Any] | None:
-        """Return an update at a time [s]; None: not now."""
-        if self._is_on_the_way:
-            return None
-        differ = changes(self._sent, page)
-        if not differ and now - self._sent_at < _NEWS_EVERY:
-            return None
-        self.is_whole = not self._sent
-        self._sent, self._sent_at, self._is_on_the_way = page, now, True
-        return differ
 
 
 def _place_theme() -> None:

@@ -17,6 +17,8 @@ Page = dict[str, Records]
 
 MOST_SHOWN = 200
 """So many decisions are shown."""
+_NEWS_EVERY = 1.0
+"""A page is sent at least an empty update so often [s]."""
 
 
 class PageState:
@@ -63,6 +65,39 @@ def changes(before: Page, after: Page) -> dict[str, Any]:
         if differ:
             found[part] = differ
     return found
+
+
+class Updates:
+    """What one page is sent: what has changed since it took the last update."""
+
+    def __init__(self) -> None:
+        self.is_whole = True
+        """Whether the last update was all there is."""
+        self._sent: Page = {}
+        self._sent_at = 0.0
+        self._is_on_the_way = False
+
+    def begin_anew(self) -> None:
+        """Send everything next: the connection is another one."""
+        self._sent, self._is_on_the_way = {}, False
+
+    def note_taken(self) -> None:
+        """Let the next one be sent; so on a slow link nothing queues."""
+        self._is_on_the_way = False
+
+    def next(self, page: Page, now: float) -> dict[str, Any] | None:
+        """Return an update at a time [s]; None: not now, or nothing was read since.
+
+        It may be empty: a page that hears nothing at all says so.
+        """
+        if self._is_on_the_way or page is self._sent:
+            return None
+        differ = changes(self._sent, page)
+        if not differ and now - self._sent_at < _NEWS_EVERY:
+            return None
+        self.is_whole = not self._sent
+        self._sent, self._sent_at, self._is_on_the_way = page, now, True
+        return differ
 
 
 def _robot(look: Look) -> dict[str, Any]:
