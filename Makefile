@@ -1,6 +1,8 @@
 # `make demo` and `make test` do all of their own set-up, in .venv and nowhere else.
 PYTHON ?= python3
 BIN := .venv/bin
+# else each process that a test starts would compile all that it imports
+export PYTHONDONTWRITEBYTECODE :=
 NATIVE := $(shell find src CMakeLists.txt -name '*.cpp' -o -name '*.h' -o -name CMakeLists.txt)
 
 .PHONY: setup demo quick test exhaustive soak coverage lint stubs sanitize docs clean

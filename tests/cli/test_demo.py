@@ -19,7 +19,7 @@ SHORT = """
 from poise.cli.main import main
 from poise.session.scenes import home_robot
 
-home_robot.DRIVE, home_robot.MOVE_AT, home_robot.CALLS = 2.0, 0.5, 0.5
+home_robot.DRIVE, home_robot.MOVE_AT, home_robot.CALLS = 3.0, 0.5, 0.5
 main()
 """
 
@@ -41,6 +41,7 @@ def test_drives_moves_and_calls(tmp_path: Path) -> None:
     assert done.returncode == 1, done.stderr  # for the outcome is not the paper's
     assert done.stdout, done.stderr
     report = json.loads(done.stdout)
+    assert "runs" in report, report
     assert [drive["method"] for drive in report["runs"]] == ["static", "auto"]
     on_main = [
         list(drive["placement"].values()).count("main") for drive in report["runs"]

@@ -23,6 +23,7 @@ from poise.manage.control_socket.records import (
 from poise.manage.migration.report import MigrationReport
 from poise.model.robot import Computer, Robot
 from poise.wire.records.status import ConnectorStatus
+from tests.busy import needs_quiet_machine
 from tests.command import POISE, run_poise
 from tests.waiting import LONG, wait_long
 
@@ -301,7 +302,8 @@ def test_the_first_move_after_a_short_cut_works(field: Field, up: Up) -> None:
         field.set_cable(name, "up")
         moved = send_command(field.name, MoveCommand("source", there))
         assert isinstance(moved, MigrationReport)
-        assert moved.committed, moved.reason
+        with needs_quiet_machine():  # a busy one makes the cut longer than a lease
+            assert moved.committed, moved.reason
         up.wait_for(rf"\d\d:\d\d:\d\d moved component 'source' from .* to '{there}'")
         assert at(field, "source") == there
     assert run_poise("status").returncode == 0

@@ -110,7 +110,7 @@ class Daemonizing(Component):
 
     @every(0.01)
     def look(self):
-        if os.path.exists("look"):
+        if os.path.exists("look") and not os.path.exists("codes"):
             codes = [each.wait() for each in self.own]
             pathlib.Path("codes").write_text(str(codes))
 
