@@ -45,7 +45,7 @@ from poise.view.drives_picture import DrivePicture, drives_picture
 from poise.wire.records.status import Summary
 
 EXAMPLES = Path(__file__).parents[5] / "examples"
-_TITLES = {"static": "static (what can, on Main)", "auto": "Poise"}
+_TITLES = {"static": "static (by hand)", "auto": "Poise"}
 _PICTURE = Path("poise-demo.svg")
 
 
