@@ -59,7 +59,10 @@ def drive_once(
     examples: Path, method: str, console: Console, check: Check
 ) -> RunReport:
     """Drive once; a second time when the host spoilt the first."""
-    titles = {"static": "placed by hand: on main what can be there", "auto": "where Poise puts it"}
+    titles = {
+        "static": "placed by hand: on main what can be there",
+        "auto": "where Poise puts it",
+    }
     console.print(f"\n[bold]T-Rot, {titles[method]}")
     robot = _load(examples / "trot", console)
     for _ in range(2):
