@@ -9,6 +9,8 @@ from trot.world.functions import MEASURED, criteria, working
 GOOD: dict[str, Any] = {
     "goal_reached": True,
     "collisions": 0,
+    "path_length": 7.2,
+    "path_error_most": 0.14,
     "cups_placed": 4,
     "cups_dropped": 0,
     "sentences": 5,
@@ -28,6 +30,8 @@ def test_a_good_run_works() -> None:
     ("change", "fails"),
     [
         ({"collisions": 1}, "navigation"),
+        ({"path_error_most": 0.5}, "localisation"),
+        ({"path_length": 0.2}, "localisation"),
         ({"cups_placed": 0}, "manipulation"),
         ({"answered": 3}, "interaction"),
         ({"head_error_degrees": None}, "audition"),

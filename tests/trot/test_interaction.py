@@ -173,9 +173,10 @@ def test_counts_wrong_words() -> None:
 
 def test_says_every_sentence_and_then_waits() -> None:
     person = Person(seed=3)
-    assert person.speak(100.0) is None
-    assert person.speak(101.0) is not None
-    assert person.speak(101.5) is None
+    assert person.speak(90.0, listens=False) is None
+    assert person.speak(100.0, listens=True) is None
+    assert person.speak(101.0, listens=True) is not None
+    assert person.speak(101.5, listens=True) is None
     assert len(recorded()) == len(SENTENCES) * len(VOICES)
 
 
@@ -191,8 +192,8 @@ def test_counts_an_answer_that_fits() -> None:
 def test_judges_answers_by_screen_and_voice() -> None:
     """The voice begins 0.5 s after the sentence; what was said before is not meant."""
     person = Person()
-    person.speak(0.0)
-    person.speak(1.0)
+    person.speak(0.0, listens=True)
+    person.speak(1.0, listens=True)
     ends = person.asked[0].ends
     person.read(Screen(ends - 0.1, "old", "Old.", "", b""))
     person.hear(ends + 0.5)
@@ -201,3 +202,5 @@ def test_judges_answers_by_screen_and_voice() -> None:
     assert result["word_error_rate"] == 0
     assert result["answer_seconds"] == 0.5
     assert result["sentences"] == 1
+    said = person.asked[0].sentence
+    assert result["conversation"] == [{"said": said, "heard": said, "answer": "Well."}]

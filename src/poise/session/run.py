@@ -22,6 +22,7 @@ from poise.session.placing.placement import Placement
 from poise.session.placing.repository import note_architectures
 from poise.session.recordings.record_run import keeping
 from poise.session.reports.history import History
+from poise.session.reports.last_seen import LastSeen
 from poise.session.reports.run_report import MeasuredRun, RunReport, reported
 from poise.session.robot_file import task_of
 from poise.session.watched_run import WatchedRun
@@ -168,12 +169,13 @@ def _measure(
 ) -> MeasuredRun:
     up.computers.begin()
     begin, began, at = up.run.agents.statuses(), time.monotonic(), time.time()
-    history = History(up.run.robot, up.computers.faster)
+    history, last_seen = History(up.run.robot, up.computers.faster), LastSeen()
     interrupted = False
 
     def look(_: float) -> None:
-        now = time.monotonic()
-        history.look(up.run.agents.statuses(), time.time(), now)
+        now, statuses = time.monotonic(), up.run.agents.statuses()
+        last_seen.look(statuses)
+        history.look(statuses, time.time(), now)
         meanwhile(up.run, now - began)
 
     try:
@@ -185,6 +187,7 @@ def _measure(
         end=up.run.agents.statuses(),
         began=at,
         history=tuple(history.moments),
+        last_seen=last_seen,
         seconds=time.monotonic() - began,
         invalid=up.computers.end(),
         interrupted=interrupted,

@@ -96,3 +96,8 @@ def test_deadlines_are_pooled_and_ages_are_medians_over_runs() -> None:
     (arm,) = summarised(runs, ["a"], ["usual"], ["drive", "talk"])
     assert arm.deadline_miss_share == {"pose": 0.25}
     assert (arm.ages, arm.ages_p99) == ({"pose": 0.2}, {"pose": 0.4})
+
+
+def test_a_function_that_nobody_judged_has_not_failed() -> None:
+    (arm,) = summarised([VALID], ["a"], ["usual"], ["drive", "dance"])
+    assert (arm.success["dance"].share, arm.success["drive"].share) == (None, 1.0)

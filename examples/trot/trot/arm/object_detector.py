@@ -27,7 +27,7 @@ class ObjectDetector(Component):
     def configure(self) -> None:
         self._cameras = Device(self.device("cameras"))
 
-    @every(0.05, deadline=0.05)
+    @every(0.1, deadline=0.1)
     def look(self) -> None:
         for packet in self._cameras.receive()[-1:]:
             stamp, coded = unpack_picture(packet)

@@ -1,6 +1,6 @@
 """Finds where a sound comes from: the steered response power of four microphones.
 
-SRP-PHAT (DiBiase, 2000) looks in steps of 1.5 degrees around the robot. pyroomacoustics
+SRP-PHAT (DiBiase, 2000) looks in steps of 2 degrees around the robot. pyroomacoustics
 has it, too, but takes longer to import than the robot needs to start.
 """
 
@@ -26,7 +26,7 @@ CLEAR = 1.2
 SPEED_OF_SOUND = 343.0
 """[m/s]"""
 
-DIRECTIONS = 240
+DIRECTIONS = 180
 FRAME = 512
 BAND = (300, 3500)
 """[Hz] Here voices are."""

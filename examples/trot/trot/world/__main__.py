@@ -51,7 +51,7 @@ MOST_BEHIND = 0.1
 FOLLOWS = "I follow"
 """When the robot says this, the person leads it to the kitchen."""
 
-CAMERA_PERIOD = 0.05
+CAMERA_PERIOD = 0.1
 """[s] from picture to picture."""
 
 
@@ -139,7 +139,8 @@ class World:
 
     def _speak(self, now: float) -> None:
         """Let the person go on speaking, or begin to."""
-        samples = self._person.speak(now)
+        listens = self._outlets["microphones"].is_used
+        samples = self._person.speak(now, listens=listens)
         if samples is not None:
             self._sound.say(samples)
         was_speaking = self._sound.is_speaking

@@ -32,6 +32,7 @@ class Camera:
             random.normal(0, NOISE, shape).astype(np.int16) for _ in range(4)
         ]
         self._random = random
+        self._scene = _scene()
 
     def picture(self, cup: Point, arm: list[Point]) -> NDArray[np.uint8]:
         """Return what the camera sees, ``(480, 640, 3)``, blue first.
@@ -43,19 +44,7 @@ class Camera:
         arm
             The arm's joints and the hand [m], from the shoulder on.
         """
-        pixels = np.full((camera_model.ROWS, camera_model.COLUMNS, 3), TABLE, np.uint8)
-        x, y = arm_model.TRAY
-        half_x, half_y = arm_model.TRAY_HALF
-        corners = [
-            pixel(x - half_x, y + half_y, arm_model.TRAY_HEIGHT),
-            pixel(x + half_x, y - half_y, arm_model.TRAY_HEIGHT),
-        ]
-        cv2.rectangle(pixels, _at(corners[0]), _at(corners[1]), TRAY, -1)
-        for place in arm_model.PLACES.values():
-            _disc(pixels, *place, arm_model.TRAY_HEIGHT, 0.045, COASTER)
-        for height in np.linspace(0, arm_model.BOTTLE_HEIGHT, 8):
-            up = arm_model.TRAY_HEIGHT + float(height)
-            _disc(pixels, x, y, up, arm_model.BOTTLE_RADIUS, BOTTLE)
+        pixels = self._scene.copy()
         for height in np.linspace(-1, 1, 6) * arm_model.CUP_HEIGHT / 2:
             up = float(cup[2] + height)
             _disc(pixels, cup[0], cup[1], up, arm_model.CUP_RADIUS, CUP)
@@ -66,13 +55,31 @@ class Camera:
                 pixels, _at(pixel(*start)), _at(pixel(*end)), ARM, wide, cv2.LINE_AA
             )
         noise = self._noise[int(self._random.integers(4))]
-        return np.asarray(np.clip(pixels + noise, 0, 255), np.uint8)
+        return np.asarray(cv2.add(pixels, noise, dtype=cv2.CV_8U))
 
     def jpeg(self, cup: Point, arm: list[Point]) -> bytes:
         """Return the picture as JPEG."""
         picture = self.picture(cup, arm)
         _, coded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
         return bytes(coded)
+
+
+def _scene() -> NDArray[np.uint8]:
+    """Return what never changes: table, tray, coasters and bottle."""
+    pixels = np.full((camera_model.ROWS, camera_model.COLUMNS, 3), TABLE, np.uint8)
+    x, y = arm_model.TRAY
+    half_x, half_y = arm_model.TRAY_HALF
+    corners = [
+        pixel(x - half_x, y + half_y, arm_model.TRAY_HEIGHT),
+        pixel(x + half_x, y - half_y, arm_model.TRAY_HEIGHT),
+    ]
+    cv2.rectangle(pixels, _at(corners[0]), _at(corners[1]), TRAY, -1)
+    for place in arm_model.PLACES.values():
+        _disc(pixels, *place, arm_model.TRAY_HEIGHT, 0.045, COASTER)
+    for height in np.linspace(0, arm_model.BOTTLE_HEIGHT, 8):
+        up = arm_model.TRAY_HEIGHT + float(height)
+        _disc(pixels, x, y, up, arm_model.BOTTLE_RADIUS, BOTTLE)
+    return pixels
 
 
 def _at(point: Point) -> tuple[int, int]:

@@ -49,7 +49,7 @@ class Eye:
         if distance is not None:
             self._draw(pixels, angle, max(NEAREST, distance))
         noise = self._noise[int(self._random.integers(4))]
-        return np.asarray(np.clip(pixels + noise, 0, 255), np.uint8)
+        return np.asarray(cv2.add(pixels, noise, dtype=cv2.CV_8U))
 
     def jpeg(self, angle: float, distance: float | None) -> bytes:
         """Return the picture as JPEG."""

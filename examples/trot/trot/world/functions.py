@@ -9,6 +9,12 @@ from typing import Any
 ANSWERED = 0.75
 """The share of sentences that want a right answer in time."""
 
+LOST = 0.3
+"""[m] The largest distance from the best path of a robot that knows where it is."""
+
+MOVED = 1.0
+"""[m] It drove so far at least."""
+
 HEAD = 15.0
 """[degrees] The head may be this far off, median."""
 
@@ -29,6 +35,7 @@ MEASURED: Mapping[str, Mapping[str, str]] = {
         "distance_to_goal": "m",
         "collisions": "",
     },
+    "localisation": {"path_length": "m", "path_error_most": "m"},
     "manipulation": {"cups_placed": "", "cups_dropped": ""},
     "interaction": {
         "sentences": "",
@@ -73,6 +80,8 @@ def working(result: Mapping[str, Any]) -> dict[str, bool]:
     head, good = result["head_error_degrees"], result["good_recommendations"]
     return {
         "navigation": result["goal_reached"] and result["collisions"] == 0,
+        "localisation": result["path_length"] >= MOVED
+        and result["path_error_most"] <= LOST,
         "manipulation": result["cups_placed"] > 0 and result["cups_dropped"] == 0,
         "interaction": said > 0 and result["answered"] >= ANSWERED * said,
         "audition": head is not None and head <= HEAD,

@@ -17,7 +17,7 @@ PAUSE = 2.0
 """[s] between the end of a sentence and the next one."""
 
 FIRST = 1.0
-"""[s] after the start."""
+"""[s] after somebody has begun to listen."""
 
 PATIENCE = 1.8
 """[s] An answer that begins later is none."""
@@ -70,11 +70,14 @@ class Person:
         self._begins = -1.0
         self.asked: list[Asked] = []
 
-    def speak(self, now: float) -> NDArray[np.int16] | None:
-        """Return the samples of a sentence that begins `now` [s]; mostly none does."""
-        if self._begins < 0:
+    def speak(self, now: float, *, listens: bool) -> NDArray[np.int16] | None:
+        """Return the samples of a sentence that begins `now` [s]; mostly none does.
+
+        The first one waits until the robot `listens`.
+        """
+        if self._begins < 0 and listens:
             self._begins = now + FIRST
-        if now < self._begins:
+        if not 0 <= self._begins <= now:
             return None
         sentence, samples = self._known[next(self._order)]
         ends = now + len(samples) / SAMPLE_RATE
@@ -111,6 +114,10 @@ class Person:
                 round(sum(e.word_errors for e in asked) / words, 3) if words else None
             ),
             "answer_seconds": round(float(np.median(times)), 3) if times else None,
+            "conversation": [
+                {"said": each.sentence, "heard": each.heard, "answer": each.answer}
+                for each in asked
+            ],
         }
 
 

@@ -43,9 +43,9 @@ class ArmSummary(Struct, frozen=True, kw_only=True):
         How many were made, and how many of these say nothing about the robot; nothing
         else counts them.
     success
-        Function -> how often it worked.
+        Function -> how often it worked, over the runs in which the world judged it.
     all_worked
-        How often all functions did.
+        How often all functions did that it judged.
     deadline_miss_share
         Chain -> share of the uses of its data that came too late, over all runs; None
         when its data never came to its end.
@@ -150,13 +150,10 @@ def _summary(
         runs=len(runs),
         invalid=len(runs) - len(valid),
         success={
-            name: wilson(sum(r.functions.get(name, False) for r in valid), len(valid))
+            name: _held(r.functions[name] for r in valid if name in r.functions)
             for name in functions
         },
-        all_worked=wilson(
-            sum(all(r.functions.get(f, False) for f in functions) for r in valid),
-            len(valid),
-        ),
+        all_worked=_held(all(r.functions.values()) for r in valid if r.functions),
         deadline_miss_share={
             name: _missed([r.chains[name] for r in valid if name in r.chains])
             for name in chains
@@ -181,6 +178,11 @@ def _summary(
         },
         put_aside={name: aside.count(name) for name in dict.fromkeys(aside)},
     )
+
+
+def _held(outcomes: Iterable[bool]) -> Share:
+    known = list(outcomes)
+    return wilson(sum(known), len(known))
 
 
 def _names(several: Iterable[Mapping[str, object]]) -> list[str]:

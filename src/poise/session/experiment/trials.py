@@ -98,7 +98,7 @@ CONDITIONS = (
     Condition(name=BASE),
     *LOADS,
     Condition(name=SLOW_LINK, bandwidth=_SLOW),
-    Condition(name=OVERRUN, parameters={"localiser": {"particles": 3750}}),
+    Condition(name=OVERRUN, parameters={"localiser": {"particles": 3000}}),
 )
 
 

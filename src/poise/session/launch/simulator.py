@@ -143,10 +143,15 @@ def world_of(
 def _go_first(process: int) -> None:
     """Let the world go before other programs: it is to keep up with the clock.
 
-    Linux shares the CPU among sessions first, if it is told to (``sched_autogroup``):
-    a nice value counts only inside the world's own one then.
+    It and what it starts are real-time threads of the lowest priority; where the system
+    does not allow that, they have a nice value. Linux shares the CPU among sessions
+    first, if it is told to (``sched_autogroup``): that counts only inside the world's
+    own one then.
     """
-    with contextlib.suppress(OSError):  # the system does not allow it
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(process, os.SCHED_RR, os.sched_param(1))
+        return
+    with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, process, _NICE)
     with contextlib.suppress(OSError):
         Path("/proc", str(process), "autogroup").write_text(str(_NICE))

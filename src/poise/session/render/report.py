@@ -17,6 +17,7 @@ from poise.session.render.shared_tables.clocks import clock_tables
 from poise.session.render.shared_tables.columns import table
 from poise.session.render.shared_tables.connectors import connector_tables
 from poise.session.render.shared_tables.tasks import task_lines
+from poise.session.reports.judgements import judgements
 from poise.units import counted, format_seconds
 
 if TYPE_CHECKING:
@@ -38,11 +39,27 @@ def report_parts(report: RunReport) -> Iterator[RenderableType]:
     for name in report.put_aside:
         yield f"[red]architecture '{name}' was put aside: not all fits[/]"
     yield from _failures(report)
-    if report.simulation:
-        facts = ", ".join(f"{key} {value}" for key, value in report.simulation.items())
-        yield f"the simulated world says: {escape(facts)}"
+    yield from _world(report)
     if report.invalid:
         yield f"[bold yellow]invalid run:[/] {escape(report.invalid)}"
+
+
+def _world(report: RunReport) -> Iterator[RenderableType]:
+    """Yield what the simulated world judges; without judgements, its plain values."""
+    rows = table("in the simulated world", "success", "measured", folds=2)
+    for each in judgements(report.simulation, [task.name for task in report.tasks]):
+        values = (f"{name} {value}" for name, value in each.values.items())
+        success = "yes" if each.success else "[red]no[/]"
+        rows.add_row(escape(each.name), success, escape(", ".join(values)))
+    if rows.row_count:
+        yield rows
+    elif report.simulation:
+        plain = (
+            f"{key} {value}"
+            for key, value in report.simulation.items()
+            if not isinstance(value, list | dict)
+        )
+        yield f"the simulated world says: {escape(', '.join(plain))}"
 
 
 def _failures(report: RunReport) -> Iterator[RenderableType]:

@@ -28,6 +28,7 @@ from poise.session.render.html.picture import Hosted, picture
 from poise.session.render.printable import Printable
 from poise.session.render.report import report_parts
 from poise.session.reports.history import Moment, cpu_shares
+from poise.session.reports.last_seen import LastSeen
 from poise.session.reports.run_errors import (
     ComponentError,
     HungHandler,
@@ -224,6 +225,7 @@ class MeasuredRun(Struct, frozen=True, kw_only=True):
     began: float
     seconds: float
     history: tuple[Moment, ...]
+    last_seen: LastSeen
     invalid: str
     interrupted: bool
 
@@ -236,7 +238,7 @@ def reported(
     journal: tuple[JournalEntry, ...],
 ) -> RunReport:
     """Return the report of a run whose components are inactive by now."""
-    final = up.run.agents.statuses()
+    final = seen.last_seen.merged(up.run.agents.statuses())
     robot = up.run.robot
     invalid, simulation = seen.invalid, {}
     try:
