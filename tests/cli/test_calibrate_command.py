@@ -74,7 +74,7 @@ def test_what_a_busy_machine_measured_is_kept_by_force_only(
     assert isinstance(told.exception, RunError)
     assert str(told.exception).startswith("not written: too busy. `--force`")
     assert costs(tmp_path) == {}
-    # the record is public: docs/estimation.md
+    # the record is public: docs/output.schema.json
     assert json.loads(told.stdout) == {
         "reference": "left",
         "computers": {
