@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import pytest
-from msgspec import Struct, field
 
+from poise.session.running_robots.running import Status
 from poise.view.robot_view import SPAN, ComponentRow, ConnectorRow, Reader, TimerRow
+from poise.wire.records.requests import ManagerId
 from poise.wire.records.status import (
     AgentStatus,
     ComponentStatus,
@@ -18,38 +20,25 @@ from poise.wire.records.status import (
 )
 
 
-class Noticed(Struct, frozen=True):
-    what: str
-    since: float = 0.0
-
-
-class Told(Struct, frozen=True):
-    what: str
-    kind: str = "decided"
-    at: float = 0.0
-
-
-class Seen(Struct, frozen=True, kw_only=True):
-    """A status, as far as it is shown."""
-
-    robot: str = "r"
-    task: str = "work"
-    placement: Mapping[str, str] = field(
-        default_factory=lambda: {"eye": "left", "mind": "left"}
-    )
-    computers: Mapping[str, AgentStatus]
-    capacities: Mapping[str, Mapping[str, float]] = field(
-        default_factory=lambda: {
+def shown(computers: Mapping[str, AgentStatus], **more: Any) -> Status:
+    """Return the status of a robot with two computers and two components."""
+    return Status(
+        robot="r",
+        task="work",
+        manager=ManagerId(key="k", user="ann", host="desk", pid=7, since=0.0),
+        placement={"eye": "left", "mind": "left"},
+        computers=computers,
+        capacities={
             "left": {"cpu": 2.0, "memory": 1e9},
             "right": {"cpu": 1.0, "memory": 1e9},
-        }
+        },
+        **more,
     )
-    out_of_reach: Mapping[str, float] = {}
-    deviations: tuple[Noticed, ...] = ()
-    recent: tuple[Told, ...] = ()
 
 
-def seen(uptime: float, *, cpu: float, missed: int, sent: int, epoch: int = 0) -> Seen:
+def seen(
+    uptime: float, *, cpu: float, missed: int, sent: int, epoch: int = 0
+) -> Status:
     timer = TimerStatus(
         name="look",
         period=0.1,
@@ -86,7 +75,7 @@ def seen(uptime: float, *, cpu: float, missed: int, sent: int, epoch: int = 0) -
         memory=1000,
         containers=(container,),
     )
-    return Seen(computers={"left": agent})
+    return shown({"left": agent})
 
 
 def test_rates_are_differences_on_the_time_of_the_container() -> None:
@@ -97,7 +86,7 @@ def test_rates_are_differences_on_the_time_of_the_container() -> None:
     view = reader.take(seen(12.0, cpu=1.5, missed=9, sent=140), now=3.0)
     assert view.components[0] == ComponentRow("eye", "left", "active", 0.25, 2.0, 1)
     assert view.connectors == (
-        ConnectorRow("eye.x-mind.x", "local", 20.0, 2000.0, 5, 0),
+        ConnectorRow("eye.x-mind.x", "local", True, 20.0, 2000.0, 5, 0),
     )
     assert view.timers == (TimerRow("eye.look", "eye", "left", 0.1, 0.0, 2.0),)
 
@@ -134,5 +123,5 @@ def test_what_is_missing_is_shown_as_missing() -> None:
 
 def test_components_of_a_computer_out_of_reach_are_unknown() -> None:
     status = seen(1.0, cpu=0.0, missed=0, sent=0)
-    lost = Seen(computers=status.computers, out_of_reach={"left": 1.0})
+    lost = shown(status.computers, out_of_reach={"left": 1.0})
     assert Reader().take(lost, 0.0).components[0].state == "unknown"

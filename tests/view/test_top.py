@@ -7,9 +7,12 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from poise.errors import RunError
-from tests.view.test_robot_view import Noticed, Seen, Told, seen
+from poise.manage.observe.deviations import Deviation
+from poise.session.running_robots.running import JournalEntry, Status
+from tests.view.test_robot_view import seen
 
 pytest.importorskip("textual")
 pytestmark = pytest.mark.slow
@@ -17,12 +20,17 @@ pytestmark = pytest.mark.slow
 SIZE = (80, 24)
 
 
-def status() -> Seen:
-    before = seen(10.0, cpu=1.0, missed=5, sent=100)
-    return Seen(
-        computers=before.computers,
-        deviations=(Noticed("computer 'right' is out of reach"), Noticed("another")),
-        recent=(Told("balance, 2 moves"), Told("it did not help", "failed")),
+def status() -> Status:
+    return replace(
+        seen(10.0, cpu=1.0, missed=5, sent=100),
+        deviations=tuple(
+            Deviation(what=what, computer="right", since=0.0)
+            for what in ("computer 'right' is out of reach", "another")
+        ),
+        recent=(
+            JournalEntry(0.0, "decided", "balance, 2 moves", None),
+            JournalEntry(0.0, "failed", "it did not help", None),
+        ),
     )
 
 

@@ -7,14 +7,14 @@ of each container, so that nothing on the way distorts them.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from math import inf
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from msgspec import Struct
 
+from poise.session.running_robots.running import Status
 from poise.wire.records.status import (
-    AgentStatus,
     ComponentStatus,
     ConnectorStatus,
     ContainerStatus,
@@ -22,47 +22,6 @@ from poise.wire.records.status import (
 
 SPAN = 3.0
 """Rates are means over this time [s]."""
-
-
-class Said(Protocol):
-    """A deviation: a sentence, and since when it holds [s since 1970]."""
-
-    @property
-    def what(self) -> str: ...
-    @property
-    def since(self) -> float: ...
-
-
-class Decision(Protocol):
-    """An entry of the journal."""
-
-    @property
-    def at(self) -> float: ...
-    @property
-    def kind(self) -> str: ...
-    @property
-    def what(self) -> str: ...
-
-
-class Status(Protocol):
-    """The part of a robot's status that is shown; there is nothing to act with."""
-
-    @property
-    def robot(self) -> str: ...
-    @property
-    def task(self) -> str: ...
-    @property
-    def placement(self) -> Mapping[str, str]: ...
-    @property
-    def computers(self) -> Mapping[str, AgentStatus]: ...
-    @property
-    def capacities(self) -> Mapping[str, Mapping[str, float]]: ...
-    @property
-    def out_of_reach(self) -> Mapping[str, float]: ...
-    @property
-    def deviations(self) -> Sequence[Said]: ...
-    @property
-    def recent(self) -> Sequence[Decision]: ...
 
 
 class ComputerRow(Struct, frozen=True):
@@ -93,6 +52,7 @@ class ConnectorRow(Struct, frozen=True):
 
     name: str
     kind: str
+    is_joined: bool
     rate: float
     traffic: float
     drops: int
@@ -111,16 +71,13 @@ class TimerRow(Struct, frozen=True):
 
 
 class RobotView(Struct, frozen=True):
-    """A running robot at one moment."""
+    """A running robot at one moment: its status, and rows made of it."""
 
-    robot: str
-    task: str
+    status: Status
     computers: tuple[ComputerRow, ...]
     components: tuple[ComponentRow, ...]
     connectors: tuple[ConnectorRow, ...]
     timers: tuple[TimerRow, ...]
-    deviations: tuple[Said, ...]
-    recent: tuple[Decision, ...]
 
 
 class Reader:
@@ -136,14 +93,11 @@ class Reader:
             self._past.popleft()
         before = self._past[0][1]
         return RobotView(
-            robot=status.robot,
-            task=status.task,
+            status=status,
             computers=tuple(_computers(status)),
             components=tuple(_components(before, status)),
             connectors=tuple(_connectors(before, status)),
             timers=tuple(_timers(before, status)),
-            deviations=tuple(status.deviations),
-            recent=tuple(status.recent),
         )
 
 
@@ -179,9 +133,9 @@ def _components(before: Status, now: Status) -> Iterator[ComponentRow]:
 
 def _connectors(before: Status, now: Status) -> Iterator[ConnectorRow]:
     """Yield each connector as its source counts it, and what both ends gave up."""
-    past = dict(_containers(before))
+    past = dict(containers(before))
     ends: dict[str, list[tuple[ConnectorStatus, ConnectorStatus, float]]] = {}
-    for key, container in _containers(now):
+    for key, container in containers(now):
         first, seconds = _since(past.get(key), container)
         earlier = {(end.name, end.end): end for end in first.connectors}
         for end in container.connectors:
@@ -191,7 +145,8 @@ def _connectors(before: Status, now: Status) -> Iterator[ConnectorRow]:
         source, was, seconds = min(found, key=lambda each: each[0].end == "target")
         yield ConnectorRow(
             name,
-            source.kind if all(end.ready for end, _, _ in found) else "not joined",
+            source.kind,
+            all(end.ready for end, _, _ in found),
             max(0, _count(source) - _count(was)) / seconds,
             max(0, _traffic(source) - _traffic(was)) / seconds,
             sum(end.drops for end, _, _ in found),
@@ -220,8 +175,8 @@ def _components_since(
     before: Status, now: Status
 ) -> Iterator[tuple[str, ComponentStatus, ComponentStatus, float]]:
     """Yield each component, where it is, how it was earlier, and the time since [s]."""
-    past = dict(_containers(before))
-    for key, container in _containers(now):
+    past = dict(containers(before))
+    for key, container in containers(now):
         first, seconds = _since(past.get(key), container)
         earlier = {(each.name, each.epoch): each for each in first.components}
         for each in container.components:
@@ -237,7 +192,8 @@ class _Key(NamedTuple):
     pid: int
 
 
-def _containers(status: Status) -> Iterator[tuple[_Key, ContainerStatus]]:
+def containers(status: Status) -> Iterator[tuple[_Key, ContainerStatus]]:
+    """Yield the containers of a robot, and where they are."""
     for computer, agent in sorted(status.computers.items()):
         for container in agent.containers:
             yield _Key(computer, container.name, container.pid), container

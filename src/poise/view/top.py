@@ -12,6 +12,7 @@ from textual.app import App, ComposeResult
 from textual.binding import Binding
 from textual.widgets import DataTable, Footer, Static
 
+from poise.session.running_robots.running import Status
 from poise.units import format_bytes
 from poise.view.robot_view import (
     ComponentRow,
@@ -19,7 +20,6 @@ from poise.view.robot_view import (
     ConnectorRow,
     Reader,
     RobotView,
-    Status,
 )
 
 _BAR, _SHORT_BAR, _NARROW = 10, 4, 80
@@ -165,7 +165,7 @@ class Top(App[None]):
         self._fill("components", view.components, component_cells)
         self._fill("connectors", view.connectors, connector_cells)
         lines = Text()
-        for entry in view.recent[-_MOST_LINES:]:
+        for entry in view.status.recent[-_MOST_LINES:]:
             clock = time.strftime("%H:%M:%S", time.localtime(entry.at))
             lines.append(f"{clock} {entry.what}\n", _COLOURS.get(entry.kind, ""))
         lines.rstrip()
@@ -174,14 +174,14 @@ class Top(App[None]):
     def _head(self) -> Text:
         if self._silent:
             return Text(f"no answer: {self._silent}", "red")
-        view = self._view
-        if view is None:
+        if self._view is None:
             return Text("waiting for the robot ...")
-        head = Text(f"robot '{view.robot}', task '{view.task}': ")
-        if not view.deviations:
+        status = self._view.status
+        head = Text(f"robot '{status.robot}', task '{status.task}': ")
+        if not status.deviations:
             return head.append("as the robot file says", "green")
-        more = len(view.deviations) - 1
-        head.append(view.deviations[0].what, "red")
+        more = len(status.deviations) - 1
+        head.append(status.deviations[0].what, "red")
         return head.append(f" and {more} more" if more else "", "red")
 
     def _fill(
@@ -260,7 +260,7 @@ def connector_cells(row: ConnectorRow) -> tuple[Any, ...]:
     """Return what is shown of a connector."""
     return (
         row.name,
-        Text(row.kind, "red" if row.kind == "not joined" else ""),
+        row.kind if row.is_joined else Text("not joined", "red"),
         Text(f"{row.rate:.1f}", justify="right"),
         Text(format_bytes(row.traffic) if row.traffic else "", justify="right"),
         Text(str(row.drops or ""), "red", justify="right"),

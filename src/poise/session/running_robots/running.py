@@ -29,6 +29,7 @@ from poise.manage.control_socket.records import (
 )
 from poise.manage.journal import JournalEntry
 from poise.manage.migration.report import MigrationReport
+from poise.manage.observe.chains import ChainReport
 from poise.session.render.moves import Outcome, outcome_sentence
 from poise.session.render.printable import Printable
 from poise.session.render.status import status_parts
@@ -37,7 +38,15 @@ from poise.wire.records.taps import SHOWN_ITEMS, TapReading
 
 _LOOK_EVERY = 0.25
 """What goes out over a connector is fetched after this time [s]."""
-__all__ = ["JournalEntry", "RolledBack", "Running", "Status", "WhatIf", "connect"]
+__all__ = [
+    "ChainReport",
+    "JournalEntry",
+    "RolledBack",
+    "Running",
+    "Status",
+    "WhatIf",
+    "connect",
+]
 
 
 class RolledBack(RunError):

@@ -6,12 +6,14 @@ import contextlib
 import time
 from collections import deque
 from collections.abc import Iterator
+from html import escape
 from typing import Any
 
 import msgspec
 from nicegui import run, ui
 
 from poise.errors import PoiseError
+from poise.session.render.html.page import html_table
 from poise.session.render.moves import outcome_sentence, what_if_lines
 from poise.session.running_robots.running import JournalEntry, Running, WhatIf
 from poise.view.dashboard.state import Page, why
@@ -53,7 +55,7 @@ class Actions:
             _complain(error)
             return
         with self._place, _dialog() as dialog:
-            ui.html(f"<h2>{_text(f'Move {component} to {computer}?')}</h2>")
+            ui.html(f"<h2>{escape(f'Move {component} to {computer}?')}</h2>")
             ui.html(_terms({"as it is": seen.now, "after the move": seen.then}))
             for line in what_if_lines(seen):
                 refused = line.startswith("it would be refused")
@@ -69,7 +71,7 @@ class Actions:
         if known is None:
             return
         with self._place, _dialog() as dialog:
-            ui.html(f"<h2>{_text(name)}</h2>")
+            ui.html(f"<h2>{escape(name)}</h2>")
             ui.label(f"{known['state']} on {known['at']}, container {known['in']}")
             if "cpu" in known:
                 sure = known.get("sure")
@@ -95,7 +97,7 @@ class Actions:
             decision.get("proposal") or facts.get("proposal") or facts.get("what_if")
         )
         with self._place, _dialog() as dialog:
-            ui.html(f"<h2>{_text(f'{entry.kind}: {entry}')}</h2>")
+            ui.html(f"<h2>{escape(f'{entry.kind}: {entry}')}</h2>")
             if reason := why(entry):
                 ui.label(f"Why: {reason}")
             if proposal:
@@ -117,7 +119,7 @@ class Actions:
             if facts:
                 raw = msgspec.json.format(msgspec.json.encode(facts), indent=2)
                 with ui.expansion("All facts").props("dense"):
-                    ui.html(f"<pre tabindex=0>{_text(raw.decode())}</pre>")
+                    ui.html(f"<pre tabindex=0>{escape(raw.decode())}</pre>")
             ui.button("Close", on_click=dialog.close).props("no-caps")
 
     def _follow_log(self, component: str) -> None:
@@ -143,7 +145,7 @@ class Actions:
                 if reading.silent:
                     trouble = f"no answer from {', '.join(reading.silent)}"
             text = "\n".join([*lines, trouble] if trouble else lines) or "nothing yet"
-            content = f"<pre tabindex=0>{_text(text)}</pre>"
+            content = f"<pre tabindex=0>{escape(text)}</pre>"
             if content != shown.content:
                 shown.content = content
                 with contextlib.suppress(TimeoutError):  # on a slow link nothing queues
@@ -220,27 +222,15 @@ def _alternatives(others: list[dict[str, Any]]) -> str:
         )
         for each in others
     ]
-    head = "".join(f"<th scope=col>{each}</th>" for each in heads)
-    rows = "".join(
-        "<tr>" + "".join(f"<td>{_text(cell)}</td>" for cell in row) + "</tr>"
-        for row in cells
-    )
-    return f"<table><tr>{head}</tr>{rows}</table>"
+    return html_table(heads, (map(escape, row) for row in cells))
 
 
 def _terms(columns: dict[str, Any]) -> str:
     """Return F and its parts as a table."""
     terms = {name: msgspec.to_builtins(each) for name, each in columns.items()}
-    heads = "".join(f"<th scope=col>{_text(name)}</th>" for name in terms)
     names = {"total": "F"} | {n: n for n in ("communication", "balance", "move")}
-    rows = "".join(
-        f"<tr><th scope=row>{says}</th>"
-        + "".join(f"<td>{each[term]:.4g}</td>" for each in terms.values())
-        + "</tr>"
+    rows = (
+        (says, *(f"{each[term]:.4g}" for each in terms.values()))
         for term, says in names.items()
     )
-    return f"<table><tr><td></td>{heads}</tr>{rows}</table>"
-
-
-def _text(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;")
+    return html_table(("", *terms), rows)

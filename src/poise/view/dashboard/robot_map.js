@@ -176,8 +176,8 @@ export default {
             c.name, seconds(c.deadline), seconds(c.median), (c.p99 > c.deadline ? "▲ " : "") + seconds(c.p99), `${c.missed} of ${c.uses}`,
             c.hops.map(([name, age]) => `${name} ${seconds(age)}`).join(" → ")] })) },
         { name: "connectors", title: "Connectors", heads: ["connector", "kind", "a second", "traffic", "dropped", "errors"],
-          rows: rows("connectors").sort((a, b) => (b.rate || 0) - (a.rate || 0)).map((c) => ({ bad: c.drops || c.errors || !c.ready, cells: [
-            c.name, c.kind + (c.ready ? "" : " ⚠ not joined"), c.rate === undefined ? "" : `${c.rate}`,
+          rows: rows("connectors").sort((a, b) => b.rate - a.rate).map((c) => ({ bad: c.drops || c.errors || !c.ready, cells: [
+            c.name, c.kind + (c.ready ? "" : " ⚠ not joined"), c.rate,
             c.bytes ? `${bytes(c.bytes)}/s` : "", c.drops, c.errors] })) },
       ].filter((t) => t.rows.length);
     },
@@ -238,7 +238,7 @@ export default {
       return {
         ...each,
         d: `M${x1} ${from.y}C${x1 + bend} ${from.y} ${c2} ${to.y} ${x2} ${to.y}`,
-        width: Math.min(8, Math.round(3 + 2 * Math.log10(1 + (each.bytes || 20 * (each.rate || 0)) / 100)) / 2),
+        width: Math.min(8, Math.round(3 + 2 * Math.log10(1 + (each.bytes || 20 * each.rate) / 100)) / 2),
         picked: picked || (this.wanted && (this.fits(each.source) || this.fits(each.target))),
         dim: (this.near && !picked) || (this.wanted && !this.fits(each.source) && !this.fits(each.target)),
       };

@@ -7,9 +7,9 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from poise.session.running_robots.running import JournalEntry
+from poise.session.running_robots.running import ChainReport, JournalEntry, Status
 from poise.view.live import Look
-from poise.view.robot_view import Reader
+from poise.view.robot_view import ConnectorRow, Reader, containers
 
 Records = dict[str, dict[str, Any]]
 Page = dict[str, Records]
@@ -36,22 +36,23 @@ class PageState:
             When the look was taken, on a clock that never goes back [s].
         """
         page: Page = {"robot": {"": _robot(look)}, "entries": _entries(look)}
-        if look.status is None:
+        status = look.status
+        if status is None:
             return page
-        timers = dict(_timers(look))
-        for row in self._reader.take(look.status, at).timers:
+        timers, view = dict(_timers(status)), self._reader.take(status, at)
+        for row in view.timers:
             timers[row.name]["now"] = (
                 _round(row.missed / row.rate) if row.rate else None
             )
         page["timers"] = timers
-        page["chains"] = dict(_chains(look))
-        page["connectors"] = dict(_connectors(look))
-        page["components"] = components = dict(_components(look))
+        page["chains"] = {each.name: _chain(each) for each in status.chains}
+        page["connectors"] = {each.name: _connector(each) for each in view.connectors}
+        page["components"] = components = dict(_components(status))
         for each in timers.values():
             component = components.get(each["component"])  # None: it is being ended
             if component and each["deadline"] is not None and each.get("now"):
                 component["late"] = max(component.get("late", 0.0), each["now"])
-        page["computers"] = dict(_computers(look, components))
+        page["computers"] = dict(_computers(status, components))
         return page
 
 
@@ -165,68 +166,46 @@ def _values(saw: Mapping[str, Any]) -> str:
     )
 
 
-def _timers(look: Look) -> Iterator[tuple[str, dict[str, Any]]]:
-    assert look.status is not None  # noqa: S101, the caller has looked
-    for computer in look.status.computers.values():
-        for container in computer.containers:
-            for component in container.components:
-                for timer in component.timers:
-                    yield (
-                        f"{component.name}.{timer.name}",
-                        {
-                            "component": component.name,
-                            "period": timer.period,
-                            "deadline": timer.deadline,
-                            "releases": timer.releases,
-                            "missed": timer.missed,
-                            "p99": _round(timer.duration.p99),
-                        },
-                    )
-
-
-def _chains(look: Look) -> Iterator[tuple[str, dict[str, Any]]]:
-    assert look.status is not None  # noqa: S101, the caller has looked
-    for chain in look.status.chains:
-        yield (
-            chain.name,
-            {
-                "deadline": chain.deadline,
-                "missed": chain.missed,
-                "uses": chain.age.count,
-                "median": _round(chain.age.median),
-                "p99": _round(chain.age.p99),
-                "hops": [[hop.component, _round(hop.age.median)] for hop in chain.hops],
-            },
-        )
-
-
-def _connectors(look: Look) -> Iterator[tuple[str, dict[str, Any]]]:
-    assert look.status is not None  # noqa: S101, the caller has looked
-    found: Records = {}
-    for computer in look.status.computers.values():
-        for container in computer.containers:
-            for end in container.connectors:
-                source, target = _ends(end.name)
-                each = found.setdefault(
-                    end.name,
+def _timers(status: Status) -> Iterator[tuple[str, dict[str, Any]]]:
+    for _, container in containers(status):
+        for component in container.components:
+            for timer in component.timers:
+                yield (
+                    f"{component.name}.{timer.name}",
                     {
-                        "source": source,
-                        "target": target,
-                        "kind": end.kind,
-                        "ready": True,
-                        "drops": 0,
-                        "errors": 0,
+                        "component": component.name,
+                        "period": timer.period,
+                        "deadline": timer.deadline,
+                        "releases": timer.releases,
+                        "missed": timer.missed,
+                        "p99": _round(timer.duration.p99),
                     },
                 )
-                each["ready"] = each["ready"] and end.ready
-                each["drops"] += end.drops
-                each["errors"] += end.errors
-    for name, each in found.items():
-        traffic = look.status.traffic.get(name)
-        if traffic is not None:
-            rate = traffic.calls + traffic.messages
-            each |= {"rate": _round(rate), "bytes": _round(rate * traffic.size)}
-        yield name, each
+
+
+def _chain(chain: ChainReport) -> dict[str, Any]:
+    return {
+        "deadline": chain.deadline,
+        "missed": chain.missed,
+        "uses": chain.age.count,
+        "median": _round(chain.age.median),
+        "p99": _round(chain.age.p99),
+        "hops": [[hop.component, _round(hop.age.median)] for hop in chain.hops],
+    }
+
+
+def _connector(row: ConnectorRow) -> dict[str, Any]:
+    source, target = _ends(row.name)
+    return {
+        "source": source,
+        "target": target,
+        "kind": row.kind,
+        "ready": row.is_joined,
+        "rate": _round(row.rate),
+        "bytes": _round(row.traffic),
+        "drops": row.drops,
+        "errors": row.errors,
+    }
 
 
 def _ends(connector: str) -> tuple[str, str]:
@@ -235,28 +214,23 @@ def _ends(connector: str) -> tuple[str, str]:
     return (found[1], found[2]) if found else ("", "")
 
 
-def _components(look: Look) -> Iterator[tuple[str, dict[str, Any]]]:
-    status = look.status
-    assert status is not None  # noqa: S101, the caller has looked
+def _components(status: Status) -> Iterator[tuple[str, dict[str, Any]]]:
     needs = {each.component: each.estimate for each in status.demand_estimates}
     shown: Records = {
         name: {"at": computer, "state": "not there", "in": ""}
         for name, computer in status.placement.items()
     }
-    for computer, agent in status.computers.items():
-        for container in agent.containers:
-            for component in container.components:
-                each = shown.get(component.name)
-                if each is not None and (
-                    each["at"] == computer or each["state"] == "not there"
-                ):
-                    each |= {
-                        "state": component.state,
-                        "in": container.name,
-                        "errors": component.errors,
-                        "error": component.error.rstrip().rpartition("\n")[2],
-                        "hung": round(component.hung, 1),
-                    }
+    for key, container in containers(status):
+        for component in container.components:
+            each = shown.get(component.name)
+            if each and (each["at"] == key.computer or each["state"] == "not there"):
+                each |= {
+                    "state": component.state,
+                    "in": container.name,
+                    "errors": component.errors,
+                    "error": component.error.rstrip().rpartition("\n")[2],
+                    "hung": round(component.hung, 1),
+                }
     for name, each in shown.items():
         if (need := needs.get(name)) is not None:
             each["cpu"], each["starved"] = _round(need.mean), _round(need.starved)
@@ -266,9 +240,9 @@ def _components(look: Look) -> Iterator[tuple[str, dict[str, Any]]]:
         yield name, each
 
 
-def _computers(look: Look, components: Records) -> Iterator[tuple[str, dict[str, Any]]]:
-    status = look.status
-    assert status is not None  # noqa: S101, the caller has looked
+def _computers(
+    status: Status, components: Records
+) -> Iterator[tuple[str, dict[str, Any]]]:
     for name in sorted({*status.computers, *status.placement.values()}):
         agent, load = status.computers.get(name), status.loads.get(name)
         here = [each for each in components.values() if each["at"] == name]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from html import escape
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -179,9 +179,9 @@ def _journal(entries: Mapping[int, JournalEntry], began: float) -> str:
     return html_table(("#", "at", "kind", "what"), rows)
 
 
-def html_table(head: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
+def html_table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     """Return a table of cells that are HTML."""
-    heads = "".join(f"<th>{name}</th>" for name in head)
+    heads = "".join(f"<th scope=col>{name}</th>" for name in head)
     lines = ("".join(f"<td>{cell}</td>" for cell in row) for row in rows)
     body = "".join(f"<tr>{line}</tr>" for line in lines)
     return f"<table><tr>{heads}</tr>{body}</table>"
