@@ -8,9 +8,9 @@ import pytest
 
 from poise.estimate.online import Estimate
 from poise.manage.adaptation.facts import Facts
-from poise.manage.observe.deadline_misses import Misses
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.observe.loads import Load
+from poise.model.policy.values import TimerValues
 from poise.model.robot import (
     Action,
     Architecture,
@@ -73,7 +73,8 @@ def facts(two: Robot) -> Make:
             placement=placement,
             loads=loads,
             misses=tuple(
-                Misses(
+                TimerValues(
+                    name=f"{name}.tick",
                     component=name,
                     computer=placement[name],
                     timer="tick",
@@ -81,6 +82,8 @@ def facts(two: Robot) -> Make:
                     missed=5,
                     deadline=0.1,
                     takes=0.03,
+                    over=1.0,
+                    late=True,
                 )
                 for name in missed
             ),

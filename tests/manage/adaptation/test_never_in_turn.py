@@ -25,9 +25,9 @@ from poise.manage.adaptation.shortages.put_aside import PutAside
 from poise.manage.deploy.running_components import Run
 from poise.manage.migration.transition import TransitionStep
 from poise.manage.migration.transition_run import TransitionReport
-from poise.manage.observe.deadline_misses import Misses
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.observe.loads import Load
+from poise.model.policy.values import TimerValues
 from poise.model.robot import (
     Action,
     Architecture,
@@ -121,13 +121,15 @@ class World:
             placement=dict(self.placement),
             loads=loads,
             misses=tuple(
-                Misses(
+                TimerValues(
+                    name=f"{component}.tick",
                     component=component,
                     computer=computer,
                     timer="tick",
                     released=10,
                     missed=5,
                     deadline=0.1,
+                    late=True,
                 )
                 for component, computer in self.placement.items()
                 if computer in late

@@ -195,7 +195,7 @@ def _suffering(facts: Facts) -> set[str]:
         for each in facts.demand_estimates
         if each.estimate.starved >= STARVED
     }
-    return starved | {each.component for each in facts.misses if each.is_late}
+    return starved | {each.component for each in facts.misses if each.late}
 
 
 def cost_of(

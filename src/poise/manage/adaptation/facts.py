@@ -9,9 +9,9 @@ from msgspec.structs import replace
 
 from poise.estimate.profile import ConnectorProfile
 from poise.manage.observe.chains import ChainAge
-from poise.manage.observe.deadline_misses import Misses
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.observe.loads import Load
+from poise.model.policy.values import TimerValues
 from poise.model.robot import Computer, Robot
 from poise.wire.records.status import AgentStatus
 
@@ -51,7 +51,7 @@ class Facts(Struct, frozen=True, kw_only=True):
     placement: Mapping[str, str]
     lost: frozenset[str] = frozenset()
     loads: Mapping[str, Load] = {}
-    misses: tuple[Misses, ...] = ()
+    misses: tuple[TimerValues, ...] = ()
     chains: tuple[ChainAge, ...] = ()
     demand_estimates: tuple[DemandEstimate, ...] = ()
     statuses: Mapping[str, AgentStatus] = {}

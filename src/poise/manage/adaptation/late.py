@@ -82,7 +82,7 @@ def late(facts: Facts) -> str:
         f"{format_seconds(each.deadline)}, and its runs take "
         f"{format_seconds(each.takes)} (p99)"
         for each in facts.misses
-        if each.is_late
+        if each.late
     ]
     chains = [_sentence(each) for each in facts.chains if each.is_late]
     return "".join(f"{sentence}; " for sentence in (*timers, *chains))

@@ -4,49 +4,14 @@ from __future__ import annotations
 
 from collections import deque
 
-from msgspec import Struct
-
 from poise.manage.agent_connections.statuses import Statuses, located
+from poise.model.policy.values import TimerValues
 from poise.wire.records.status import TimerStatus
 
 _SEVERAL, _MISSED = 2, 0.2
 """A timer is late that misses as many deadlines, and this share of them."""
 OVER = 1.0
 """Misses are counted over this time [s], or over two periods of a slow timer."""
-
-
-class Misses(Struct, frozen=True, kw_only=True):
-    """How one timer kept its deadline lately.
-
-    Parameters
-    ----------
-    released, missed
-        Releases in the last seconds, and how many of these missed the deadline.
-    seconds
-        How many seconds these are.
-    deadline, takes
-        How long after its release a run must have ended, and how long runs take at the
-        99th percentile [s].
-    """
-
-    component: str
-    computer: str
-    timer: str
-    released: int
-    missed: int
-    seconds: float = OVER
-    deadline: float = 0.0
-    takes: float = 0.0
-
-    @property
-    def share(self) -> float:
-        """The share that missed; in [0, 1]."""
-        return self.missed / self.released if self.released else 0.0
-
-    @property
-    def is_late(self) -> bool:
-        """Whether it does not keep its rate: a single miss among others is no sign."""
-        return is_late(self.released, self.missed)
 
 
 def is_late(times: int, missed: int) -> bool:
@@ -61,7 +26,7 @@ class DeadlineMisses:
     def __init__(self) -> None:
         self._totals: dict[tuple[str, int, str], deque[tuple[float, int, int]]] = {}
 
-    def look(self, statuses: Statuses, now: float) -> tuple[Misses, ...]:
+    def look(self, statuses: Statuses, now: float) -> tuple[TimerValues, ...]:
         """Return the timers with a deadline that were due lately.
 
         Parameters
@@ -81,15 +46,18 @@ class DeadlineMisses:
                 released, missed = _count(totals, timer, now, seconds)
                 if released:
                     found.append(
-                        Misses(
+                        TimerValues(
+                            name=f"{component.name}.{timer.name}",
+                            timer=timer.name,
                             component=component.name,
                             computer=computer,
-                            timer=timer.name,
                             released=released,
                             missed=missed,
-                            seconds=seconds,
+                            share=missed / released,
+                            over=seconds,
                             deadline=timer.deadline,
                             takes=timer.duration.p99,
+                            late=is_late(released, missed),
                         )
                     )
         return tuple(found)

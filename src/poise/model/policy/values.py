@@ -108,6 +108,8 @@ class TimerValues(Struct, frozen=True, kw_only=True):
     missed: Annotated[int, says("How many of these missed the deadline.")] = 0
     share: Annotated[Share, says("The same as a share.")] = 0.0
     over: Annotated[Seconds, says("The time over which this was counted.")] = 0.0
+    deadline: Annotated[Seconds, says("How long after it was due it must end.")] = 0.0
+    takes: Annotated[Seconds, says("How long its runs take, 99th percentile.")] = 0.0
     late: Annotated[
         bool,
         says("Whether it missed two deadlines and 20% of all, or every one."),

@@ -64,7 +64,7 @@ class History:
         self._next = now + self._every
         timers = self._timers.look(statuses, now)
         chains = self._chains.look(chain_reports(self._robot, statuses), now)
-        missed = {f"{t.component}.{t.timer}": t.share for t in timers if t.missed}
+        missed = {t.name: t.share for t in timers if t.missed}
         missed |= {c.chain: c.missed / c.used for c in chains if c.missed}
         shares = cpu_shares(self._robot, self._before, statuses, self._faster)
         self._before = dict(statuses)

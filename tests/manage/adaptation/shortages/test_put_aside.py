@@ -21,8 +21,8 @@ from poise.manage.adaptation.shortages.put_aside import (
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.running_components import Run
 from poise.manage.journal import Journal
-from poise.manage.observe.deadline_misses import Misses
 from poise.manage.observe.loads import Load
+from poise.model.policy.values import TimerValues
 from poise.model.robot import (
     Action,
     Architecture,
@@ -91,7 +91,13 @@ class Robbed:
             placement=self.run.placement(),
             loads={"left": load},
             misses=tuple(
-                Misses(component=name, computer="left", timer="t", released=9, missed=9)
+                TimerValues(
+                    name=f"{name}.t",
+                    component=name,
+                    computer="left",
+                    timer="t",
+                    late=True,
+                )
                 for name in late
             ),
         )

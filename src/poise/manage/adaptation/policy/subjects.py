@@ -14,7 +14,6 @@ from poise.model.policy.values import (
     ContainerValues,
     RobotValues,
     Subject,
-    TimerValues,
     Values,
 )
 
@@ -45,7 +44,7 @@ def _computers(facts: Facts) -> Iterator[Values]:
                 ),
                 default=0.0,
             ),
-            late=sum(e.is_late for e in facts.misses if e.computer == computer.name),
+            late=sum(e.late for e in facts.misses if e.computer == computer.name),
             drifted=sum(
                 e.estimate.drift is not None and e.computer == computer.name
                 for e in facts.demand_estimates
@@ -106,21 +105,6 @@ def _containers(facts: Facts) -> Iterator[Values]:
             )
 
 
-def _timers(facts: Facts) -> Iterator[Values]:
-    for each in facts.misses:
-        yield TimerValues(
-            name=f"{each.component}.{each.timer}",
-            timer=each.timer,
-            component=each.component,
-            computer=each.computer,
-            released=each.released,
-            missed=each.missed,
-            share=each.share,
-            over=each.seconds,
-            late=each.is_late,
-        )
-
-
 def _chains(facts: Facts) -> Iterator[Values]:
     for each in facts.chains:
         yield ChainValues(
@@ -142,7 +126,7 @@ def _robots(facts: Facts) -> Iterator[Values]:
     yield RobotValues(
         name=facts.robot.name,
         lost=len(facts.lost),
-        late=sum(each.is_late for each in facts.misses),
+        late=sum(each.late for each in facts.misses),
         used=sum(load.used for load in facts.loads.values()),
         calls=sum(each.calls + each.messages for each in facts.traffic.values()),
     )
@@ -153,7 +137,7 @@ _READ: Mapping[Subject, Callable[[Facts], Iterator[Values]]] = {
     "link": link_values,
     "component": _components,
     "container": _containers,
-    "timer": _timers,
+    "timer": lambda facts: iter(facts.misses),
     "chain": _chains,
     "robot": _robots,
 }
