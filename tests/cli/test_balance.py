@@ -8,11 +8,13 @@ import pytest
 import typer
 
 from poise.cli.command.run_time.running_robot import balance_command, move_command
-from poise.manage.adaptation.replan import Proposal
+from poise.manage.adaptation.proposals import Proposal
 from poise.manage.control_socket.records import Rebalanced
-from poise.manage.migration.report import MigrationReport
-from poise.manage.migration.transition import TransitionStep
-from poise.manage.migration.transition_run import TransitionReport
+from poise.manage.migration.report import (
+    MigrationReport,
+    TransitionReport,
+    TransitionStep,
+)
 from poise.plan import Terms
 from poise.session.running_robots.running import RolledBack, Running
 

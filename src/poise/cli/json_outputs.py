@@ -16,7 +16,7 @@ from poise.cli.command.run_time.demo import DemoReport
 from poise.cli.command.run_time.emulate import ListedSet
 from poise.errors import FileProblem
 from poise.estimate.profile import Profile
-from poise.manage.adaptation.what_if import WhatIf
+from poise.manage.adaptation.proposals import WhatIf
 from poise.manage.control_socket.records import Rebalanced, RobotStatus
 from poise.manage.journal import JournalEntry
 from poise.manage.migration.report import MigrationReport

@@ -1,5 +1,6 @@
 """Where each component runs: the objective, the greedy, search, proof, explanation."""
 
+from poise.model.terms import Terms
 from poise.plan.phases.problem import PhasedProblem, PhaseProblem, phased_problem_of
 from poise.plan.phases.result import PhasedResult, PhaseMove
 from poise.plan.phases.solve import solve_phases
@@ -8,7 +9,13 @@ from poise.plan.problem.file import load, schema
 from poise.plan.problem.from_robot import problem_of, static
 from poise.plan.problem.problem import Bundle, Edge, Item, Problem
 from poise.plan.result import Result
-from poise.plan.result_records import Conflict, GreedyStep, More, Terms, Tightest, Trial
+from poise.plan.result_records import (
+    Conflict,
+    GreedyStep,
+    More,
+    Tightest,
+    Trial,
+)
 from poise.plan.what_if.changed_problem import add, keep_components, scale, without
 from poise.plan.what_if.fewest_computers import Smallest, smallest
 from poise.plan.why.explain import Explanation, Option, Rejection, explain

@@ -9,6 +9,7 @@ from typing import NamedTuple, TypedDict, cast
 
 import msgspec
 
+from poise.model.terms import Terms
 from poise.plan.problem.arrays import Placed
 from poise.plan.problem.problem import Problem
 from poise.plan.problem.snapshot import Snapshot
@@ -17,7 +18,6 @@ from poise.plan.result_records import (
     Conflict,
     GreedyStep,
     Stopped,
-    Terms,
     Tightest,
 )
 from poise.plan.violations import tightest, violations

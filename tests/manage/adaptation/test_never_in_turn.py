@@ -23,8 +23,7 @@ from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.move_limits import STAY_AWAY
 from poise.manage.adaptation.shortages.put_aside import PutAside
 from poise.manage.deploy.running_components import Run
-from poise.manage.migration.transition import TransitionStep
-from poise.manage.migration.transition_run import TransitionReport
+from poise.manage.migration.report import TransitionReport, TransitionStep
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.observe.loads import Load
 from poise.model.policy.values import TimerValues

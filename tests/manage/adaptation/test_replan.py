@@ -7,7 +7,10 @@ from msgspec.structs import replace
 
 from poise.errors import RobotError
 from poise.estimate.online import Drift, Estimate
-from poise.manage.adaptation.replan import Proposal, propose
+from poise.manage.adaptation.proposals import Proposal
+from poise.manage.adaptation.replan import (
+    propose,
+)
 from poise.manage.observe.estimates import DemandEstimate
 from poise.model.robot import (
     Action,

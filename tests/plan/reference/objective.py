@@ -9,8 +9,8 @@ The paper's eq. 1 is the case of scale ``paper``, one resource and no linear cos
 
 from __future__ import annotations
 
+from poise.model.terms import Terms
 from poise.plan.problem.arrays import Arrays, Placed
-from poise.plan.result_records import Terms
 from poise.plan.violations import loads
 
 

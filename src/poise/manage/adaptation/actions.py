@@ -19,7 +19,7 @@ from poise.manage.adaptation.what_if import check_move
 from poise.manage.deploy.running_components import Run
 from poise.manage.migration.move import move
 from poise.manage.migration.replacement import replace_architecture
-from poise.manage.migration.transition import TransitionStep
+from poise.manage.migration.report import TransitionStep
 from poise.manage.migration.transition_run import transit
 from poise.model.policy.policy import Do
 from poise.model.robot import Architecture

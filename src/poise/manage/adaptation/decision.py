@@ -25,10 +25,14 @@ from poise.manage.adaptation.links import (
     wasted,
     with_bad_links,
 )
-from poise.manage.adaptation.replan import Proposal, propose, with_present_demands
+from poise.manage.adaptation.proposals import Proposal
+from poise.manage.adaptation.replan import (
+    propose,
+    with_present_demands,
+)
 from poise.manage.agent_connections.statuses import components_of
+from poise.manage.migration.report import TransitionStep
 from poise.manage.migration.residue import missing_cpu
-from poise.manage.migration.transition import TransitionStep
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
 from poise.units import counted, format_cores

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Mapping
 
-from poise.manage.migration.transition import TransitionStep
+from poise.manage.migration.report import TransitionStep
 
 REST = 3.0
 """The loop rests for so long after a transition [s]; twice as long after the next."""

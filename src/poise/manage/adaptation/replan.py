@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from time import perf_counter
 
-from msgspec import Struct
 from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import RobotError
 from poise.estimate.demands import shifted_cpu_demand
-from poise.manage.migration.transition import TransitionStep, plan_transition
+from poise.manage.adaptation.proposals import PresentDemand, Proposal
+from poise.manage.migration.transition import (
+    plan_transition,
+)
 from poise.manage.observe.estimates import DemandEstimate
 from poise.model.robot import ComponentEntry, Computer, Robot
 
@@ -21,62 +23,6 @@ DECIDE_FOR = 0.015
 """It searches for so long while the robot waits for a decision [s]."""
 EXPLAIN_FOR = 1.0
 """Why nothing fits is looked for about as long at most [s]."""
-
-
-class PresentDemand(Struct, frozen=True, kw_only=True):
-    """The CPU demand of a component now [cores].
-
-    Parameters
-    ----------
-    mean, error
-        By its estimate.
-    counted
-        The demand that is counted with; no more than some computer can give it.
-    is_bounded
-        Whether no computer could give it all.
-    """
-
-    mean: float
-    error: float
-    counted: float
-    is_bounded: bool = False
-
-    def __str__(self) -> str:
-        """Return it with how sure it is, for people."""
-        counted = f"counted as {self.counted:.1%}"
-        if self.is_bounded:
-            counted += ", all that any computer can give it"
-        return f"{self.mean:.1%} ± {self.error:.1%} of a core now: {counted}"
-
-
-class Proposal(Struct, frozen=True, kw_only=True):
-    """Where components should run now.
-
-    Parameters
-    ----------
-    shifted
-        Component -> what it needs now, where that has shifted or is more than was
-        counted with.
-    now, then
-        F of the placement that is, and of the one proposed, for the same demands.
-    trouble
-        Which limits the placement that is breaks; empty when it keeps all.
-    steps
-        From the one to the other; none when it is best to stay.
-    proven
-        Whether no placement is better.
-    aside
-        The architectures that are put aside: not all fits.
-    """
-
-    shifted: Mapping[str, PresentDemand]
-    now: plan.Terms
-    then: plan.Terms
-    placement: Mapping[str, str]
-    trouble: str = ""
-    steps: tuple[TransitionStep, ...] = ()
-    proven: bool = False
-    aside: tuple[str, ...] = ()
 
 
 def propose(

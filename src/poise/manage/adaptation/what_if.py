@@ -10,10 +10,11 @@ from poise import plan
 from poise.errors import RobotError, UsageError
 from poise.manage.adaptation.decision import DOWNTIME, MOVE, cost_of, starts_of
 from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.proposals import WhatIf
 from poise.manage.adaptation.replan import with_present_demands
 from poise.manage.agent_connections.statuses import components_of
+from poise.manage.migration.report import TransitionStep
 from poise.manage.migration.residue import residue
-from poise.manage.migration.transition import TransitionStep
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
 
@@ -21,44 +22,6 @@ _MOST_TRIED = 16
 """So many moves are worked out: those that leave least CPU missing."""
 _MOST_KEPT = 5
 """So many alternatives are kept."""
-
-
-class WhatIf(Struct, frozen=True, tag=True, kw_only=True):
-    """What a move would change, for the demands that components have now.
-
-    Parameters
-    ----------
-    now, then
-        F before and after the move.
-    breaks
-        The limits that it would break: then it is refused, unless it is forced.
-    trouble
-        Which limits are broken as it is; empty: none.
-    loads
-        Computer -> the CPU that its components need, before and after [cores].
-    usable
-        Computer -> the CPU that there is for them [cores].
-    downtime
-        For how long the component would be paused [s]: as in its last move, else a
-        guess.
-    cost
-        Work that the move would cost [core-seconds].
-    state
-        Size of its snapshot, if that was ever taken [bytes].
-    """
-
-    component: str
-    source: str
-    target: str
-    now: plan.Terms
-    then: plan.Terms
-    breaks: tuple[str, ...] = ()
-    trouble: str = ""
-    loads: Mapping[str, tuple[float, float]] = {}
-    usable: Mapping[str, float] = {}
-    downtime: float = DOWNTIME
-    cost: float = 0.0
-    state: int = 0
 
 
 def what_if(

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING
 
-from poise.manage.deploy.incarnation import Incarnation
 from poise.wire.records.status import AgentStatus, ComponentStatus, ConnectorStatus
+
+if TYPE_CHECKING:
+    from poise.manage.deploy.incarnation import Incarnation
 
 Statuses = Mapping[str, AgentStatus]
 """Computer -> what its agent reported last."""

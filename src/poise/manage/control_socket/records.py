@@ -9,11 +9,9 @@ from msgspec import Struct
 
 from poise.errors import PoiseError, RobotError, RunError, UsageError
 from poise.estimate.profile import ConnectorProfile
-from poise.manage.adaptation.replan import Proposal
-from poise.manage.adaptation.what_if import WhatIf
+from poise.manage.adaptation.proposals import Proposal, WhatIf
 from poise.manage.journal import JournalEntry
-from poise.manage.migration.report import MigrationReport
-from poise.manage.migration.transition_run import TransitionReport
+from poise.manage.migration.report import MigrationReport, TransitionReport
 from poise.manage.observe.chains import ChainReport
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import DemandEstimate

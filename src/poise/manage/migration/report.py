@@ -1,13 +1,16 @@
-"""How a move or a replacement went."""
+"""How a move, a replacement or a transition went."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from poise.manage.journal import Journal
 from poise.wire.records.migration import StepTaken
+
+if TYPE_CHECKING:
+    from poise.manage.journal import Journal
 
 
 class MigrationReport(Struct, frozen=True, tag=True, kw_only=True):
@@ -78,3 +81,53 @@ class MigrationReport(Struct, frozen=True, tag=True, kw_only=True):
             return f"downtime {self.downtime:.2f} s"
         phases = ", ".join(f"{n} {s * 1e3:.1f}" for n, s in self.phases.items())
         return f"downtime {self.downtime * 1e3:.1f} ms ({phases} ms)"
+
+
+class TransitionStep(Struct, frozen=True):
+    """One step of a transition.
+
+    Parameters
+    ----------
+    source, target
+        Computers; a start has no source, a stop no target, and a move has both.
+    why
+        Why it is no direct live move: an intermediate or a cold one; else empty.
+    """
+
+    component: str
+    source: str = ""
+    target: str = ""
+    why: str = ""
+
+    def inverse(self) -> TransitionStep:
+        """Return the step that undoes it."""
+        return TransitionStep(self.component, self.target, self.source)
+
+    def __str__(self) -> str:
+        way = f"move {self.component} from {self.source} to {self.target}"
+        if not self.source:
+            way = f"start {self.component} on {self.target}"
+        elif not self.target:
+            way = f"stop {self.component} on {self.source}"
+        return f"{way} ({self.why})" if self.why else way
+
+
+class TransitionReport(Struct, frozen=True, kw_only=True):
+    """How a transition went.
+
+    Parameters
+    ----------
+    steps
+        What was planned.
+    committed
+        Whether the new placement holds; else the old one does again.
+    reason
+        Why not; also when the roll back failed.
+    moves
+        The moves that were made, in order, those back included.
+    """
+
+    steps: tuple[TransitionStep, ...]
+    committed: bool
+    reason: str = ""
+    moves: tuple[MigrationReport, ...] = ()

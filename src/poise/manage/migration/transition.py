@@ -10,42 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 
-from msgspec import Struct
-
 from poise.errors import RobotError
+from poise.manage.migration.report import TransitionStep
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.hardware import fits
 from poise.model.robot import ComponentEntry, Robot
 from poise.units import format_amount
-
-
-class TransitionStep(Struct, frozen=True):
-    """One step of a transition.
-
-    Parameters
-    ----------
-    source, target
-        Computers; a start has no source, a stop no target, and a move has both.
-    why
-        Why it is no direct live move: an intermediate or a cold one; else empty.
-    """
-
-    component: str
-    source: str = ""
-    target: str = ""
-    why: str = ""
-
-    def inverse(self) -> TransitionStep:
-        """Return the step that undoes it."""
-        return TransitionStep(self.component, self.target, self.source)
-
-    def __str__(self) -> str:
-        way = f"move {self.component} from {self.source} to {self.target}"
-        if not self.source:
-            way = f"start {self.component} on {self.target}"
-        elif not self.target:
-            way = f"stop {self.component} on {self.source}"
-        return f"{way} ({self.why})" if self.why else way
 
 
 def plan_transition(

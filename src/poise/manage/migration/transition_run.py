@@ -6,40 +6,22 @@ import contextlib
 import time
 from collections.abc import Collection, Mapping, Sequence
 
-from msgspec import Struct, structs
+from msgspec import structs
 
 from poise.errors import RunError, UsageError
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import ACTIVE_LIMIT, READY_LIMIT, Run
 from poise.manage.migration.move import move
-from poise.manage.migration.report import MigrationReport
-from poise.manage.migration.transition import TransitionStep
+from poise.manage.migration.report import (
+    MigrationReport,
+    TransitionReport,
+    TransitionStep,
+)
 from poise.units import counted
 
 LEASE_LIMIT = 3.0
 """The leases of lost computers end within this time [s], unless others hear them."""
 _LOOK_EVERY = 0.02
-
-
-class TransitionReport(Struct, frozen=True, kw_only=True):
-    """How a transition went.
-
-    Parameters
-    ----------
-    steps
-        What was planned.
-    committed
-        Whether the new placement holds; else the old one does again.
-    reason
-        Why not; also when the roll back failed.
-    moves
-        The moves that were made, in order, those back included.
-    """
-
-    steps: tuple[TransitionStep, ...]
-    committed: bool
-    reason: str = ""
-    moves: tuple[MigrationReport, ...] = ()
 
 
 def start_together(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from collections.abc import Set as AbstractSet
+from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
@@ -12,9 +13,11 @@ from poise.manage.agent_connections.statuses import (
     components_of,
     connectors_of,
 )
-from poise.manage.deploy.deployment_plan import DeploymentPlan
-from poise.manage.deploy.incarnation import Incarnation
 from poise.wire.records.status import AgentStatus, ComponentStatus, ContainerHealth
+
+if TYPE_CHECKING:
+    from poise.manage.deploy.deployment_plan import DeploymentPlan
+    from poise.manage.deploy.incarnation import Incarnation
 
 _CRASH_LOOP = 3
 """Restarts within a minute that make a crash loop."""

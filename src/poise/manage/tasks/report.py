@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
+from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
 from poise.manage.tasks.progress import TaskRecord, TaskState, Try
-from poise.manage.tasks.tasks import Tasks
+
+if TYPE_CHECKING:
+    from poise.manage.tasks.tasks import Tasks
 
 
 class ActionReport(Struct, frozen=True, kw_only=True):

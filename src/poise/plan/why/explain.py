@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from msgspec import Struct
 
 from poise.errors import UsageError
+from poise.model.terms import Terms
 from poise.plan.planner import evaluate, solve
 from poise.plan.problem.arrays import Placed
 from poise.plan.problem.problem import Bundle, Problem
 from poise.plan.problem.snapshot import Snapshot
-from poise.plan.result_records import Terms
 from poise.plan.solvers.alternatives import chosen_by, part
 from poise.plan.violations import obstacle
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from poise.manage.migration.transition import TransitionStep
+from poise.manage.migration.report import TransitionStep
 from poise.model.robot import Robot
 from poise.session.diagrams.records import Message, SequenceDiagram
 from poise.units import format_bytes

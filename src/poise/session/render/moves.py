@@ -6,11 +6,9 @@ from collections.abc import Iterator, Mapping
 
 from rich.markup import escape
 
-from poise.manage.adaptation.replan import Proposal
-from poise.manage.adaptation.what_if import WhatIf
+from poise.manage.adaptation.proposals import Proposal, WhatIf
 from poise.manage.control_socket.records import Rebalanced
-from poise.manage.migration.report import MigrationReport
-from poise.manage.migration.transition_run import TransitionReport
+from poise.manage.migration.report import MigrationReport, TransitionReport
 from poise.units import format_bytes, format_seconds
 
 Outcome = MigrationReport | Rebalanced

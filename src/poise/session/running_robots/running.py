@@ -10,7 +10,7 @@ from msgspec.structs import asdict
 from rich.console import RenderableType
 
 from poise.errors import RunError, UsageError
-from poise.manage.adaptation.what_if import WhatIf
+from poise.manage.adaptation.proposals import WhatIf
 from poise.manage.control_socket.client import ask
 from poise.manage.control_socket.records import (
     JournalCommand,

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+import poise
 from poise.cli.completion import running
 from poise.cli.options import AsJson, busy, print_json
 from poise.errors import UsageError
@@ -17,7 +18,6 @@ from poise.model import load
 from poise.session.render.moves import Outcome, outcome_lines, what_if_lines
 from poise.session.render.printable import console_to
 from poise.session.running_robots.running import RolledBack, Running
-from poise.session.running_robots.stop_without_manager import stop_without_manager
 
 Robot = Annotated[
     str | None,
@@ -159,7 +159,7 @@ def stop_command(
         if file is None:
             Running(robot).stop()
         else:
-            stop_without_manager(load(file))
+            poise.stop_without_manager(load(file))
     console_to().print("stopped")
 
 

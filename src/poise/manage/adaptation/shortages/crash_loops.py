@@ -15,7 +15,7 @@ from poise.manage.adaptation.policy.evaluation import Symptom
 from poise.manage.adaptation.shortages.put_aside import PutAside
 from poise.manage.adaptation.shortages.room import room_for_components
 from poise.manage.deploy.running_components import Run
-from poise.manage.migration.transition import TransitionStep
+from poise.manage.migration.report import TransitionStep
 from poise.manage.migration.transition_run import start_together
 from poise.model.pinned import pinned_components
 from poise.model.robot import Robot

@@ -18,7 +18,7 @@ from poise.estimate.profile.code_version import version_of
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.shortages.room import room_for_components
 from poise.manage.deploy.running_components import Run
-from poise.manage.migration.transition import TransitionStep
+from poise.manage.migration.report import TransitionStep
 from poise.manage.migration.transition_run import start_together, transit
 from poise.manage.observe.deviations import Deviation
 from poise.model.robot import Architecture, Robot, Task
