@@ -53,45 +53,43 @@ def receive(connection: socket.socket, type_: Any) -> Any:  # noqa: ANN401, as `
     WireError
         It is not a record of `type_`.
     """
-    deadline = time.monotonic() + LIMIT
-    received = _channel_of(connection).receive(deadline, LARGEST, {})
-    if not isinstance(received, Frame):
-        raise Unreadable("a record never comes in shared memory")
-    return _record(received, type_)
+    return _record(receive_frame(connection, time.monotonic() + LIMIT), type_)
 
 
-class FrameReader:
-    """Reads frames from a stream socket as they come, and nothing behind them.
-
-    It never waits for the rest of a frame.
+def receive_frame(
+    connection: socket.socket, deadline: float, largest: int = LARGEST
+) -> Frame:
+    """Return the next frame, and read nothing behind it; raises as `receive`.
 
     Parameters
     ----------
+    deadline
+        [s, monotonic]
     largest
         A larger frame is refused [bytes].
-
-    Attributes
-    ----------
-    since
-        When the frame began of which a part has come [s, monotonic]; None: there is
-        none.
     """
+    received = _channel_of(connection).receive(deadline, largest, {})
+    if not isinstance(received, Frame):
+        raise Unreadable("a frame with shared memory, which is not for this socket")
+    return received
 
-    def __init__(self, connection: socket.socket, largest: int = LARGEST) -> None:
+
+class RecordReader:
+    """Reads records from a stream socket as they come; never waits for the rest."""
+
+    def __init__(self, connection: socket.socket) -> None:
         self._connection = connection
-        self._largest = largest
         self._data = bytearray()
-        self.since: float | None = None
 
-    def next(self) -> Frame | None:
-        """Return the next frame, or None when not all of it has come yet.
+    def next(self, type_: Any) -> Any:  # noqa: ANN401, as `unpack`
+        """Return the next record, or None when not all of it has come yet.
 
         Raises
         ------
         Unavailable
             The other end is gone.
         WireError
-            It is not a frame.
+            It is not a record of `type_`.
         """
         while missing := self._missing():
             try:
@@ -102,25 +100,17 @@ class FrameReader:
                 raise Unavailable(f"the other end is gone: {error}") from error
             if not data:
                 raise Unavailable("the other end is gone")
-            if self.since is None:
-                self.since = time.monotonic()
             self._data += data
         data = bytes(self._data[HEAD.size :])
         self._data.clear()
-        self.since = None
-        return frame.parse(data)
-
-    def next_record(self, type_: Any) -> Any:  # noqa: ANN401, as `unpack`
-        """Return the next record; raises as `next`, also when it is none of `type_`."""
-        received = self.next()
-        return None if received is None else _record(received, type_)
+        return unpack(data, type_)
 
     def _missing(self) -> int:
         if len(self._data) < HEAD.size:
             return HEAD.size - len(self._data)
         length, block = HEAD.unpack_from(self._data)
-        if length > self._largest or block:
-            raise Unreadable(f"a frame of {length} B; {self._largest} B is the largest")
+        if length > LARGEST or block:
+            raise Unreadable(f"a frame of {length} B; {LARGEST} B is the largest")
         return int(HEAD.size + length - len(self._data))
 
 

@@ -93,7 +93,7 @@ class OwnFunction:
     def _hear(self) -> None:
         if self._asked_at is None:
             return
-        answer = self._reader.next_record(FunctionAnswer)
+        answer = self._reader.next(FunctionAnswer)
         if answer is None:
             return
         self._asked_at, self._limit = None, LIMIT
@@ -104,7 +104,7 @@ class OwnFunction:
 
     def _start(self) -> None:
         self._connection, theirs = socket.socketpair()
-        self._reader = record_channel.FrameReader(self._connection)
+        self._reader = record_channel.RecordReader(self._connection)
         with theirs:
             words = (self._reference, self._folder, str(theirs.fileno()))
             self._process = subprocess.Popen(  # noqa: S603, our own code and Python

@@ -33,9 +33,6 @@ from poise.wire.records.status import ComponentStatus, ContainerStatus
 
 STOP_LIMIT = 2.0
 """A container that was asked to end is killed after this time [s]."""
-REST_LIMIT = 10.0
-"""A container that sent a part of a record is killed when the rest takes longer [s].
-One that is at work sends all of it within a second, or ends."""
 
 
 class ContainerProcess:
@@ -65,7 +62,7 @@ class ContainerProcess:
         self.name = spec.name
         self.spec = spec
         self.connection = connection
-        self._reader = record_channel.FrameReader(connection)
+        self._reader = record_channel.RecordReader(connection)
         self.pid = 0
         self.counted: PageSampler | None = None
         self._stats_page = stats_page
@@ -140,7 +137,7 @@ class ContainerProcess:
         killed.
         """
         try:
-            what: FromContainer | None = self._reader.next_record(FromContainer)
+            what: FromContainer | None = self._reader.next(FromContainer)
         except (Unavailable, WireError) as error:
             # a container that ends closes its end: the zygote reports that
             self.give_up("" if isinstance(error, Unavailable) else str(error))
@@ -155,21 +152,12 @@ class ContainerProcess:
             return None
         return what
 
-    @property
-    def rest_by(self) -> float:
-        """When the rest of a record has to be there [s]; infinite: none is missing."""
-        since = self._reader.since
-        return float("inf") if since is None or self.is_deaf else since + REST_LIMIT
-
     def keep_limits(self, now: float) -> None:
-        """Kill it when it takes too long: to end, to tell, or to respond."""
-        reason = self.silence.reason if self.silence else "the reason is not known"
+        """Kill it when it takes too long to end, or to respond."""
         if self.kill_at <= now:
             self.kill()
-        if self.rest_by <= now:
-            self.give_up(f"the rest of a record took over {REST_LIMIT:g} s: {reason}")
-        if self.hung_at <= now:
-            self.give_up(f"it does not respond: {reason}")
+        if self.silence and self.hung_at <= now:
+            self.give_up(f"it does not respond: {self.silence.reason}")
 
     def stop(self, clock: Clock) -> None:
         """Ask it to end, or kill one that does not respond; harmless when repeated."""

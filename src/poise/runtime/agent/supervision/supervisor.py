@@ -114,7 +114,7 @@ class Supervisor:
             if name not in self.processes:
                 yield self._backoffs[name].again_at
         for process in self.processes.values():
-            yield min(process.kill_at, process.rest_by, process.hung_at)
+            yield min(process.kill_at, process.hung_at)
 
     def hear(self, process: ContainerProcess) -> Outcome | None:
         """Take in what a container says; return the outcome of a step, if it is one."""
