@@ -28,8 +28,9 @@ from poise.runtime.component.ports import (
     subscribed,
 )
 from poise.runtime.hosting.runner import Runner
-from poise.runtime.hosting.wiring import Place, Transports, Wiring
+from poise.runtime.hosting.wiring import Wiring
 from poise.wire.connections.blocks import loan
+from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.connections.gateway import Gateway
 from poise.wire.records.deployment import ComponentSpec, ConnectorKind, ConnectorSpec
 
@@ -163,11 +164,6 @@ def start(name: str, implementation: type[Component]) -> Runner:
     return Runner(spec, implementation, SystemClock(), lambda: None)
 
 
-def place(folder: Path, name: str) -> Place:
-    """Return where a container of this benchmark is."""
-    return Place(container=name, folder=str(folder), gateway=f"{HOST}:{PORT}")
-
-
 def activate(runner: Runner) -> None:
     """Start a component and wait until it works."""
     runner.start()
@@ -182,7 +178,7 @@ def serve(kind: ConnectorKind, folder: Path, ready: Callable[[], None]) -> None:
     """Run the callee in a container of its own."""
     gateway = Gateway(folder, HOST, PORT) if kind == "remote" else None
     runner = start("callee", Callee)
-    wiring = Wiring(Transports(place(folder, "callee")))
+    wiring = Wiring(ConnectionServer(folder, "callee"))
     wiring.apply(connectors(kind), {("callee", 0): runner})
     activate(runner)
     ready()
@@ -196,7 +192,7 @@ def connect(kind: ConnectorKind, folder: Path) -> Iterator[Runner]:
     runners = {("caller", 0): start("caller", Caller)}
     if kind == "direct":
         runners["callee", 0] = start("callee", Callee)
-    wiring = Wiring(Transports(place(folder, "caller")))
+    wiring = Wiring(ConnectionServer(folder, "caller"))
     wiring.apply(connectors(kind), runners)
     for runner in runners.values():
         activate(runner)

@@ -18,7 +18,8 @@ from msgspec import structs
 from poise import Component
 from poise.clock import Elapsed, SystemClock
 from poise.runtime.hosting.runner import Runner
-from poise.runtime.hosting.wiring import Place, Transports, Wiring
+from poise.runtime.hosting.wiring import Wiring
+from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.connections.gateway import Gateway
 from poise.wire.records.deployment import (
     ChainPart,
@@ -67,7 +68,7 @@ class Pair:
     def __init__(self, kind: ConnectorKind, folder: Path) -> None:
         self.kind = kind
         self.news = News()
-        self.transports: dict[str, Transports] = {}
+        self.servers: dict[str, ConnectionServer] = {}
         self.clocks: dict[str, Elapsed] = {}
         self.runners: dict[tuple[str, int], Runner] = {}
         self._specs: tuple[ConnectorSpec, ...] = ()
@@ -145,7 +146,7 @@ class Pair:
     def start_targets_computer_anew(self, implementation: type[C]) -> C:
         """End the target's container and gateway, and start others: the port is new."""
         self.sides["target"].close()
-        self.transports["target"].close()
+        self.servers["target"].close()
         _end(self.runners.pop(("target", 0)))
         self._gateway.close()
         self._gateway = self._closing.enter_context(Gateway(self.folder, "127.0.0.1"))
@@ -178,12 +179,9 @@ class Pair:
         )
 
     def _side(self, name: str) -> Wiring:
-        place = Place(
-            container=name, folder=str(self.folder), gateway=str(self._gateway)
-        )
-        transports = self.transports[name] = Transports(place)
-        wiring = Wiring(transports, self.clocks.get)
-        self._closing.callback(transports.close)
+        server = self.servers[name] = ConnectionServer(self.folder, name)
+        wiring = Wiring(server, self.clocks.get)
+        self._closing.callback(server.close)
         self._closing.callback(wiring.close)
         return wiring
 

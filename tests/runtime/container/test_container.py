@@ -12,7 +12,6 @@ import pytest
 
 from poise.runtime.container.container import Container
 from poise.runtime.hosting.stats_page import new_memory
-from poise.runtime.hosting.wiring import Place
 from poise.runtime.waker import wait_readable
 from poise.wire import record_channel
 from poise.wire.records.container import ContainerFailure, FromContainer
@@ -24,9 +23,8 @@ pytestmark = pytest.mark.slow
 
 def test_no_status_waits_for_an_agent_that_stands_still(tmp_path: Path) -> None:
     agent, ours = socket.socketpair()
-    place = Place(container="see", folder=str(tmp_path), gateway="", computer="a")
     with agent, ours:
-        container = Container("see", ours, new_memory(), place)
+        container = Container("see", "a", tmp_path, ours, new_memory())
         container._wanted = ContainerSpec(
             name="see", folder="", components=(), connectors=()
         )
@@ -42,9 +40,8 @@ def test_says_once_what_waits_amid_a_move_that_nobody_finishes(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     agent, ours = socket.socketpair()
-    place = Place(container="see", folder=str(tmp_path), gateway="", computer="a")
     with agent, ours:
-        container = Container("see", ours, new_memory(), place)
+        container = Container("see", "a", tmp_path, ours, new_memory())
         for name, is_paused in (("eye", True), ("ear", False)):
             runner = Mock(is_paused=is_paused)
             runner.spec.name = name
@@ -52,18 +49,18 @@ def test_says_once_what_waits_amid_a_move_that_nobody_finishes(
         for now in (10.0, 12.0, 13.5, 20.0):
             monkeypatch.setattr(container._clock, "now", lambda now=now: now)
             container._note_pauses()
-        container._transports.close()
+        container._server.close()
     (said,) = caplog.messages
     assert "'eye' has been paused for 3 s amid a move that nobody finishes" in said
 
 
 RUN = """
 import socket, sys
+from pathlib import Path
 from poise.runtime.container.container import Container
 from poise.runtime.hosting.stats_page import new_memory
-from poise.runtime.hosting.wiring import Place
-place = Place(container="see", folder=sys.argv[2], gateway="", computer="a")
-Container("see", socket.socket(fileno=int(sys.argv[1])), new_memory(), place).run()
+agent = socket.socket(fileno=int(sys.argv[1]))
+Container("see", "a", Path(sys.argv[2]), agent, new_memory()).run()
 """
 
 

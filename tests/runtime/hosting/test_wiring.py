@@ -15,7 +15,9 @@ from poise.clock import Elapsed
 from poise.errors import CalleeError, Timeout, Unavailable, UsageError
 from poise.runtime.connectors.interface import methods
 from poise.runtime.execution.exclusion import new_chain
+from poise.wire.address import Address
 from poise.wire.codec import WireError
+from poise.wire.connections.channel import Channel
 from poise.wire.frame import FAILURE, Frame, Kind, segments
 from poise.wire.records.status import ConnectorStatus
 from tests.runtime.conftest import Pair, every_kind
@@ -506,8 +508,8 @@ def test_what_comes_back_late_does_not_enter_beside_its_caller(pair: Pair) -> No
         chains.append(received.chain)
         assert go_on.wait(LIMIT)
 
-    other = pair.transports["target"]
-    other.server.open(there.key, call_back)
+    other = pair.servers["target"]
+    other.open(there.key, call_back)
     pair.activate()
     exclusion = pair.runners["source", 0].exclusion
     exclusion.enter(new_chain(), LIMIT)
@@ -517,7 +519,7 @@ def test_what_comes_back_late_does_not_enter_beside_its_caller(pair: Pair) -> No
     (chain,) = chains
     (method,) = methods(Back).values()
     pieces = segments(method.arguments, (), Kind.CALL, tag=method.tag, chain=chain)
-    channel = other.channel(back.key, back.address)
+    channel = Channel(back.key, Address.parse(back.address), pair.folder)
     wait_until(channel.is_ready)
     answer = channel.request(pieces, LIMIT)
     assert answer.value(FAILURE)[0] == "Timeout"

@@ -44,7 +44,6 @@ from poise.runtime.agent.supervision.supervisor import Supervisor
 from poise.runtime.container import zygote
 from poise.runtime.container.descendants import kill_all
 from poise.runtime.hosting.output import forget_output, read_output
-from poise.runtime.hosting.wiring import Place
 from poise.runtime.waker import Waker, wait_readable
 from poise.wire.connections.gateway import Gateway
 from poise.wire.connections.socket_path import socket_path
@@ -105,7 +104,7 @@ class Agent:
         self._zygote, self._zygote_pid = zygote.start(closing=held)
         self._adoption = Adoption(folder, self._clock)
         self._supervisor = Supervisor(
-            self._zygote, self._place, self._clock, self._adoption.awaits
+            self._zygote, setup.computer, folder, self._clock, self._adoption.awaits
         )
         if left.wanted is not None:
             self._supervisor.take(left.wanted)
@@ -240,14 +239,6 @@ class Agent:
 
         every, computer = self._setup.sample_every, self._setup.computer
         return Sampler(computer, every, containers, samples.put, on_silence)
-
-    def _place(self, container: str) -> Place:
-        return Place(
-            container=container,
-            folder=self._setup.folder,
-            gateway=self._gateway,
-            computer=self._setup.computer,
-        )
 
     def _on_signal(self, _signal: int, _frame: FrameType | None) -> None:
         self._stopping = True

@@ -11,6 +11,7 @@ import contextlib
 import os
 import socket
 import threading
+from pathlib import Path
 
 from msgspec import Struct
 
@@ -56,7 +57,7 @@ class AgentLink:
         container: str,
         connection: socket.socket,
         stats_page: int,
-        folder: str,
+        folder: Path,
         clock: Clock,
     ) -> None:
         self._container = container
@@ -144,7 +145,7 @@ class AgentLink:
             self._connection = ours
 
 
-def is_adopting(folder: str) -> bool:
+def is_adopting(folder: Path) -> bool:
     """Return whether an agent that works in this folder adopts containers."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
         return asking.connect_ex(os.fspath(agent_path(folder))) == 0

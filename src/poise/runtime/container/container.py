@@ -34,10 +34,11 @@ from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.stats_page import ComponentKey, StatsPage
 from poise.runtime.hosting.taps import Taps
-from poise.runtime.hosting.wiring import Place, Transports, Wiring
+from poise.runtime.hosting.wiring import Wiring
 from poise.runtime.migration.executor import MigrationExecutor
 from poise.runtime.waker import Waker, wait_readable
 from poise.wire.codec import WireError
+from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.records.clocks import Clocks
 from poise.wire.records.container import (
     RESTART_LIMIT,
@@ -77,6 +78,8 @@ class Container:
 
     Parameters
     ----------
+    folder
+        The folder of its agent, for sockets.
     agent
         The control socket.
     stats_page
@@ -84,22 +87,27 @@ class Container:
     """
 
     def __init__(
-        self, name: str, agent: socket.socket, stats_page: int, place: Place
+        self,
+        name: str,
+        computer: str,
+        folder: Path,
+        agent: socket.socket,
+        stats_page: int,
     ) -> None:
         self._name = name
-        self._clock = ComputerClock(place.computer)
-        self._link = AgentLink(name, agent, stats_page, place.folder, self._clock)
-        self._transports = Transports(place)
-        self._wiring = Wiring(self._transports, self._clock.ahead)
+        self._clock = ComputerClock(computer)
+        self._link = AgentLink(name, agent, stats_page, folder, self._clock)
+        self._server = ConnectionServer(folder, name)
+        self._wiring = Wiring(self._server, self._clock.ahead)
         self._taps = Taps(self._wiring)
-        self._folder = Path(place.folder)
+        self._folder = folder
         self._wanted: ContainerSpec | None = None
         self._preparing: dict[ComponentKey, tuple[ComponentSpec, Future[Runner]]] = {}
         self._runners: dict[ComponentKey, Runner] = {}
         self._ending: dict[ComponentKey, tuple[Runner, float]] = {}
         self._broken: dict[ComponentKey, tuple[ComponentSpec, ComponentStatus]] = {}
         self._unjoined: dict[ComponentKey, ComponentStatus] = {}
-        self._steps = MigrationExecutor(self._runners, self._wiring, self._transports)
+        self._steps = MigrationExecutor(self._runners, self._wiring, self._server)
         # steps wait for components and for other computers; the control thread must not
         self._step_threads = ThreadPoolExecutor(_STEP_THREADS, "step", go_first)
         self._paused: dict[Runner, float] = {}
@@ -354,7 +362,7 @@ class Container:
             name=self._name,
             pid=os.getpid(),
             at=self._clock.now(),
-            trouble=self._transports.server.warning.trouble(),
+            trouble=self._server.warning.trouble(),
             cpu=time.process_time()
             + sum(r.counters.cpu() for r in self._runners.values() if r.spec.command),
             components=tuple((components | broken | self._unjoined).values()),
@@ -373,7 +381,7 @@ class Container:
             self._report(self._status())
         self._step_threads.shutdown(wait=False, cancel_futures=True)
         self._wiring.close()
-        self._transports.close()
+        self._server.close()
 
 
 def _failed(key: ComponentKey, what: str, why: str) -> ComponentStatus:

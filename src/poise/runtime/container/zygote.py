@@ -36,7 +36,6 @@ from poise.runtime.container.descendants import (
     lead_session,
 )
 from poise.runtime.hosting.output import keep_output
-from poise.runtime.hosting.wiring import Place
 from poise.runtime.waker import Waker, wait_readable
 from poise.wire import record_channel
 
@@ -55,12 +54,13 @@ class Fork(Struct, frozen=True, kw_only=True):
     """The agent asks for a container.
 
     Its control socket and its stats page come with the record. Its threads have the
-    nice value `nice`.
+    nice value `nice`; `folder` is its agent's.
     """
 
     name: str
-    place: Place
-    nice: int = 0
+    computer: str
+    folder: str
+    nice: int
 
 
 class Forked(Struct, frozen=True, tag=True):
@@ -106,9 +106,7 @@ def start(closing: Sequence[int] = ()) -> tuple[socket.socket, int]:
     return ours, pid
 
 
-def ask(
-    zygote: socket.socket, name: str, stats_page: int, place: Place, nice: int = 0
-) -> socket.socket:
+def ask(zygote: socket.socket, wanted: Fork, stats_page: int) -> socket.socket:
     """Ask for a container and return the agent's end of its control socket.
 
     `stats_page` is the descriptor of the memory in which it is to count.
@@ -123,7 +121,7 @@ def ask(
     ours, theirs = socket.socketpair()
     with theirs:
         try:
-            packet = record_channel.pack(Fork(name=name, place=place, nice=nice))
+            packet = record_channel.pack(wanted)
             socket.send_fds(zygote, [packet], [theirs.fileno(), stats_page])
         except ConnectionError as error:
             ours.close()
@@ -197,7 +195,7 @@ class _Zygote:
         self._agent = agent
         self._waker = Waker()
         self._containers: set[int] = set()
-        self._folder = ""
+        self._folder = Path()
 
     def serve(self) -> None:
         """Fork what the agent asks for, until it and all containers are gone."""
@@ -254,7 +252,7 @@ class _Zygote:
         if not body:
             raise Unavailable("the agent is gone")
         wanted: Fork = record_channel.unpack(body, Fork)
-        self._folder = wanted.place.folder
+        self._folder = Path(wanted.folder)
         if len(fds) != _PASSED:
             for fd in fds:
                 os.close(fd)
@@ -283,8 +281,10 @@ class _Zygote:
         self._agent.close()
         self._waker.close()
         be_nice(wanted.nice)
-        keep_output(Path(wanted.place.folder), wanted.name)
-        Container(wanted.name, connection, stats_page, wanted.place).run()
+        keep_output(self._folder, wanted.name)
+        Container(
+            wanted.name, wanted.computer, self._folder, connection, stats_page
+        ).run()
 
     def _outlive_agent(self) -> None:
         """Reap the containers until there are none, or no agent wants them."""

@@ -9,8 +9,6 @@ from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
-from msgspec import Struct
-
 from poise.clock import Elapsed
 from poise.errors import RobotError, RunError, UsageError
 from poise.runtime.component.error_report import told
@@ -38,59 +36,6 @@ TAKING: AbstractSet[Kind] = {"subscribes", "provides"}
 
 Runners = Mapping[tuple[str, int], Runner]
 """The incarnations of components in a container, by name and epoch."""
-
-
-class Place(Struct, frozen=True, kw_only=True):
-    """Where a container is.
-
-    Parameters
-    ----------
-    container
-        Its name.
-    folder
-        The folder of its agent, for sockets.
-    gateway
-        IP address and TCP port of its computer's gateway.
-    computer
-        The name of its computer.
-    """
-
-    container: str
-    folder: str
-    gateway: str
-    computer: str = ""
-
-
-class Transports:
-    """The pipes of a container, and where those of others end in it."""
-
-    def __init__(self, place: Place) -> None:
-        self._place = place
-        self.server = ConnectionServer(Path(place.folder), place.container)
-
-    def channel(
-        self,
-        connector: str,
-        address: str,
-        use: int = CALLS,
-        credit: Credit | None = None,
-    ) -> Channel:
-        """Return a channel to the container at an address (`Channel`).
-
-        Raises
-        ------
-        WireError
-            `address` is none.
-        """
-        where, folder = Address.parse(address), Path(self._place.folder)
-        if credit is None:
-            return Channel(connector, where, folder, use)
-        take, request = credit.take, credit.request
-        return Channel(connector, where, folder, use, take, request)
-
-    def close(self) -> None:
-        """Receive no more."""
-        self.server.close()
 
 
 class OpenEndpoints:
@@ -127,16 +72,18 @@ class Wiring:
 
     Parameters
     ----------
+    server
+        Where the connectors of others end in it.
     ahead
         Returns how far another computer's clock is ahead, if that is known.
     """
 
     def __init__(
         self,
-        transports: Transports,
+        server: ConnectionServer,
         ahead: Callable[[str], Elapsed | None] = lambda _: None,
     ) -> None:
-        self._transports = transports
+        self._server = server
         self._ahead = ahead
         self._open: dict[str, OpenEndpoints] = {}
 
@@ -263,7 +210,14 @@ class Wiring:
             credit = Credit()
             credit.on_credit = sender.room
             use = CALLS if port.kind == "requires" else MESSAGES
-            channel = self._transports.channel(spec.key, spec.address, use, credit)
+            channel = Channel(
+                spec.key,
+                Address.parse(spec.address),
+                self._server.folder,
+                use,
+                credit.take,
+                credit.request,
+            )
             ends.route = ChannelRoute(
                 channel, port, spec.limit, credit, ends.remote_clock
             )
@@ -285,9 +239,8 @@ class Wiring:
             file = InputFile(Path(spec.record))
             ends.closing.callback(file.close)
             handler = recording(handler, f"{spec.source}.{spec.source_port}", file)
-        server = self._transports.server
-        server.open(spec.key, handler, ends.counts.refuse)
-        ends.closing.callback(server.shut, spec.key)
+        self._server.open(spec.key, handler, ends.counts.refuse)
+        ends.closing.callback(self._server.shut, spec.key)
 
 
 def _ends_here(spec: ConnectorSpec, runners: Runners) -> list[tuple[str, int]]:

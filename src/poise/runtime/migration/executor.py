@@ -17,8 +17,9 @@ from poise.errors import PoiseError, RunError, Timeout
 from poise.runtime.component.error_report import told_in_brief
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.hosting.runner import Runner
-from poise.runtime.hosting.wiring import Runners, Transports, Wiring
+from poise.runtime.hosting.wiring import Runners, Wiring
 from poise.runtime.migration.party import Party
+from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.migration_phases import Role
 from poise.wire.records.migration import (
     MigrationSteps,
@@ -40,11 +41,11 @@ class MigrationExecutor:
     """Takes steps in one container, on any thread."""
 
     def __init__(
-        self, runners: Runners, wiring: Wiring, transports: Transports
+        self, runners: Runners, wiring: Wiring, server: ConnectionServer
     ) -> None:
         self._runners = runners
         self._wiring = wiring
-        self._transports = transports
+        self._server = server
         self._parties: dict[Runner, Party] = {}
         self._beginning = threading.Lock()
         self._num_deployments = 0
@@ -136,7 +137,7 @@ class MigrationExecutor:
         party = self._parties.get(runner)
         if party is None or party.migration < migration:
             self.forget(runner)
-            party = Party(runner, role, migration, self._transports)
+            party = Party(runner, role, migration, self._server)
             self._parties[runner] = party
         if party.migration > migration:
             raise RunError(

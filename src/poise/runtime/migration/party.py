@@ -7,9 +7,11 @@ import time
 from poise.errors import PoiseError, RunError, Timeout
 from poise.priority import as_usual
 from poise.runtime.hosting.runner import Runner
-from poise.runtime.hosting.wiring import Transports
 from poise.runtime.migration.state_receiver import StateReceiver
 from poise.runtime.migration.state_sender import StateSender
+from poise.wire.address import Address
+from poise.wire.connections.channel import Channel
+from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.migration_phases import MigrationPhases, Role
 from poise.wire.records.migration import Step
 
@@ -24,12 +26,12 @@ class Party:
     """One incarnation's part in one migration; any thread may use it."""
 
     def __init__(
-        self, runner: Runner, role: Role, migration: int, transports: Transports
+        self, runner: Runner, role: Role, migration: int, server: ConnectionServer
     ) -> None:
         self.migration = migration
         self.phases = MigrationPhases(role, f"component '{runner.spec.name}'")
         self._runner = runner
-        self._transports = transports
+        self._server = server
         self._sender: StateSender | None = None
         self._receiver: StateReceiver | None = None
 
@@ -39,13 +41,12 @@ class Party:
         match step.name:
             case "offer state":
                 self.close()
-                server = self._transports.server
-                self._sender = StateSender(runner, self.migration, server)
+                self._sender = StateSender(runner, self.migration, self._server)
             case "pre-copy":
                 self.close()
                 with as_usual():  # a large state takes its time, and nobody waits
                     self._receiver = StateReceiver(
-                        runner, step.sources, self.migration, self._transports.channel
+                        runner, step.sources, self.migration, self._channel
                     )
                     self._receiver.connect(deadline)
             case "request state":
@@ -75,6 +76,9 @@ class Party:
         if self._receiver is not None:
             self._receiver.close()
         self._sender = self._receiver = None
+
+    def _channel(self, key: str, address: str) -> Channel:
+        return Channel(key, Address.parse(address), self._server.folder)
 
     def _sending(self) -> StateSender:
         if self._sender is None:

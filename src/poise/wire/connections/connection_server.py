@@ -79,6 +79,8 @@ class ConnectionServer:
 
     Attributes
     ----------
+    folder
+        As given.
     warning
         Knows whether connections are accepted.
     """
@@ -89,6 +91,7 @@ class ConnectionServer:
         self._connections: set[_Served] = set()
         self._messages: dict[str, _Served] = {}
         self._lock = threading.Lock()
+        self.folder = folder
         self._container = container
         self._closed = threading.Event()
         self.warning = AcceptWarning(f"container '{container}'")

@@ -37,9 +37,9 @@ def gateway_path(folder: Path, container: str) -> Path:
     return socket_path(folder, container).with_suffix(".gateway")
 
 
-def agent_path(folder: Path | str) -> Path:
+def agent_path(folder: Path) -> Path:
     """Return the path of the socket at which an agent adopts containers."""
-    return Path(folder) / "agent.sock"
+    return folder / "agent.sock"
 
 
 def connect(connection: socket.socket, path: Path, limit: float) -> None:

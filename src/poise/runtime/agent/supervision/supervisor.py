@@ -30,7 +30,6 @@ from poise.runtime.agent.supervision.health import HealthRecords, Usage
 from poise.runtime.agent.supervision.oom_kills import OomKills
 from poise.runtime.container import zygote
 from poise.runtime.hosting.stats_page import new_memory
-from poise.runtime.hosting.wiring import Place
 from poise.wire.records.container import Outcome
 from poise.wire.records.deployment import ContainerSpec, Deployment
 from poise.wire.records.status import ContainerHealth, ContainerStatus
@@ -50,8 +49,8 @@ class Supervisor:
     ----------
     zygote_socket
         The socket of the zygote, from `poise.runtime.container.zygote.start`.
-    place
-        Returns where a container of this name is.
+    computer, folder
+        The name of the computer, and the folder of the agent.
     awaits
         Returns whether a container of an earlier agent still runs: then it is adopted.
     """
@@ -59,7 +58,8 @@ class Supervisor:
     def __init__(
         self,
         zygote_socket: socket.socket,
-        place: Callable[[str], Place],
+        computer: str,
+        folder: Path,
         clock: Clock,
         awaits: Callable[[str], bool] = lambda _: False,
     ) -> None:
@@ -70,7 +70,8 @@ class Supervisor:
         self.trouble = ""
         self.is_cut_off = False
         self._zygote = zygote_socket
-        self._place = place
+        self._computer = computer
+        self._folder = folder
         self._clock = clock
         self._backoffs: dict[str, BackOff] = {}
         self._oom_kills = OomKills()
@@ -234,9 +235,13 @@ class Supervisor:
             try:
                 memory = new_memory()
                 undo.callback(os.close, memory)
-                place = self._place(spec.name)
-                nice = self.cpu_weights.nice_of(spec)
-                connection = zygote.ask(self._zygote, spec.name, memory, place, nice)
+                wanted = zygote.Fork(
+                    name=spec.name,
+                    computer=self._computer,
+                    folder=os.fspath(self._folder),
+                    nice=self.cpu_weights.nice_of(spec),
+                )
+                connection = zygote.ask(self._zygote, wanted, memory)
             except Unavailable:
                 return  # the zygote's end is heard next, and is the end of the agent
             except OSError as error:  # no descriptor or memory is free at the moment
@@ -264,8 +269,7 @@ class Supervisor:
                 f"{self._oom_kills.limit()}: give the computer more, or move "
                 "components to another"
             )
-        folder = Path(self._place(process.name).folder)
-        parts = [str(how), process.last_error(), process.loss(folder)]
+        parts = [str(how), process.last_error(), process.loss(self._folder)]
         said = "; ".join(filter(None, parts))
         self._note_end(process.name, said)
 
