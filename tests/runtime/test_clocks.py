@@ -112,9 +112,8 @@ def test_two_agents_learn_of_each_others_clocks() -> None:
                 "test",
                 name,
                 where[name],
-                Fence("test", name, lambda: None),
+                Fence("test", name, lambda: None, lambda _: None),
                 clock,
-                lambda: None,
             )
             stack.callback(each.close)
             each.begin("manager", agents, is_leased=False)

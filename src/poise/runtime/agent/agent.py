@@ -32,7 +32,6 @@ from poise.runtime.agent.checkpoint_files import CheckpointFiles
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
 from poise.runtime.agent.inbox import AgentInbox, answer
-from poise.runtime.agent.managed import Managed
 from poise.runtime.agent.sampling.sampler import Sampler
 from poise.runtime.agent.sampling.watchdog import Silence
 from poise.runtime.agent.status_reports import StatusReports
@@ -111,13 +110,18 @@ class Agent:
         self._relay = MigrationRelay(self._supervisor.processes)
         self._waker = Waker()
         self._requests = AgentInbox(setup.computer, self._waker.wake)
-        wake, before = self._waker.wake, (left.manager, left.token)
-        self._fence = Fence(setup.robot, setup.computer, wake, *before)
+        self._fence = Fence(
+            setup.robot,
+            setup.computer,
+            self._waker.wake,
+            say,
+            left.manager,
+            left.token,
+        )
         self._agents_before = left.agents, left.is_leased
         self._endpoint = Endpoint(setup.address, setup.port)
         self._locator = locator(self._endpoint)
         self._heartbeats: HeartbeatExchange
-        self._managed: Managed
         self._say = say
 
     def run(self) -> None:
@@ -185,12 +189,8 @@ class Agent:
                 self._endpoint,
                 self._fence,
                 self._clock,
-                self._waker.wake,
             )
             heartbeats.begin_again(*self._agents_before)
-            self._managed = Managed(
-                self._fence, self._supervisor, heartbeats, self._say
-            )
             go_first()
             try:
                 sampler.start()
@@ -269,7 +269,7 @@ class Agent:
             answer(query, Refused(f"{older}{wanted.generation}"))
         else:
             self._supervisor.take(request)
-            self._managed.note_told()
+            self._fence.note_told()
             self._checkpoints.keep_only(request)
             answer(query, Accepted())
 
@@ -291,7 +291,8 @@ class Agent:
             self._keep_state()
             while self._silences:
                 self._supervisor.note_silence(self._silences.popleft())
-            self._managed.look()
+            self._fence.look()
+            self._supervisor.is_cut_off = bool(self._fence.cut_off)
             self._relay.give_up(self._clock.now())
             self._adoption.give_up()
             self._supervisor.reconcile()
@@ -361,7 +362,7 @@ class Agent:
             faults=supervisor.health.faults(),
             health=supervisor.records(usage),
             clocks=self._heartbeats.clocks,
-            cut_off=self._managed.cut_off,
+            cut_off=self._fence.cut_off,
             links=self._heartbeats.links(),
         )
 

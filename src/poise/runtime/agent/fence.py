@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 import zenoh
@@ -20,8 +21,10 @@ class Fence:
     ----------
     robot, computer
         The agent's, for messages.
-    on_arrival
-        Called when a manager came, on zenoh's threads; must not block.
+    wake
+        Called when there is something for `look`, on any thread; must not block.
+    say
+        Called by `look` with a sentence when a manager comes or goes.
     manager, token
         What an agent before it obeyed. That manager counts as gone until its
         liveliness token is seen.
@@ -30,30 +33,65 @@ class Fence:
     ----------
     arrivals
         How many managers have come.
+    is_cut_off
+        Whether the lease has ended, and no manager has said since what runs elsewhere.
+    cut_off
+        Since when `look` knows that [s since 1970]; 0: it is not so.
     """
 
     def __init__(
         self,
         robot: str,
         computer: str,
-        on_arrival: Callable[[], None],
+        wake: Callable[[], None],
+        say: Callable[[str], object],
         manager: ManagerId | None = None,
         token: int = 0,
     ) -> None:
-        self._on_arrival = on_arrival
+        self._wake = wake
+        self._say = say
         self.arrivals = 0
+        self.is_cut_off = False
+        self.cut_off = 0.0
         self._robot = robot
         self._computer = computer
         self._gone: set[str] = set() if manager is None else {manager.key}
         self.manager = manager
         self.token = token
+        self._present: ManagerId | None = None
         self._ended: set[str] = set()
         self._is_expired = False
 
-    def present_manager(self) -> ManagerId | None:
-        """Return the manager that it obeys, unless that one is gone."""
-        manager = self.manager
-        return None if manager is None or manager.key in self._gone else manager
+    def look(self) -> None:
+        """Take note of a manager that came or went, and of the end of the lease."""
+        before, manager = self._present, self.manager
+        is_gone = manager is None or manager.key in self._gone
+        self._present = None if is_gone else manager
+        if self._present != before:
+            if before is not None:
+                self._say(f"{before} is gone; containers go on")
+            if self._present is not None:
+                self._say(f"managed by {self._present}")
+        if self.is_cut_off and not self.cut_off:
+            self.cut_off = time.time()
+            # the present manager is refused, too, until it claims the agent again
+            self.token += 1
+            self._is_expired = True
+            self._say(
+                "cut off from its manager, which may start movable components "
+                "elsewhere: they are inactive here until it says what runs where"
+            )
+
+    def cut(self) -> None:
+        """Note that the lease has ended; for the thread of the heartbeats."""
+        self.is_cut_off = True
+        self._wake()
+
+    def note_told(self) -> None:
+        """Note that the manager, which knows what runs elsewhere, says what runs."""
+        if self.cut_off:
+            self.cut_off, self.is_cut_off = 0.0, False
+            self._say("reached by its manager again")
 
     def is_managed(self) -> bool:
         """Return whether a manager may be at work, for all that is known."""
@@ -66,7 +104,7 @@ class Fence:
             self._gone.discard(key)
             self._ended.discard(key)
             self.arrivals += 1
-            self._on_arrival()
+            self._wake()
         else:
             self._gone.add(key)
             self._ended.add(key)
@@ -85,11 +123,6 @@ class Fence:
             return Refused(self._manages())
         self.manager, self.token, self._is_expired = claim.manager, token, False
         return None
-
-    def expire(self) -> None:
-        """Refuse the present manager, too, until it claims the agent again."""
-        self.token += 1
-        self._is_expired = True
 
     def refusal(self, token: int) -> str:
         """Return why a request with this token is refused; empty when it is not."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import threading
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from poise.clock import Clock
 from poise.endpoint import Endpoint
@@ -39,14 +39,10 @@ class HeartbeatExchange:
     Parameters
     ----------
     fence
-        Says whom it obeys.
-    on_cut_off
-        Called once when its lease has ended, on the thread of the heartbeats.
+        Says whom it obeys; is told when the lease has ended.
 
     Attributes
     ----------
-    is_cut_off
-        Whether the lease has ended, and no manager has said since what runs elsewhere.
     agents, is_leased
         With whom it exchanges heartbeats, as in `Claim`.
     clocks
@@ -60,16 +56,13 @@ class HeartbeatExchange:
         listen: Endpoint,
         fence: Fence,
         clock: Clock,
-        on_cut_off: Callable[[], object],
     ) -> None:
-        self.is_cut_off = False
         self.agents: Mapping[str, str] = {}
         self.is_leased = False
         self.clocks: Mapping[str, ClockStatus] = {}
         self._computer = computer
         self._fence = fence
         self._clock = clock
-        self._on_cut_off = on_cut_off
         self._contacts = Contacts(robot, computer, uuid.uuid4().hex)
         self._lease = Lease(self._contacts)
         self._offsets: dict[str, ClockOffset] = {}
@@ -177,14 +170,13 @@ class HeartbeatExchange:
         self._looked_at = now
         self._note_clocks(now)
         is_managed = self._fence.is_managed()
-        if is_managed and not self.is_cut_off and self._has_ended(now):
-            self.is_cut_off = True
-            self._on_cut_off()
+        if is_managed and not self._fence.is_cut_off and self._has_ended(now):
+            self._fence.cut()
         is_late = ASK_AFTER < self._lease.age(now) < 2 * ASK_AFTER
         beat = self._contacts.next_beat(
             now,
             managed=self._lease.managed(now) if is_managed else None,
-            is_cut_off=self.is_cut_off,
+            is_cut_off=self._fence.is_cut_off,
             asks=(MANAGER,) if is_late else (),
             revoked=self._lease.revoked(),
         )
