@@ -12,6 +12,7 @@ import os
 import socket
 import threading
 from pathlib import Path
+from typing import Any
 
 from msgspec import Struct
 
@@ -25,10 +26,10 @@ from poise.wire.records.container import FromContainer, ToContainer
 
 ORPHAN_LIMIT = 60.0
 """A container that has had no agent for this time ends [s]."""
-PASSED = 2
-"""Descriptors that an orphan hands over: a control socket and its stats page."""
-_FIRST_PAUSE = 0.02
-_LONGEST_PAUSE = 0.25
+_PASSED = 2
+"""Descriptors that are handed over: a control socket and a stats page."""
+_PAUSE = 0.2
+"""It asks an agent to adopt it this often [s]."""
 _INBOX = 1 << 16
 
 
@@ -69,7 +70,6 @@ class AgentLink:
         self._telling = threading.Lock()
         self._lost_at = float("inf")
         self._ask_at = 0.0
-        self._pause = _FIRST_PAUSE
 
     def files(self) -> list[int]:
         """Return the descriptor to wait for, if there is one now."""
@@ -93,8 +93,7 @@ class AgentLink:
             return
         if now - self._lost_at > limit:
             raise Unavailable(f"there was no agent for {limit:g} s")
-        self._pause = min(2 * self._pause, _LONGEST_PAUSE)
-        self._ask_at = now + self._pause
+        self._ask_at = now + _PAUSE
         self._ask()
 
     def receive(self) -> ToContainer | None:
@@ -106,7 +105,7 @@ class AgentLink:
         except Unavailable:
             self._lose()
             return None
-        self._lost_at, self._pause = float("inf"), _FIRST_PAUSE
+        self._lost_at = float("inf")
         return told
 
     def tell(self, record: FromContainer) -> None:
@@ -130,15 +129,13 @@ class AgentLink:
         self._ask_at = now
 
     def _ask(self) -> None:
-        ours, theirs = socket.socketpair()
-        packet = record_channel.pack(Orphan(container=self._container, pid=os.getpid()))
-        with theirs, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
+        orphan = Orphan(container=self._container, pid=os.getpid())
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
             asking.setblocking(False)
             try:
                 asking.connect(self._path)
-                socket.send_fds(asking, [packet], [theirs.fileno(), self._stats_page])
+                ours = hand_over(asking, orphan, self._stats_page)
             except OSError:  # no agent is there yet
-                ours.close()
                 return
         keep_private(ours)
         with self._telling:
@@ -151,22 +148,36 @@ def is_adopting(folder: Path) -> bool:
         return asking.connect_ex(os.fspath(agent_path(folder))) == 0
 
 
-def receive_orphan(
-    listening: socket.socket,
-) -> tuple[Orphan, socket.socket, int] | None:
-    """Return the next container that asks to be adopted; None: there is none.
+def hand_over(way: socket.socket, record: Struct, stats_page: int) -> socket.socket:
+    """Send a record, an end of a new control socket, and a stats page.
 
-    Returns
-    -------
-    It, the agent's end of its control socket, and the descriptor of its stats page.
+    Return the other end; raise OSError when no descriptor is free, or nobody is there.
     """
-    try:
-        body, files, _, _ = socket.recv_fds(listening, _INBOX, PASSED)
-    except OSError:
-        return None
-    if len(files) != PASSED:  # no descriptor is free: it asks again
-        for file in files:
-            os.close(file)
-        return None
-    orphan: Orphan = record_channel.unpack(body, Orphan)
-    return orphan, socket.socket(fileno=files[0]), files[1]
+    ours, theirs = socket.socketpair()
+    with theirs:
+        try:
+            files = [theirs.fileno(), stats_page]
+            socket.send_fds(way, [record_channel.pack(record)], files)
+        except OSError:
+            ours.close()
+            raise
+    return ours
+
+
+def take_over(
+    way: socket.socket,
+    type_: Any,  # noqa: ANN401, a record's
+) -> tuple[Any, socket.socket | None, int]:
+    """Return what `hand_over` has sent; None and -1: no descriptor was free for them.
+
+    OSError when nothing has come, or the other end is gone.
+    """
+    body, files, _, _ = socket.recv_fds(way, _INBOX, _PASSED)
+    if not body:
+        raise ConnectionResetError("the other end is gone")
+    record = record_channel.unpack(body, type_)
+    if len(files) == _PASSED:
+        return record, socket.socket(fileno=files[0]), files[1]
+    for file in files:
+        os.close(file)
+    return record, None, -1

@@ -27,11 +27,6 @@ def adopt_orphans() -> None:
     ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1)
 
 
-def lead_session() -> None:
-    """Put this process into a session and process group of its own."""
-    os.setsid()
-
-
 def children() -> set[int]:
     """Return the processes whose parent is this process."""
     return set().union(*_children_by_thread().values())

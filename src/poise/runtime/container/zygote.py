@@ -19,21 +19,25 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from msgspec import Struct
 
 from poise.errors import RunError, Unavailable
 from poise.priority import be_nice
-from poise.runtime.container.agent_link import ORPHAN_LIMIT, is_adopting
+from poise.runtime.container.agent_link import (
+    ORPHAN_LIMIT,
+    hand_over,
+    is_adopting,
+    take_over,
+)
 from poise.runtime.container.container import Container
 from poise.runtime.container.descendants import (
     adopt_orphans,
     children,
     end_children,
     kill_all,
-    lead_session,
 )
 from poise.runtime.hosting.output import keep_output
 from poise.runtime.waker import Waker, wait_readable
@@ -45,8 +49,6 @@ PATIENCE = 2.0
 """Containers end within this time after they should have by themselves [s]."""
 _LARGEST = 1 << 16
 _KILL_LIMIT = 1.0
-_PASSED = 2
-"""Descriptors that come with the request for a container."""
 _LOOK_AT_ENDED = os.WEXITED | os.WNOHANG | os.WNOWAIT
 
 
@@ -118,18 +120,10 @@ def ask(zygote: socket.socket, wanted: Fork, stats_page: int) -> socket.socket:
     OSError
         No descriptor is free, or the zygote does not respond.
     """
-    ours, theirs = socket.socketpair()
-    with theirs:
-        try:
-            packet = record_channel.pack(wanted)
-            socket.send_fds(zygote, [packet], [theirs.fileno(), stats_page])
-        except ConnectionError as error:
-            ours.close()
-            raise Unavailable(f"the zygote is gone: {error}") from error
-        except OSError:
-            ours.close()
-            raise
-    return ours
+    try:
+        return hand_over(zygote, wanted, stats_page)
+    except ConnectionError as error:
+        raise Unavailable(f"the zygote is gone: {error}") from error
 
 
 def hear(zygote: socket.socket) -> Event:
@@ -178,14 +172,6 @@ def _leave(work: Callable[[], None]) -> None:
             with contextlib.suppress(OSError, ValueError):
                 stream_.flush()
         os._exit(code)
-
-
-@contextlib.contextmanager
-def _closing(fd: int) -> Iterator[None]:
-    try:
-        yield
-    finally:
-        os.close(fd)
 
 
 class _Zygote:
@@ -248,20 +234,14 @@ class _Zygote:
         return ended
 
     def _fork_next(self) -> None:
-        body, fds, _, _ = socket.recv_fds(self._agent, _LARGEST, _PASSED)
-        if not body:
-            raise Unavailable("the agent is gone")
-        wanted: Fork = record_channel.unpack(body, Fork)
+        wanted, connection, stats_page = take_over(self._agent, Fork)
         self._folder = Path(wanted.folder)
-        if len(fds) != _PASSED:
-            for fd in fds:
-                os.close(fd)
-            self._tell(
-                NotForked(wanted.name, "cannot be started: no descriptor is free")
-            )
+        if connection is None:
+            why = "cannot be started: no descriptor is free"
+            self._tell(NotForked(wanted.name, why))
             return
-        control_fd, stats_page = fds
-        with socket.socket(fileno=control_fd) as connection, _closing(stats_page):
+        with connection, contextlib.ExitStack() as closing:
+            closing.callback(os.close, stats_page)
             try:
                 pid = os.fork()
             except OSError as error:
@@ -276,7 +256,7 @@ class _Zygote:
         """Be a container from now on; keep nothing that is the zygote's."""
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-        lead_session()
+        os.setsid()  # its process group can be killed
         adopt_orphans()
         self._agent.close()
         self._waker.close()

@@ -22,7 +22,7 @@ from msgspec import Struct
 
 from poise.clock import Clock
 from poise.errors import UsageError
-from poise.runtime.container.agent_link import Orphan, receive_orphan
+from poise.runtime.container.agent_link import Orphan, take_over
 from poise.wire.connections.socket_path import agent_path, socket_path
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.requests import PROTOCOL, ManagerId
@@ -155,7 +155,7 @@ class Adoption:
         return self._until if self._left else float("inf")
 
     def orphans(self, ready: set[int]) -> Iterator[tuple[Orphan, socket.socket, int]]:
-        """Yield containers that ask to be adopted, as `receive_orphan` does.
+        """Yield containers that ask to be adopted, as `take_over` does.
 
         Parameters
         ----------
@@ -164,11 +164,15 @@ class Adoption:
         """
         if self._listening.fileno() not in ready:
             return
-        while (asked := receive_orphan(self._listening)) is not None:
-            pid = asked[0].pid
-            if self._left.pop(pid, None) is not None or self._watch(pid):
-                self.num_adopted += 1
-            yield asked
+        with contextlib.suppress(OSError):  # until no more have come
+            while True:
+                orphan, connection, stats_page = take_over(self._listening, Orphan)
+                if connection is None:  # no descriptor is free: it asks again
+                    continue
+                is_left = self._left.pop(orphan.pid, None) is not None
+                if is_left or self._watch(orphan.pid):
+                    self.num_adopted += 1
+                yield orphan, connection, stats_page
 
     def ended(self, ready: set[int]) -> Iterator[int]:
         """Yield the processes that ended, of the descriptors that are ready."""
