@@ -28,8 +28,8 @@ class Closed(Unavailable):
     """The channel was closed here before anything was sent."""
 
 
-_PAUSE, _LONGEST_PAUSE = 0.02, 0.1
-"""After a refusal it is not tried for this time, and then ever longer [s]."""
+_PAUSE = 0.05
+"""After a refusal it is not tried for this time [s]."""
 _SPARE = 8
 """Connections kept open per connector when no call uses them."""
 _IDLE = 30.0
@@ -152,7 +152,7 @@ class Channel:
         self._is_lost = False
         self._ordering = threading.Lock()
         self._looked_at = time.monotonic()
-        self._ask_at, self._pause = 0.0, _PAUSE
+        self._ask_at = 0.0
 
     def is_ready(self) -> bool:
         """Return at once whether the receiving end is there, by connecting to it.
@@ -297,10 +297,8 @@ class Channel:
             connection = self._opened(self._use, 0.0)
             if connection is not None:
                 self._connections[self._use].give_back(connection)
-                self._pause = _PAUSE
         except CallError:
-            self._ask_at = time.monotonic() + self._pause
-            self._pause = min(2 * self._pause, _LONGEST_PAUSE)
+            self._ask_at = time.monotonic() + _PAUSE
             return False
         finally:
             self._ordering.release()
