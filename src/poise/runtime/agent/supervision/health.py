@@ -24,18 +24,11 @@ class HealthRecords:
 
     Parameters
     ----------
-    wall
-        Returns the time [s since the epoch].
     clock
         Returns the time [s] by which restarts of the last minute are counted.
     """
 
-    def __init__(
-        self,
-        wall: Callable[[], float] = time.time,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._wall = wall
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._restarts: dict[str, deque[float]] = {}
         self._faults: deque[Fault] = deque(maxlen=_MOST_FAULTS)
@@ -68,7 +61,7 @@ class HealthRecords:
             container=container,
             message=message,
             number=self._number,
-            at=self._wall(),
+            at=time.time(),
             restarts=known.restarts if known else 0,
             is_over=is_over,
         )
@@ -118,7 +111,7 @@ class HealthRecords:
         self._of[container] = structs.replace(
             known,
             state=state,
-            since=self._wall(),
+            since=time.time(),
             reason=reason,
             restarts=known.restarts if restarts is None else restarts,
         )
