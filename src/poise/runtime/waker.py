@@ -5,7 +5,12 @@ from __future__ import annotations
 import contextlib
 import os
 import select
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable
+
+from poise.errors import Timeout
+
+_POLL = 0.001
 
 
 class Waker:
@@ -63,3 +68,17 @@ def is_writable(fd: int) -> bool:
     poll = select.poll()
     poll.register(fd, select.POLLOUT)
     return any(event & select.POLLOUT for _, event in poll.poll(0))
+
+
+def poll_until(holds: Callable[[], bool], deadline: float, late: str) -> None:
+    """Wait for what nobody tells; raise Timeout, which says `late`, at `deadline`.
+
+    Parameters
+    ----------
+    deadline
+        [s, monotonic]
+    """
+    while not holds():
+        if time.monotonic() > deadline:
+            raise Timeout(late)
+        time.sleep(_POLL)

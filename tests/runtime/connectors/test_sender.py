@@ -117,11 +117,11 @@ def test_tells_while_a_call_waits_at_the_former_target(
     sender: Sender, old: FakeRoute, new: FakeRoute
 ) -> None:
     old.is_calling_now = True
-    assert not sender.is_leaving()
+    assert sender.has_left()
     sender.switch("new")
-    assert sender.is_leaving()
+    assert not sender.has_left()
     old.is_calling_now, new.is_calling_now = False, True
-    assert not sender.is_leaving()
+    assert sender.has_left()
 
 
 def test_a_marker_goes_behind_all_that_went(sender: Sender, old: FakeRoute) -> None:

@@ -144,7 +144,7 @@ def test_a_release_waits_for_calls_at_the_former_target(
     looks = iter(range(1, left_after))
     wiring = Mock()
     wiring.sender.return_value.name = "calls"
-    wiring.sender.return_value.is_leaving = lambda: next(looks, 0) > 0
+    wiring.sender.return_value.has_left = lambda: not next(looks, 0)
     release = Step("release to targets", connectors=("key",))
     steps = MigrationSteps(1, 1, "container", (release,), 0.05)
     outcome = MigrationExecutor({}, wiring, Mock()).receive(steps)()

@@ -185,10 +185,10 @@ class Sender:
             self._target_moves = False
             self._drain()
 
-    def is_leaving(self) -> bool:
-        """Return whether a call is under way over a route that is not used any more."""
-        used = self._current
-        return any(r.is_calling() for r in self.routes().values() if r is not used)
+    def has_left(self) -> bool:
+        """Return whether no call waits at a former target any more."""
+        others = (r for r in self.routes().values() if r is not self._current)
+        return not any(route.is_calling() for route in others)
 
     def send_marker(self, number: int) -> None:
         """Send a marker behind all that went out.

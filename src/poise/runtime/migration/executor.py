@@ -13,12 +13,12 @@ import time
 from collections.abc import Callable
 from functools import partial
 
-from poise.errors import PoiseError, RunError, Timeout
+from poise.errors import PoiseError, RunError
 from poise.runtime.component.error_report import told_in_brief
-from poise.runtime.connectors.sender import Sender
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.wiring import Runners, Wiring
 from poise.runtime.migration.party import Party
+from poise.runtime.waker import poll_until
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.migration_phases import Role
 from poise.wire.records.migration import (
@@ -33,8 +33,6 @@ from poise.wire.records.migration import (
 _SHARE = 0.75
 """Steps may take this share of their limit: the rest is for the answer, so that the
 manager learns which step was too slow, and of what component."""
-_POLL = 0.001
-"""Nobody tells when a call has its answer; look this often [s]."""
 
 
 class MigrationExecutor:
@@ -115,7 +113,10 @@ class MigrationExecutor:
                 for key in step.connectors:
                     self._wiring.sender(key).switch(key)
                 for key in step.connectors:
-                    _wait_left(self._wiring.sender(key), deadline)
+                    sender = self._wiring.sender(key)
+                    text = f"connector {sender.name}: a call has no answer yet from "
+                    text += "the computer that its target left"
+                    poll_until(sender.has_left, deadline, text)
             case "drain channels":
                 markers = dict.fromkeys(step.connectors, migration)
                 left = max(0.0, deadline - time.monotonic())
@@ -145,12 +146,3 @@ class MigrationExecutor:
                 f"{migration}, and {party.migration} has begun"
             )
         return party
-
-
-def _wait_left(sender: Sender, deadline: float) -> None:
-    """Wait until no call of a sender waits at its former target any more."""
-    while sender.is_leaving():
-        if time.monotonic() > deadline:
-            text = "a call has no answer yet from the computer that its target left"
-            raise Timeout(f"connector {sender.name}: {text}")
-        time.sleep(_POLL)

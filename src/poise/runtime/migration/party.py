@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import time
 
-from poise.errors import PoiseError, RunError, Timeout
+from poise.errors import PoiseError, RunError
 from poise.priority import as_usual
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration.state_receiver import StateReceiver
 from poise.runtime.migration.state_sender import StateSender
+from poise.runtime.waker import poll_until
 from poise.wire.address import Address
 from poise.wire.connections.channel import Channel
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.migration_phases import MigrationPhases, Role
 from poise.wire.records.migration import Step
 
-_POLL = 0.001
-"""A mailbox does not tell when it is empty; look this often [s]."""
 _PAUSE_SHARE = 0.8
 """A pause may take this share of its time, so that targets learn why they get no state
 before they give up."""
@@ -56,7 +55,9 @@ class Party:
             case "pause":
                 self._pause(_left(deadline))
             case "drain mailbox":
-                self._drain_mailbox(deadline)
+                text = "did not handle all messages that wait"
+                text = f"component '{runner.spec.name}' {text}"
+                poll_until(runner.endpoints.mailbox.is_empty, deadline, text)
             case "send state":
                 self._sending().send()
             case "restore state":
@@ -103,14 +104,6 @@ class Party:
             raise
         for sender in list(self._runner.endpoints.senders.values()):
             sender.send_marker(self.migration)
-
-    def _drain_mailbox(self, deadline: float) -> None:
-        while not self._runner.endpoints.mailbox.is_empty():
-            if time.monotonic() > deadline:
-                name = self._runner.spec.name
-                text = f"component '{name}' did not handle all messages that wait"
-                raise Timeout(text)
-            time.sleep(_POLL)
 
     def _activate(self, limit: float) -> None:
         runner = self._runner

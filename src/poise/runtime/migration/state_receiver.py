@@ -46,13 +46,11 @@ from poise.runtime.migration.state_sender import (
     StateTransfer,
     key_of,
 )
+from poise.runtime.waker import poll_until
 from poise.wire import frame
 from poise.wire.codec import codec
 from poise.wire.connections.channel import Channel
 from poise.wire.frame import Kind
-
-_POLL = 0.001
-"""While a source is not connected, look this often [s]."""
 
 CONNECT_LIMIT = 3.0
 """A source that does not offer its state within this time is gone [s]."""
@@ -115,11 +113,8 @@ class StateReceiver:
         """
         give_up_at = min(deadline, time.monotonic() + CONNECT_LIMIT)
         for name, channel in self._channels.items():
-            while not channel.is_ready():
-                if time.monotonic() > give_up_at:
-                    epoch, _ = self._sources[name]
-                    raise Timeout(f"component '{name}' ({epoch}) is not reached")
-                time.sleep(_POLL)
+            late = f"component '{name}' ({self._sources[name][0]}) is not reached"
+            poll_until(channel.is_ready, give_up_at, late)
         code = type(self._runner.component)
         has_delta = code.snapshot_delta is not Component.snapshot_delta
         if self._is_same and has_delta:
