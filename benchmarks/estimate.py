@@ -41,9 +41,9 @@ from poise.model.robot import Robot
 from poise.runtime._calls import ComponentCounters
 from poise.session.launch.start import Sampling, started
 from poise.session.placing.placement import place
-from poise.session.profiling.figures import Subject, figures
+from poise.session.profiling.figures import figures
 from poise.session.profiling.measurement import measure_alone
-from poise.session.profiling.rig import EMPTY, rig_of
+from poise.session.profiling.rig import rig_of
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.profiling.usage import measure
 from poise.session.robot_file import load
@@ -193,16 +193,9 @@ def needs(lengths: Lengths) -> dict[str, object]:
     robot = robots.together()
     name, computer = robot.architectures[0].name, robot.computers[0].name
     rig = rig_of(robot, name, computer, apart=True)
-    seen = measure_alone(rig, lengths.seconds, WARM_UP, _silent, lambda _: None)
-    subject = Subject(
-        robot=robot,
-        computer=computer,
-        names=rig.measured,
-        empty=EMPTY,
-        versions=dict.fromkeys(rig.measured, ""),
-        speed=1.0,
-    )
-    found = figures(subject, [seen], seen)
+    seen = measure_alone(rig, lengths.seconds, WARM_UP, lambda _: None)
+    versions = dict.fromkeys(rig.measured, "")
+    found = figures(robot, rig, [seen], seen, versions=versions, speed=1.0)
     memory = {
         name: found.components[name].memory - truth
         for name, truth in robots.held(robot).items()

@@ -103,7 +103,6 @@ def test_nothing_is_recorded_where_nothing_goes_from_one_to_another(
 def test_who_was_recorded_need_not_run(robot: Robot, folder: Path) -> None:
     busy = replace(robot, workload=recorded(folder, "ear.heard"))
     rig = rig_of(busy, "thinking", "main", apart=False)
-    assert rig.feeding == ()
     assert rig.placement == {"mind": "main", PLAYER: OTHERS}
     assert [str(c) for c in rig.robot.connectors] == [f"{PLAYER}.output_0-mind.heard"]
     assert rig.played == {"ear.heard-mind.heard": f"{PLAYER}.output_0-mind.heard"}

@@ -15,5 +15,5 @@ Check = Callable[[], object]
 """Called several times a second while a function waits; may raise to end that."""
 
 
-def nothing() -> None:
-    """Let a function go on."""
+def nothing(*_: object) -> None:
+    """Let a function go on; or say nothing."""

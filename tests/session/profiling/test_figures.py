@@ -1,3 +1,5 @@
+from functools import partial
+
 import pytest
 from msgspec.structs import replace
 
@@ -13,10 +15,12 @@ from poise.model.robot import (
 )
 from poise.session.profiling.figures import (
     Observed,
-    Subject,
     disagreeing,
-    figures,
 )
+from poise.session.profiling.figures import (
+    figures as measured_figures,
+)
+from poise.session.profiling.rig import EMPTY, ProfilingRig
 from poise.session.profiling.usage import MeasuredUsage
 from poise.wire.records.status import AgentStatus, ComponentStatus, ContainerStatus
 
@@ -69,7 +73,7 @@ def apart() -> Observed:
         measured=MeasuredUsage(
             cpu={},
             rest={},
-            members={"see.eye": ("eye",), "see.mind": ("mind",), "see.e": ("e",)},
+            members={"see.eye": ("eye",), "see.mind": ("mind",), "see.e": (EMPTY,)},
             memory={"see.eye": 17e6, "see.mind": 28e6, "see.e": 5e6},
             agents={},
             connectors={"eye.x-mind.x": ConnectorProfile(messages=9.0, size=500.0)},
@@ -83,26 +87,22 @@ def apart() -> Observed:
     )
 
 
-SUBJECT = Subject(
-    robot=ROBOT,
-    computer="a",
-    names=NAMES,
-    empty="e",
-    versions=dict.fromkeys(NAMES, "v"),
-    speed=1.0,
+RIG = ProfilingRig(ROBOT, "a", {}, NAMES)
+figures = partial(
+    measured_figures, ROBOT, RIG, versions=dict.fromkeys(NAMES, "v"), speed=1.0
 )
 
 
 def test_takes_the_run_in_the_middle() -> None:
     runs = [observed(0.104), observed(0.1), observed(0.102)]
-    eye = figures(SUBJECT, runs, apart()).components["eye"]
+    eye = figures(runs, apart()).components["eye"]
     assert eye.cpu.mean == 0.102
     assert eye.repeat == pytest.approx(0.004)
     assert eye.stable
 
 
 def test_divides_what_the_container_used_beyond_its_components() -> None:
-    found = figures(SUBJECT, [observed(0.1)], apart())
+    found = figures([observed(0.1)], apart())
     assert [c.share for c in found.components.values()] == [0.02, 0.02]
     assert found.agent == 0.01
 
@@ -113,19 +113,19 @@ def test_tells_memory_of_components_and_what_they_share() -> None:
     So 35 - 25 = 10 MB are libraries that both brought along: own 2 and 13 MB, and half
     of 5 + 10 MB each. In all that is the 30 MB of their container.
     """
-    found = figures(SUBJECT, [observed(0.1)], apart()).components
+    found = figures([observed(0.1)], apart()).components
     assert [found[n].memory for n in NAMES] == pytest.approx([2e6, 13e6])
     assert [found[n].base for n in NAMES] == pytest.approx([7.5e6, 7.5e6])
 
 
 def test_rates_are_those_of_use_and_sizes_those_of_the_wire() -> None:
-    found = figures(SUBJECT, [observed(0.1)], apart()).connectors
+    found = figures([observed(0.1)], apart()).connectors
     assert found == {"eye.x-mind.x": ConnectorProfile(messages=10.0, size=500.0)}
 
 
 def test_weighs_snapshots_and_counts_cpu_of_the_reference() -> None:
-    slow = replace(SUBJECT, speed=0.5)
-    eye = figures(slow, [observed(0.1)], apart()).components["eye"]
+    slow = partial(figures, speed=0.5)
+    eye = slow([observed(0.1)], apart()).components["eye"]
     assert (eye.state, eye.cpu.mean, eye.cpu.peak) == (123.0, 0.05, 0.1)
     assert eye.share == 0.01
 
@@ -153,4 +153,4 @@ def test_a_connector_without_traffic_has_no_figures() -> None:
             quiet.measured, connectors={"eye.x-mind.x": ConnectorProfile()}
         ),
     )
-    assert figures(SUBJECT, [quiet], quiet).connectors == {}
+    assert figures([quiet], quiet).connectors == {}

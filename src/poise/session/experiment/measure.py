@@ -12,7 +12,7 @@ from poise.errors import PoiseError, RunError
 from poise.manage.agent_connections.statuses import Statuses, components_of
 from poise.manage.observe.chains import chain_reports
 from poise.model.robot import Robot
-from poise.session.callbacks import Check
+from poise.session.callbacks import Check, nothing
 from poise.session.experiment.results import Missed, Result
 from poise.session.experiment.trials import (
     Arm,
@@ -55,16 +55,12 @@ def measure(
             task,
             placement=placed,
             adapt=arm.adapts,
-            say=nothing_said,
+            say=nothing,  # what a hundred runs have to tell is in their results
             check=check,
         ) as running:
             return _watched(running, placed, blank, seconds, check)
     except PoiseError as error:
         return replace(blank, invalid=f"the run broke: {error}")
-
-
-def nothing_said(_: str) -> None:
-    """Say nothing: a hundred runs have nothing to tell that is not in their results."""
 
 
 class Counts:

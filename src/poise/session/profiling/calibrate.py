@@ -135,7 +135,7 @@ def _speeds(
     """Return the speeds, and why they are not believed."""
     bare, placement = yardsticks(robot)
     journal = Journal(":memory:")
-    with started(bare, placement, journal, _silent, check=check) as up:
+    with started(bare, placement, journal, nothing, check=check) as up:
         up.watch(_WARM_UP)
         up.watch(seconds)
         measured = _measures(up.run.agents.statuses())
@@ -182,7 +182,7 @@ def _costs(
     bare, placement = pairs(robot, robot.computers[0].name, robot.computers[-1].name)
     recording = Recording()
     with started(
-        bare, placement, Journal(":memory:"), _silent, Sampling(recording.add), check
+        bare, placement, Journal(":memory:"), nothing, Sampling(recording.add), check
     ) as up:
         up.watch(_WARM_UP)
         up.computers.begin()
@@ -193,7 +193,3 @@ def _costs(
     # the CPU time of an emulated computer is this machine's
     speeds = {c.name: c.speed if c.address else 1.0 for c in robot.computers}
     return costs_of(samples, speeds), busy
-
-
-def _silent(_: str) -> None:
-    """Say nothing."""

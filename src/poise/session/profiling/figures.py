@@ -19,6 +19,7 @@ from poise.manage.agent_connections.statuses import (
     connectors_of,
 )
 from poise.model.robot import Robot
+from poise.session.profiling.rig import EMPTY, ProfilingRig
 from poise.session.profiling.usage import MeasuredUsage
 from poise.wire.records.status import ComponentStatus, Summary
 
@@ -47,32 +48,6 @@ class Observed(Struct, frozen=True, kw_only=True):
     invalid: str = ""
 
 
-class Subject(Struct, frozen=True, kw_only=True):
-    """The measured components.
-
-    Parameters
-    ----------
-    names
-        The architecture's components.
-    empty
-        Name of the empty component, measured apart.
-    versions
-        Component -> fingerprint of its code.
-    speed
-        Factor from the computer's CPU time to the reference computer's.
-    played
-        Connectors of the robot -> their replacements.
-    """
-
-    robot: Robot
-    computer: str
-    names: Sequence[str]
-    empty: str
-    versions: Mapping[str, str]
-    speed: float
-    played: Mapping[str, str] = {}
-
-
 class Figures(Struct, frozen=True, kw_only=True):
     """The figures of one architecture; see `Profile` for the fields."""
 
@@ -86,19 +61,33 @@ def disagreeing(runs: Sequence[Observed], names: Iterable[str]) -> list[str]:
     return [name for name in names if not _is_stable(runs, name)]
 
 
-def figures(subject: Subject, runs: Sequence[Observed], apart: Observed) -> Figures:
+def figures(
+    robot: Robot,
+    rig: ProfilingRig,
+    runs: Sequence[Observed],
+    apart: Observed,
+    *,
+    versions: Mapping[str, str],
+    speed: float,
+) -> Figures:
     """Return the figures of an architecture.
 
     Parameters
     ----------
+    rig
+        With which it was measured.
     runs
         Measurements with its containers as they are used; at least one.
     apart
         A measurement with its own container for every component, and an empty one.
+    versions
+        Component -> fingerprint of its code.
+    speed
+        Factor from the computer's CPU time to the reference computer's.
     """
-    names, speed = subject.names, subject.speed
+    names = rig.measured
     typical = sorted(runs, key=lambda run: _total(run, names))[(len(runs) - 1) // 2]
-    memory = _memory(typical, apart, names, subject.empty)
+    memory = _memory(typical, apart, names)
     states = {s.name: s for s in components_of(apart.statuses)}
     timed = {s.name: s for s in components_of(typical.statuses)}
     timed |= {s.name: s for s in components_of(typical.working)}
@@ -106,7 +95,7 @@ def figures(subject: Subject, runs: Sequence[Observed], apart: Observed) -> Figu
     for name in names:
         own, base = memory[name]
         found[name] = ComponentProfile(
-            version=subject.versions[name],
+            version=versions[name],
             cpu=_scaled(typical.measured.cpu.get(name, Distribution()), speed),
             share=speed * _share(typical.measured, name),
             memory=own,
@@ -119,8 +108,8 @@ def figures(subject: Subject, runs: Sequence[Observed], apart: Observed) -> Figu
         )
     return Figures(
         components=found,
-        connectors=dict(_connectors(subject, typical, apart)),
-        agent=speed * typical.measured.agents.get(subject.computer, 0.0),
+        connectors=dict(_connectors(robot, rig, typical, apart)),
+        agent=speed * typical.measured.agents.get(rig.computer, 0.0),
     )
 
 
@@ -165,7 +154,7 @@ def _share(measured: MeasuredUsage, name: str) -> float:
 
 
 def _memory(
-    typical: Observed, apart: Observed, names: Sequence[str], empty: str
+    typical: Observed, apart: Observed, names: Sequence[str]
 ) -> dict[str, tuple[float, float]]:
     """Return the memory that each component adds, and its part of the container's.
 
@@ -173,7 +162,7 @@ def _memory(
     size is the difference between the sum and the shared container.
     """
     alone = _by_component(apart.measured)
-    floor = alone.get(empty, 0.0)
+    floor = alone.get(EMPTY, 0.0)
     found: dict[str, tuple[float, float]] = {}
     for container, members in typical.measured.members.items():
         here = [name for name in members if name in names]
@@ -213,14 +202,14 @@ def _timers(status: ComponentStatus | None) -> dict[str, TimerProfile]:
 
 
 def _connectors(
-    subject: Subject, typical: Observed, apart: Observed
+    robot: Robot, rig: ProfilingRig, typical: Observed, apart: Observed
 ) -> Iterator[tuple[str, ConnectorProfile]]:
     """Yield the connectors that end at `names`: rates as used, sizes as encoded."""
     sizes = _sizes(apart.statuses)
-    for connector in subject.robot.all_connectors():
-        if connector.between[1].component not in subject.names:
+    for connector in robot.all_connectors():
+        if connector.between[1].component not in rig.measured:
             continue
-        key = subject.played.get(str(connector), str(connector))
+        key = rig.played.get(str(connector), str(connector))
         used = typical.measured.connectors.get(key)
         encoded = apart.measured.connectors.get(key)
         if used is not None and used.rate:

@@ -9,7 +9,7 @@ from poise.estimate.profile.distribution import WINDOW
 from poise.manage.deploy.running_components import ACTIVE_LIMIT
 from poise.manage.journal import Journal
 from poise.manage.observe.recording import Recording
-from poise.session.callbacks import Check, Say, nothing
+from poise.session.callbacks import Check, nothing
 from poise.session.launch.start import Sampling, Started, started
 from poise.session.profiling.figures import Observed
 from poise.session.profiling.rig import ProfilingRig
@@ -22,7 +22,6 @@ def measure_alone(
     rig: ProfilingRig,
     seconds: float,
     warm_up: float,
-    say: Say,
     tick: Tick,
     check: Check = nothing,
 ) -> Observed:
@@ -34,8 +33,6 @@ def measure_alone(
         Duration of the measurement [s]; > 0.
     warm_up
         Duration of the time before it [s].
-    say
-        Called with sentences.
     tick
         Called with the time that has passed [s].
     check
@@ -50,7 +47,7 @@ def measure_alone(
     sampling = Sampling(recording.add, WINDOW, weigh=True)
     journal = Journal(":memory:")
     try:
-        with started(rig.robot, rig.placement, journal, say, sampling, check) as up:
+        with started(rig.robot, rig.placement, journal, nothing, sampling, check) as up:
             _watch(up, warm_up, tick)
             recording.take()
             up.computers.begin()

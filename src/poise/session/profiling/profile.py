@@ -22,12 +22,11 @@ from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.profiling.figures import (
     Figures,
     Observed,
-    Subject,
     disagreeing,
     figures,
 )
 from poise.session.profiling.measurement import Tick, measure_alone
-from poise.session.profiling.rig import EMPTY, ProfilingRig, rig_of
+from poise.session.profiling.rig import ProfilingRig, rig_of
 from poise.session.profiling.stored_profiles import (
     check_keepable,
     read_profile,
@@ -169,20 +168,15 @@ class _Measuring(Struct, frozen=True):
         if doubtful:
             names = ", ".join(doubtful)
             self.say(f"not stable after {len(runs)} measurements: {names}")
-        subject = Subject(
-            robot=self.robot,
-            computer=self.computer,
-            names=rig.measured,
-            empty=EMPTY,
-            versions={
-                c.name: version_of(c, self.robot.folder, *self.robot.repository)
-                for c in self.robot.components()
-            },
-            speed=self._speed(),
-            played=rig.played,
+        versions = {
+            c.name: version_of(c, self.robot.folder, *self.robot.repository)
+            for c in self.robot.components()
+        }
+        found = figures(
+            self.robot, rig, runs, sizes, versions=versions, speed=self._speed()
         )
         silent = self._silent(rig, [*runs, sizes])
-        return _Found(figures(subject, runs, sizes), silent, self._idle(sizes, silent))
+        return _Found(found, silent, self._idle(sizes, silent))
 
     def _silent(
         self, rig: ProfilingRig, runs: Sequence[Observed]
@@ -244,9 +238,7 @@ class _Measuring(Struct, frozen=True):
         return runs
 
     def _run(self, rig: ProfilingRig, tick: Tick) -> Observed:
-        run = measure_alone(
-            rig, self.seconds, self.warm_up, lambda _: None, tick, self.check
-        )
+        run = measure_alone(rig, self.seconds, self.warm_up, tick, self.check)
         if run.invalid:
             self.say(run.invalid)
         return run

@@ -38,8 +38,8 @@ class ProfilingRig(Struct, frozen=True):
     ----------
     computer
         The computer of the architecture.
-    measured, feeding
-        Names of its components, and of the architectures that feed it.
+    measured
+        Names of its components.
     played
         Connectors of the robot -> connectors of the replay in their place.
     """
@@ -48,7 +48,6 @@ class ProfilingRig(Struct, frozen=True):
     computer: str
     placement: Mapping[str, str]
     measured: tuple[str, ...]
-    feeding: tuple[str, ...]
     played: Mapping[str, str] = {}
 
 
@@ -98,7 +97,6 @@ def rig_of(
         computer,
         placement,
         tuple(name for name in here if name != EMPTY),
-        tuple(a.name for a in feeding),
         playing.names(robot),
     )
 
