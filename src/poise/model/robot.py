@@ -6,7 +6,7 @@ Names are unique within their kind; names of components are unique in the whole 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Annotated, Literal, Protocol, TypeVar
 
 from msgspec import Struct
@@ -316,6 +316,15 @@ class Robot(Struct, frozen=True, kw_only=True):
         tasks = {each.name: each for each in self.tasks}
         every = (f for a in actions_of(tasks, task) for f in a.functions)
         return tuple(dict.fromkeys(every))
+
+    def components_for(self, functions: Collection[str]) -> set[str]:
+        """Return the names of all components that help to provide functions."""
+        return {
+            component.name
+            for architecture in self.architectures
+            if architecture.function in functions
+            for component in architecture.components
+        }
 
     def computer(self, name: str) -> Computer:
         """Return the computer called `name`; KeyError when there is none."""

@@ -55,12 +55,7 @@ class PlanOverTime:
             Their names, as in phases.
         """
         result = self._of(task)
-        wanted = {
-            component.name
-            for architecture in self._robot.architectures
-            if architecture.function in functions
-            for component in architecture.components
-        }
+        wanted = self._robot.components_for(functions)
         for name, phase in result.results.items() if result else ():
             if set(actions) <= set(name.split("+")):
                 return {n: at for n, at in phase.placement.items() if n in wanted}

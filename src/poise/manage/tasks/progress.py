@@ -114,15 +114,11 @@ class Saved(Struct, kw_only=True):
     number: int = 0
 
 
-class Ended(Struct, frozen=True, kw_only=True):
+class Ended(Struct, frozen=True):
     """An action that has ended."""
 
-    task: str
-    name: str
-    action: str
-    functions: tuple[str, ...]
+    action: Action
     done: bool
-    why: str
 
 
 class Steps:
@@ -158,7 +154,9 @@ class Steps:
 
     def tries(self, whole: Progress) -> Iterator[Try]:
         """Yield the actions that run now."""
-        yield from self._tries(self._whole, whole, "", is_top=True)
+        for step, progress, prefix in self._walk(self._whole, whole):
+            if isinstance(step, Action):
+                yield Try(name=prefix + step.name, action=step, progress=progress)
 
     def settle(self, whole: Progress) -> str:
         """Deal with all actions that have ended; return the state of the whole."""
@@ -166,7 +164,7 @@ class Steps:
 
     def conditions(self, whole: Progress) -> Iterator[tuple[Until, Progress]]:
         """Yield the conditions that end something now, and what they end."""
-        for step, progress in self._walk(self._whole, whole):
+        for step, progress, _ in self._walk(self._whole, whole):
             is_at_work = isinstance(step, Repeat) or progress.since is not None
             if isinstance(step, Repeat | Action) and step.until and is_at_work:
                 yield step.until, progress
@@ -177,12 +175,10 @@ class Steps:
         What may come next are the first actions behind each one that runs, taken to be
         done. Which branch of a choice comes is what would be chosen now.
         """
-        found: dict[str, tuple[Try, float]] = {}
         running = {each.name for each in self.tries(whole)}
-        after = self._after(self._whole, whole, "", is_top=True)
+        after = self._after(self._whole, whole)
         first = [each for each in after if each.name not in running]
-        for each in first:
-            found[each.name] = each, 1.0 / len(first)
+        found = {each.name: (each, 1.0 / len(first)) for each in first}
         return list(found.values())
 
     def _of(self, step: Step) -> tuple[Step, ...]:
@@ -218,25 +214,26 @@ class Steps:
             case _:
                 yield self._of(step)[progress.index], progress.inside[0]
 
-    def _walk(self, step: Step, progress: Progress) -> Iterator[tuple[Step, Progress]]:
+    def _walk(
+        self, step: Step, progress: Progress, prefix: str = ""
+    ) -> Iterator[tuple[Step, Progress, str]]:
+        """Yield the steps that go on, and what the names of actions there begin with.
+
+        An action in whose stead something else is done does not go on.
+        """
         if progress.state != "going":
             return
         if not (isinstance(step, Action) and progress.inside):
-            yield step, progress
+            yield step, progress, prefix
+        prefix = self._prefix(step, prefix)
         for inner, inside in self._pairs(step, progress):
-            yield from self._walk(inner, inside)
+            yield from self._walk(inner, inside, prefix)
 
-    def _tries(
-        self, step: Step, progress: Progress, prefix: str, *, is_top: bool = False
-    ) -> Iterator[Try]:
-        if progress.state != "going":
-            return
-        if isinstance(step, Action) and not progress.inside:
-            yield Try(name=prefix + step.name, action=step, progress=progress)
-        if isinstance(step, Subtask) and not is_top:
-            prefix = f"{step.task}."
-        for inner, inside in self._pairs(step, progress):
-            yield from self._tries(inner, inside, prefix)
+    def _prefix(self, step: Step, prefix: str) -> str:
+        """Return what the names of actions inside a step begin with."""
+        if isinstance(step, Subtask) and step is not self._whole:
+            return f"{step.task}."
+        return prefix
 
     def _settle(self, step: Step, progress: Progress) -> str:
         if progress.state != "going":
@@ -299,14 +296,11 @@ class Steps:
             progress.why = "; ".join(filter(None, whys))
         progress.inside = []
 
-    def _after(
-        self, step: Step, progress: Progress, prefix: str, *, is_top: bool = False
-    ) -> list[Try]:
+    def _after(self, step: Step, progress: Progress, prefix: str = "") -> list[Try]:
         """Return the actions with which it may go on once those inside are done."""
         if progress.state != "going":
             return []
-        if isinstance(step, Subtask) and not is_top:
-            prefix = f"{step.task}."
+        prefix = self._prefix(step, prefix)
         found: list[Try] = []
         for inner, inside in self._pairs(step, progress):
             found += self._after(inner, inside, prefix)
@@ -331,9 +325,7 @@ class Steps:
             case Choice(steps=steps):
                 ahead = self._choose(step, True)
                 return self._first(steps[ahead], prefix)
-            case Subtask(task=name):
-                prefix = f"{name}."
-        return self._first(self._of(step)[0], prefix)
+        return self._first(self._of(step)[0], self._prefix(step, prefix))
 
 
 def _instead(action: Action) -> Step:

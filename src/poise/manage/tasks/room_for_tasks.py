@@ -93,19 +93,9 @@ class RoomForTasks:
         planned: dict[str, str],
     ) -> Room:
         """Return where the functions of some tasks go, when all others rest."""
-        functions = {
-            function
-            for record in going
-            for each in self._tasks.tries(record)
-            for function in each.action.functions
-        }
-        functions = (functions | self._serving.fixed()) - left_out
-        runs = {
-            c.name
-            for a in facts.robot.architectures
-            if a.function in functions
-            for c in a.components
-        }
+        functions = self._tasks.functions_of(going) | self._serving.fixed()
+        functions -= left_out
+        runs = facts.robot.components_for(functions)
         placement = {n: at for n, at in facts.placement.items() if n in runs}
         rest = self._run.prepared
         hint = {

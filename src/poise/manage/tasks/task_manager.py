@@ -171,14 +171,14 @@ class TaskManager:
 
     def _reconcile(self) -> bool:
         """Rest what no action needs, and begin what some do; whether all is anew."""
-        wanted = self.tasks.functions()
+        wanted = self.tasks.functions_of(self.tasks.going())
         ends = [a for a in self._serving.moving() if a.function not in wanted]
         new = [turn for turn in self._turns() if turn[1].progress.since is None]
         if not ends and not new:
             return False
         room = Room()
         there = self._serving.functions() | self._serving.broken(self._lost)
-        if set(wanted) - there - self._aside:
+        if wanted - there - self._aside:
             facts = self._facts()
             room = self._room.look(facts, new, self._aside, explore=self._explore)
         if room.why:
@@ -296,7 +296,7 @@ class TaskManager:
         for ended in self.tasks.take_ended():
             self._since = time.time()
             self._room_at = 0.0
-            serving = self._serving.architectures(ended.functions)
+            serving = self._serving.architectures(ended.action.functions)
             self._unlearned.append((ended, serving))
 
     def _learn(self) -> None:
@@ -305,7 +305,7 @@ class TaskManager:
             note_ending(
                 self._run.robot,
                 self._run.journal,
-                ended.action,
+                ended.action.name,
                 serving,
                 situation_of(self._facts()),
                 done=ended.done,
@@ -336,19 +336,8 @@ class TaskManager:
 
     def _kept(self) -> set[str]:
         """Return what rests for a task that waits or is paused: it keeps its state."""
-        functions = {
-            function
-            for record in self.tasks.records
-            if record.state in {"waiting", "paused"}
-            for each in self.tasks.tries(record)
-            for function in each.action.functions
-        }
-        return {
-            c.name
-            for a in self._run.robot.architectures
-            if a.function in functions
-            for c in a.components
-        }
+        rests = (r for r in self.tasks.records if r.state in {"waiting", "paused"})
+        return self._run.robot.components_for(self.tasks.functions_of(rests))
 
     def _note_switch(self, record: TaskRecord, each: Try, *, is_hit: bool) -> None:
         seconds = time.time() - self._since

@@ -229,16 +229,14 @@ class Tasks:
         since = each.progress.since
         return each.progress.spent + (0.0 if since is None else now - since)
 
-    def functions(self) -> tuple[str, ...]:
-        """Return the functions that should run now, each once."""
-        return tuple(
-            dict.fromkeys(
-                function
-                for record in self.going()
-                for each in self.tries(record)
-                for function in each.action.functions
-            )
-        )
+    def functions_of(self, records: Iterable[TaskRecord]) -> set[str]:
+        """Return the functions that tasks use while the actions work that are next."""
+        return {
+            function
+            for record in records
+            for each in self.tries(record)
+            for function in each.action.functions
+        }
 
     def next_actions(self) -> list[tuple[TaskRecord, Try, float]]:
         """Return the actions that may come next, with their probabilities."""
@@ -321,16 +319,7 @@ class Tasks:
         progress.why = "" if done else f"action '{each.name}' failed: {why}"
         how = "is done" if done else "has failed"
         self._say(f"action '{each.name}' of task '{record.name}' {how}: {why}")
-        self._ended.append(
-            Ended(
-                task=record.name,
-                name=each.name,
-                action=each.action.name,
-                functions=each.action.functions,
-                done=done,
-                why=why,
-            )
-        )
+        self._ended.append(Ended(each.action, done))
 
     def _settle(self, record: TaskRecord, now: float) -> None:
         steps = self._steps(record.name)

@@ -62,7 +62,9 @@ def first_phase(
         say(f"not all of task '{first.name}' fits: {chosen.phased.reason}")
     name = "+".join(each.name for each in started.tries(first))
     if others and placement is None:
-        problem = plan.problem_of(robot, functions=started.functions())
+        problem = plan.problem_of(
+            robot, functions=started.functions_of(started.going())
+        )
         phased = plan.solve_phases(plan.PhasedProblem.of_one(name, problem), fewer=True)
         chosen = Placement(task=first.name, method="auto", phased=phased)
     elif len(chosen.phases) > 1:
