@@ -292,6 +292,10 @@ class Robot(Struct, frozen=True, kw_only=True):
             yield from architecture.connectors
         yield from self.connectors
 
+    def architecture(self, name: str) -> Architecture:
+        """Return the architecture called `name`; KeyError when there is none."""
+        return _named(self.architectures, name)
+
     def architecture_of(self, component: str) -> Architecture:
         """Return the architecture that has a component; KeyError when there is none."""
         for architecture in self.architectures:

@@ -64,7 +64,7 @@ def test_of_an_endless_crash_loop_a_line_a_minute_is_told() -> None:
     for number in range(1, 37):
         now = 5.0 * number
         new = filtered.new(status(number), now)
-        told += [(now, each.sentence.partition("' f")[2]) for each in new]
+        told += [(now, sentence.partition("' f")[2]) for sentence, _ in new]
         assert filtered.close("left", "c") == bool(told and told[-1][0] == now)
     loud = [(5.0 * n, f"{n}") for n in (1, 2, 3, 4)]
     # from 25 s on: 12 faults a minute, of which 11 are not told
@@ -87,6 +87,8 @@ def test_the_end_of_a_fault_is_told_as_the_fault_was() -> None:
         agent = AgentStatus(
             computer="left", generation=1, uptime=9, cpu=0, faults=(fault,)
         )
-        kinds += [n.fault.is_over for n in filtered.new({"left": agent}, 1.0 * number)]
+        kinds += [
+            fault.is_over for _, fault in filtered.new({"left": agent}, 1.0 * number)
+        ]
     assert kinds == [False, True] * 5
     assert filtered.count == 7

@@ -113,8 +113,6 @@ def test_real_devices_hold_their_components() -> None:
 def test_names_what_there_is() -> None:
     with pytest.raises(UsageError, match="--on arm: the robot's computers are main, v"):
         rig_of(ROBOT, "see", "arm", apart=False)
-    with pytest.raises(UsageError, match="the robot has see, think, remember, speak"):
-        rig_of(ROBOT, "walk", "main", apart=False)
 
 
 def test_only_one_alternative_runs_and_the_measured_one_is_preferred() -> None:

@@ -5,6 +5,8 @@ All its components take over at once, or none does: it is one migration.
 
 from __future__ import annotations
 
+import contextlib
+
 from msgspec import structs
 
 from poise import plan
@@ -164,9 +166,8 @@ def _placement(run: Run, old: Architecture, new: Architecture) -> dict[str, str]
 
 
 def _architecture(robot: Robot, name: str) -> Architecture:
-    for architecture in robot.architectures:
-        if architecture.name == name:
-            return architecture
+    with contextlib.suppress(KeyError):
+        return robot.architecture(name)
     known = ", ".join(each.name for each in robot.architectures)
     text = f"robot '{robot.name}' has no architecture '{name}' ({known})"
     if name in {component.name for component in robot.components()}:

@@ -10,8 +10,6 @@ import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 
-from msgspec import Struct
-
 from poise.manage.agent_connections.statuses import Statuses
 from poise.wire.records.status import Fault
 
@@ -47,13 +45,6 @@ def fault_sentence(computer: str, fault: Fault) -> str:
     return f"container '{fault.container}' on '{computer}' {fault.message}{restarts}"
 
 
-class NewFault(Struct, frozen=True):
-    """A fault to report, with its sentence."""
-
-    sentence: str
-    fault: Fault
-
-
 class FaultFilter:
     """Selects the faults to report: of a container with very many, one a minute.
 
@@ -71,14 +62,14 @@ class FaultFilter:
         self._known = before
         self._of: dict[tuple[str, str], _Faults] = {}
 
-    def new(self, statuses: Statuses, now: float) -> Iterator[NewFault]:
-        """Yield the faults to report at `now` [s], oldest first."""
+    def new(self, statuses: Statuses, now: float) -> Iterator[tuple[str, Fault]]:
+        """Yield the faults to report at `now` [s] with sentences, oldest first."""
         for computer, fault in faults_after(self._known, statuses):
             self.count += not fault.is_over
             known = self._of.setdefault((computer, fault.container), _Faults())
             more = known.take(fault, now)
             if known.is_told:
-                yield NewFault(fault_sentence(computer, fault) + more, fault)
+                yield fault_sentence(computer, fault) + more, fault
         self._known = {**self._known, **last_numbers(statuses)}
 
     def close(self, computer: str, container: str) -> bool:

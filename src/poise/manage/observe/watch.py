@@ -89,9 +89,10 @@ class Watch:
     def _note_faults(self) -> None:
         """Journal what broke on computers since the last time."""
         run = self._run
-        for new in self._faults.new(run.agents.statuses(), time.monotonic()):
-            kind: Kind = "right" if new.fault.is_over else "wrong"
-            run.journal.note(kind, new.sentence, fault=new.fault)
+        statuses = run.agents.statuses()
+        for sentence, fault in self._faults.new(statuses, time.monotonic()):
+            kind: Kind = "right" if fault.is_over else "wrong"
+            run.journal.note(kind, sentence, fault=fault)
 
     def _note_recoveries(self, statuses: Statuses) -> None:
         """Journal which containers run as they should again after a fault."""

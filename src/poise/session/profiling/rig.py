@@ -67,9 +67,9 @@ def rig_of(
     Raises
     ------
     UsageError
-        There is no such architecture or computer.
+        There is no such computer.
     """
-    chosen = _named(robot, architecture)
+    chosen = robot.architecture(architecture)
     if computer not in {c.name for c in robot.computers}:
         known = ", ".join(c.name for c in robot.computers)
         raise UsageError(f"--on {computer}: the robot's computers are {known}")
@@ -99,14 +99,6 @@ def rig_of(
         tuple(name for name in here if name != EMPTY),
         playing.names(robot),
     )
-
-
-def _named(robot: Robot, name: str) -> Architecture:
-    for architecture in robot.architectures:
-        if architecture.name == name:
-            return architecture
-    known = ", ".join(a.name for a in robot.architectures) or "none"
-    raise UsageError(f"--architecture {name}: the robot has {known}")
 
 
 def _is_emulated(robot: Robot) -> bool:

@@ -186,12 +186,6 @@ def test_other_layers_are_never_put_aside(layer: str) -> None:
     assert not_running(robbed.run.robot, "work", HIGH) == []
 
 
-def test_an_unknown_architecture_is_refused() -> None:
-    robbed = Robbed(robot_with())
-    with pytest.raises(UsageError, match="has no architecture 'lo'"):
-        robbed.aside.put(["lo"], "it crashes", 0.0)
-
-
 def test_an_overload_that_no_placement_helps_puts_the_lowest_aside() -> None:
     decision = decide(Robbed(robot_with()).facts(0.3, "high", "low"), {}, {})
     assert decision.acts

@@ -22,7 +22,6 @@ from poise.manage.migration.report import TransitionStep
 from poise.manage.migration.transition_run import start_together, transit
 from poise.manage.observe.deviations import Deviation
 from poise.model.robot import Architecture, Robot, Task
-from poise.units import quoted
 
 FIRST = 10.0
 """An architecture stays aside for this time at least [s]; twice as long each time."""
@@ -91,12 +90,12 @@ class PutAside:
         Raises
         ------
         UsageError
-            There is no such architecture, it does not run, or its layer stays as it is.
+            One does not run, or its layer stays as it is.
         """
         run, names = self._run, tuple(names)
         components: dict[str, str] = {}
         for name in names:
-            architecture = _architecture(run.robot, name)
+            architecture = run.robot.architecture(name)
             if architecture.layer != "sequencing":
                 raise UsageError(
                     f"architecture '{name}' is in the {architecture.layer} layer, "
@@ -150,7 +149,7 @@ class PutAside:
 
     def bar(self, name: str) -> None:
         """Take an architecture that crashes back only with other code, or `forgive`."""
-        architecture = _architecture(self._run.robot, name)
+        architecture = self._run.robot.architecture(name)
         self._crashed[name] = self._code_of(architecture)
 
     def forgive(self) -> None:
@@ -285,7 +284,7 @@ class PutAside:
             return
         self._look_at_code = now + _TRY_AGAIN
         for name, code in list(self._crashed.items()):
-            if self._code_of(_architecture(self._run.robot, name)) != code:
+            if self._code_of(self._run.robot.architecture(name)) != code:
                 del self._crashed[name]
                 self._try_at = 0.0
                 what = f"the code of architecture '{name}' has changed"
@@ -328,13 +327,6 @@ def not_running(robot: Robot, task: str, placed: Iterable[str]) -> list[Architec
         ),
         key=lambda a: (-a.priority, -a.quality),
     )
-
-
-def _architecture(robot: Robot, name: str) -> Architecture:
-    for architecture in robot.architectures:
-        if architecture.name == name:
-            return architecture
-    raise UsageError(f"robot '{robot.name}' has no architecture {quoted(name)}")
 
 
 def _function(architecture: Architecture) -> str:
