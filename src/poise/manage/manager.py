@@ -161,6 +161,10 @@ class Manager:
             prefetch=self._prefetch.report(),
         )
 
+    def lost(self) -> frozenset[str]:
+        """Return the computers that nobody hears."""
+        return self._lost.computers()
+
     def work(self, limit: float) -> None:
         """Carry out a command if one comes within `limit` [s]; look at the robot.
 
@@ -197,21 +201,32 @@ class Manager:
         """
         remaining: tuple[str, ...] = ()
         self._stopping.set()
-        self._adaptation.close()
         try:
             stop(self._run)
         except RunError as error:
             remaining = (str(error),)
             raise
         finally:
-            text = f"robot '{self._run.robot.name}' has stopped"
-            if self._has_successor:
-                text = "another manager has taken the robot over: ask that one"
-            for future in self._stops:
-                refusal = Refusal(text, "RunError") if self._has_successor else None
-                _answer(future, refusal or StopReport(remaining))
-            while not self._commands.empty():
-                _answer(self._commands.get_nowait()[1], Refusal(text, "RunError"))
+            self.end(remaining)
+
+    def end(self, remaining: tuple[str, ...] = ()) -> None:
+        """Answer the clients that still wait: the robot has stopped.
+
+        Parameters
+        ----------
+        remaining
+            What still runs, in words.
+        """
+        self._stopping.set()
+        self._adaptation.close()
+        text = f"robot '{self._run.robot.name}' has stopped"
+        if self._has_successor:
+            text = "another manager has taken the robot over: ask that one"
+        for future in self._stops:
+            refusal = Refusal(text, "RunError") if self._has_successor else None
+            _answer(future, refusal or StopReport(remaining))
+        while not self._commands.empty():
+            _answer(self._commands.get_nowait()[1], Refusal(text, "RunError"))
 
     def end_estimates(self) -> None:
         """Take no more samples: without a simulated world sensors are silent."""

@@ -5,28 +5,28 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
-from poise.manage.adaptation.facts import Facts
+from poise.errors import PoiseError, RunError
+from poise.manage.control_socket.server import ControlServer
 from poise.manage.deploy.deactivation import drain
-from poise.manage.deploy.lost_computers import LostComputers
 from poise.manage.deploy.running_components import Run
 from poise.manage.journal import Journal, JournalEntry
-from poise.manage.tasks.task_manager import TaskManager
+from poise.manage.manager import Manager
+from poise.manage.observe.estimates import Estimates
+from poise.manage.observe.recording import Recording
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.launch.start import Sampling, Started, started
 from poise.session.placing.first_phase import first_phase
 from poise.session.placing.placement import Placement
 from poise.session.placing.repository import note_architectures
+from poise.session.profiling.stored_profiles import read_profile
 from poise.session.recordings.record_run import keeping
 from poise.session.reports.history import History
 from poise.session.reports.last_seen import LastSeen
 from poise.session.reports.run_report import MeasuredRun, RunReport, reported
 from poise.session.robot_file import task_of
-from poise.session.watched_run import WatchedRun
-from poise.wire.records.samples import AgentSample
 
 Meanwhile = Callable[[Run, float], object]
 """Called a few times a second with the run and its time so far [s]; may move
@@ -41,6 +41,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     placement: Placement | None = None,
     journal: Path | None = None,
     record: Path | None = None,
+    adapt: bool = False,
     say: Say = log.info,
     meanwhile: Meanwhile = lambda *_: None,
     check: Check = nothing,
@@ -65,6 +66,8 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     record
         A file for what is used and what is published between architectures; None: it
         is not kept.
+    adapt
+        Whether Poise changes the placement by itself, as `up` does.
     say
         Takes a sentence at every step.
     meanwhile
@@ -90,35 +93,41 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         for sentence in sentences:
             book.note("decided", sentence)
         note_architectures(book, robot, placed)
-        for name in placed.result.aside:
-            sentence = f"architecture '{name}' is put aside: {placed.why_aside}"
-            book.note("wrong", sentence)
-        watched = WatchedRun(robot)
-        is_served = stack.enter_context(watched.served(robot.name, say))
+        server = _server(robot.name, stack, say)
         kept = stack.enter_context(keeping(robot, placed.where, record, say))
-
-        def take(sample: AgentSample) -> None:
-            watched.samples.add(sample)
-            if record is not None:
-                kept.samples.add(sample)
-
-        def look(run: Run, now: float) -> None:
-            watched.look()
-            meanwhile(run, now)
-
-        sampling = Sampling(take)
+        answering = stack.enter_context(contextlib.ExitStack())
+        samples = Recording()
         up = stack.enter_context(
-            started(kept.robot, placed.where, book, say, sampling, check, use_kept=True)
+            started(
+                kept.robot,
+                placed.where,
+                book,
+                say,
+                Sampling(samples.add),
+                check,
+                use_kept=True,
+            )
         )
-        shows = "; `poise top` and `poise dashboard` show it" if is_served else ""
+        emulated = all(computer.address is None for computer in robot.computers)
+        manager = Manager(
+            up.run,
+            first.tasks.saved,
+            Estimates(robot, read_profile(robot), emulated=emulated),
+            samples,
+            adapts=adapt,
+            aside=placed.why_aside,
+            recording=kept.samples if record else None,
+        )
+        answering.callback(manager.end)
+        shows = ""
+        if server is not None:
+            server.start(manager.submit)
+            shows = "; `poise top` and `poise dashboard` show it"
         say(f"running task '{chosen}' for up to {seconds:g} s{shows}")
-        tasks = TaskManager(up.run, first.tasks.saved, partial(_facts, up.run))
-        watched.begin(up.run, tasks)
-        around = _with_agents(up.run, check, look)
-        seen = _measure(up, seconds, around, partial(_look, tasks, first.aside()))
+        seen = _measure(up, seconds, manager, check, meanwhile)
         drain(up.run)
         entries = tuple(entry for entry in book.entries() if entry.at >= at)
-        return reported(up, placed, tasks.reports, seen, entries)
+        return reported(up, placed, manager.tasks.reports, seen, entries)
 
 
 def _saying(say: Say) -> Callable[[JournalEntry], object]:
@@ -126,65 +135,50 @@ def _saying(say: Say) -> Callable[[JournalEntry], object]:
     return lambda each: say(str(each)) if each.kind in {"wrong", "right"} else None
 
 
-def _with_agents(run: Run, check: Check, meanwhile: Meanwhile) -> Meanwhile:
-    """Return what also goes on with agents that were killed and are started again.
-
-    A computer that is lost ends the run.
-    """
-    lost = LostComputers(run)
-
-    def look() -> None:
-        check()
-        lost.note()
-        run.excused -= lost.computers()
-
-    def look_around(run: Run, now: float) -> None:
-        lost.bring_back()
-        meanwhile(run, now)
-
-    run.check = look
-    return look_around
-
-
-def _facts(run: Run) -> Facts:
-    """Return what is known without estimates: enough for most conditions."""
-    lost = frozenset(run.agents.out_of_reach())
-    return Facts(
-        robot=run.robot,
-        task="",
-        placement=run.placement(),
-        lost=lost,
-        statuses=run.current(),
-    )
-
-
-def _look(tasks: TaskManager, aside: frozenset[str]) -> bool:
-    """Look at the tasks; return whether all are over."""
-    tasks.look(aside)
-    return tasks.is_over()
+def _server(robot: str, stack: contextlib.ExitStack, say: Say) -> ControlServer | None:
+    """Open the control socket; without one, a run goes on unwatched."""
+    try:
+        return stack.enter_context(ControlServer(robot))
+    except PoiseError as error:
+        say(f"this run cannot be watched: {error}")
+        return None
 
 
 def _measure(
-    up: Started, seconds: float, meanwhile: Meanwhile, is_over: Callable[[], bool]
+    up: Started, seconds: float, manager: Manager, check: Check, meanwhile: Meanwhile
 ) -> MeasuredRun:
+    """Let it run until its end; a computer that is lost ends it by an error."""
+    run, looks = up.run, up.run.check
     up.computers.begin()
-    begin, began, at = up.run.agents.statuses(), time.monotonic(), time.time()
-    history, last_seen = History(up.run.robot, up.computers.faster), LastSeen()
+    begin, began, at = run.agents.statuses(), time.monotonic(), time.time()
+    history, last_seen = History(run.robot, up.computers.faster), LastSeen()
     interrupted = False
 
+    def look_around() -> None:
+        check()
+        looks()
+        run.excused -= manager.lost()
+
     def look(_: float) -> None:
-        now, statuses = time.monotonic(), up.run.agents.statuses()
+        now, statuses = time.monotonic(), run.agents.statuses()
         last_seen.look(statuses)
         history.look(statuses, time.time(), now)
-        meanwhile(up.run, now - began)
+        manager.work(0.0)
+        meanwhile(run, now - began)
 
+    run.check = look_around
     try:
-        up.watch(seconds, look, is_over)
+        up.watch(seconds, look, manager.tasks.is_over)
     except KeyboardInterrupt:
         interrupted = True
+    except RunError:
+        if not manager.is_stopping:
+            raise
+        interrupted = True
+    run.check = check
     return MeasuredRun(
         begin=begin,
-        end=up.run.agents.statuses(),
+        end=run.agents.statuses(),
         began=at,
         history=tuple(history.moments),
         last_seen=last_seen,

@@ -40,6 +40,10 @@ def run_command(
             callback=to_write,
         ),
     ] = None,
+    adapt: Annotated[
+        bool,
+        typer.Option("--adapt", help="Change the placement as `poise up` does."),
+    ] = False,
     allow_errors: Annotated[
         bool,
         typer.Option(
@@ -51,6 +55,7 @@ def run_command(
     """Run a task on the robot's computers; without addresses they are emulated.
 
     Its actions run in their order. It ends when the task does, or after --for.
+    Meanwhile `poise status`, `task`, `move`, `replace` and `balance` work on it.
 
     What --record keeps can be the `workload` on which `poise profile` measures;
     `poise recording` reads it. The exit code is 1 when a component raised or hung, a
@@ -81,6 +86,7 @@ def run_command(
                 placement=placed,
                 journal=report / "journal.sqlite" if report else None,
                 record=record,
+                adapt=adapt,
                 say=say,
                 meanwhile=show,
                 check=interrupts.check,
