@@ -35,7 +35,12 @@ from poise.runtime.agent.inbox import AgentInbox, answer
 from poise.runtime.agent.sampling.sampler import Sampler
 from poise.runtime.agent.sampling.watchdog import Silence
 from poise.runtime.agent.status_reports import StatusReports
-from poise.runtime.agent.supervision.adoption import Adoption, AgentFolder, AgentState
+from poise.runtime.agent.supervision.adoption import (
+    ADOPT_LIMIT,
+    Adoption,
+    AgentFolder,
+    AgentState,
+)
 from poise.runtime.agent.supervision.container_processes import STOP_LIMIT
 from poise.runtime.agent.supervision.health import Usage
 from poise.runtime.agent.supervision.migration_relay import MigrationRelay
@@ -164,13 +169,17 @@ class Agent:
             managers = session.liveliness().declare_subscriber(
                 f"{prefix}/manager/*", self._fence.note_liveliness, history=True
             )
-            tokens = [
-                session.liveliness().declare_token(key)
-                for key in (
-                    f"{prefix}/alive/{setup.computer}",
-                    identity_key(self._locator, setup.robot, setup.computer),
+            tokens: list[zenoh.LivelinessToken] = []
+
+            def appear() -> None:
+                tokens.extend(
+                    session.liveliness().declare_token(key)
+                    for key in (
+                        f"{prefix}/alive/{setup.computer}",
+                        identity_key(self._locator, setup.robot, setup.computer),
+                    )
                 )
-            ]
+
             samples = session.declare_publisher(f"{prefix}/samples/{setup.computer}")
             copies = session.declare_publisher(
                 f"{prefix}/checkpoint/{setup.computer}",
@@ -196,7 +205,7 @@ class Agent:
                 sampler.start()
                 self._usage = sampler.usage
                 checkpoints.start()
-                self._serve(publisher)
+                self._serve(publisher, appear)
             finally:
                 heartbeats.close()
                 checkpoints.stop()
@@ -282,10 +291,15 @@ class Agent:
             return Refused(f"it cannot use its folder: {error}")
         return Accepted()
 
-    def _serve(self, publisher: zenoh.Publisher) -> None:
+    def _serve(self, publisher: zenoh.Publisher, appear: Callable[[], None]) -> None:
+        """Work until asked to end; managers see the agent from `appear` on."""
         reports = StatusReports(publisher.put, self._clock, self._status())
+        is_there = False
         while not self._stopping:
-            self._wait(reports.due)
+            if not is_there and self._knows_containers():
+                is_there = True
+                appear()
+            self._wait(reports.due if is_there else self._born + ADOPT_LIMIT)
             for request, query in self._requests.take():
                 self._attend(request, query)
             self._keep_state()
@@ -298,7 +312,18 @@ class Agent:
             self._supervisor.reconcile()
             for process in self._supervisor.processes.values():
                 process.tell_clocks(self._heartbeats.clocks)
-            reports.note(self._status(), self._fence.arrivals)
+            if is_there:
+                reports.note(self._status(), self._fence.arrivals)
+
+    def _knows_containers(self) -> bool:
+        """Return whether all that an earlier agent left have said how they are.
+
+        Before, a manager would take what runs for gone. It waits no longer than
+        `ADOPT_LIMIT`.
+        """
+        processes = self._supervisor.processes.values()
+        is_known = self._adoption.is_settled() and all(p.status for p in processes)
+        return is_known or self._clock.now() >= self._born + ADOPT_LIMIT
 
     def _wait(self, until: float) -> None:
         """Wait for news until some moment [s], and take them in."""

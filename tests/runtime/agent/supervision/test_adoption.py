@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import tempfile
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -99,6 +100,19 @@ def test_one_that_does_not_ask_is_killed_before_another_is_started(
     restart_agent(manager)
     manager.wait_active("quiet", but_not=container.pid)
     wait_gone(container.pid)
+
+
+def test_the_first_status_has_what_an_earlier_agent_left(manager: Manager) -> None:
+    manager.deploy("quiet", "stubborn")
+    late = manager.wait_active("quiet").pid
+    manager.wait_active("stubborn")
+    os.kill(late, signal.SIGSTOP)
+    restart_agent(manager)
+    threading.Timer(1.5, os.kill, (late, signal.SIGCONT)).start()
+    first = manager.wait_agent()
+    assert {each.name for each in first.containers} == {"quiet", "stubborn"}
+    assert first.adopted == 2
+    assert not manager.faults(first)
 
 
 def test_what_ends_in_order_is_not_taken_up_again(manager: Manager) -> None:

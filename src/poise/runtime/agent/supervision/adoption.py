@@ -145,6 +145,10 @@ class Adoption:
         """Return whether a container may run still, and so must not be started."""
         return socket_path(self._folder, container) in self._left.values()
 
+    def is_settled(self) -> bool:
+        """Return whether all that were left have asked, or have ended."""
+        return not self._left
+
     def files(self) -> list[int]:
         """Return the descriptors to wait for."""
         listening = self._listening.fileno()
