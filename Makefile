@@ -25,7 +25,7 @@ PYTEST := $(BIN)/python -m pytest -q -n 4 --dist loadgroup --no-loadscope-reorde
 test: setup
 	@$(PYTEST) -m "not exhaustive"
 
-# what explores for long
+# what explores for long, and whole demos
 exhaustive: setup
 	@$(PYTEST) -m exhaustive
 

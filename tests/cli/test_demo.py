@@ -36,6 +36,7 @@ def demo(folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.exhaustive
 def test_drives_moves_and_calls(tmp_path: Path) -> None:
     done = demo(tmp_path)
     assert done.returncode == 1, done.stderr  # for the outcome is not the paper's

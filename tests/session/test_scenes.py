@@ -29,6 +29,7 @@ def test_components_of_a_crashed_computer_go_on_elsewhere() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_robot_outlives_its_manager_amid_a_move() -> None:
     if reasons := look().without_network():
         pytest.skip("; ".join(reasons))
@@ -45,6 +46,7 @@ def test_a_robot_outlives_its_manager_amid_a_move() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.exhaustive
 def test_what_was_cut_off_is_active_elsewhere_and_never_twice() -> None:
     if reasons := look().without_network():
         pytest.skip("; ".join(reasons))
@@ -58,6 +60,7 @@ def test_what_was_cut_off_is_active_elsewhere_and_never_twice() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.exhaustive
 def test_three_tasks_share_functions_and_one_pauses_another() -> None:
     done = run_poise("demo", "--scene", "tasks", "--json", "--examples", EXAMPLES)
     assert done.returncode == 0, done.stderr

@@ -279,13 +279,26 @@ def test_a_load_makes_no_component_move_to_and_fro(kind: str) -> None:
     check(world)
 
 
+def every_load(examples: int) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Test with this many loads."""
+    strategies = given(seed=st.integers(0, 2**32), kind=st.sampled_from(sorted(KINDS)))
+    limits = settings(
+        max_examples=examples,
+        deadline=None,
+        derandomize=True,
+        suppress_health_check=list(HealthCheck),
+    )
+    return lambda test: limits(strategies(test))
+
+
 @pytest.mark.slow
-@settings(
-    max_examples=60,
-    deadline=None,
-    derandomize=True,
-    suppress_health_check=list(HealthCheck),
-)
-@given(seed=st.integers(0, 2**32), kind=st.sampled_from(sorted(KINDS)))
+@every_load(12)
 def test_no_load_makes_any_component_move_to_and_fro(seed: int, kind: str) -> None:
+    check(run(World(seed, KINDS[kind](seed)), 300.0))
+
+
+@pytest.mark.slow
+@pytest.mark.exhaustive
+@every_load(120)
+def test_none_of_many_loads_does(seed: int, kind: str) -> None:
     check(run(World(seed, KINDS[kind](seed)), 300.0))
