@@ -147,6 +147,7 @@ def test_shows_a_robot_its_log_asks_what_if_moves_and_undoes(
         page.goto("about:blank")  # it would complain that the server has ended
 
 
+@pytest.mark.exhaustive
 def test_follows_managers_over_any_link_and_bears_200_components_and_ten_pages(
     page: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
