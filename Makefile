@@ -20,8 +20,8 @@ demo: setup
 	@$(BIN)/poise demo
 
 # what takes long comes first (tests/order.py), so that both workers end together
-# four at a time on two CPUs, for most tests wait for processes
-PYTEST := $(BIN)/python -m pytest -q -n 4 --dist loadgroup --no-loadscope-reorder
+# five at a time on two CPUs, for most tests wait for processes
+PYTEST := $(BIN)/python -m pytest -q -n 5 --dist loadgroup --no-loadscope-reorder
 test: setup
 	@$(PYTEST) -m "not exhaustive"
 
