@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from xml.sax.saxutils import escape
 
 from msgspec import Struct
+
+from poise.session.render.html.svg import line, text
 
 _COLOURS = ("#c0392b", "#1f77b4", "#2e8b57", "#8e44ad")
 _SCALE = 55.0
 """Pixels of a metre."""
 _LEFT, _TOP, _BARS = 30.0, 50.0, 230.0
+_ROUND = 'stroke-linejoin="round"'
 
 Points = Sequence[Sequence[float]]
 
@@ -49,22 +51,22 @@ def drives_picture(drives: Sequence[DrivePicture], walls: Points, goal: Points) 
     xs, ys = [point[0] for point in points], [point[1] for point in points]
     wide, high = max(xs, default=1.0) * _SCALE, max(ys, default=1.0) * _SCALE
 
-    def at(x: float, y: float) -> str:
-        return f"{_LEFT + x * _SCALE:.1f},{_TOP + high - y * _SCALE:.1f}"
+    def at(x: float, y: float) -> tuple[float, float]:
+        return _LEFT + x * _SCALE, _TOP + high - y * _SCALE
 
-    parts = [_line((at(*wall[:2]), at(*wall[2:])), "#444", 5) for wall in walls]
+    parts = [line((at(*wall[:2]), at(*wall[2:])), "#444", 5) for wall in walls]
     for point in goal:
-        across, down = at(*point[:2]).split(",")
+        across, down = at(*point[:2])
         parts.append(
-            f'<circle cx="{across}" cy="{down}" r="14" fill="none" stroke="#2e8b57" '
-            'stroke-width="3"/>'
+            f'<circle cx="{across:.1f}" cy="{down:.1f}" r="14" fill="none" '
+            'stroke="#2e8b57" stroke-width="3"/>'
         )
     right = _LEFT + wide + 40
     for number, drive in enumerate(drives):
         colour = _COLOURS[number % len(_COLOURS)]
-        parts.append(_line([at(*point[:2]) for point in drive.path], colour, 3))
+        parts.append(line([at(*point[:2]) for point in drive.path], colour, 3, _ROUND))
         top = _TOP + number * (30 + 24 * (len(drive.shares) + 1) + 20)
-        parts.append(_text(right, top + 8, drive.title, colour, 16))
+        parts.append(text(right, top + 8, drive.title, fill=colour, font_size=16))
         for row, (label, share) in enumerate(drive.shares.items()):
             y = top + 32 + 24 * row
             length = _BARS * min(1.0, share)
@@ -72,27 +74,19 @@ def drives_picture(drives: Sequence[DrivePicture], walls: Points, goal: Points) 
                 f'<rect x="{right}" y="{y - 12:.1f}" width="{length:.1f}" height="17" '
                 f'fill="{colour}" fill-opacity="0.35"/>'
             )
-            parts.append(_text(right + 4, y + 1, f"{label}: {share:.0%}", "#222", 12))
+            parts.append(
+                text(
+                    right + 4, y + 1, f"{label}: {share:.0%}", fill="#222", font_size=12
+                )
+            )
         if drive.verdict:
             below = top + 33 + 24 * len(drive.shares)
-            parts.append(_text(right + 4, below, drive.verdict, colour, 13))
+            parts.append(
+                text(right + 4, below, drive.verdict, fill=colour, font_size=13)
+            )
     width, height = right + _BARS + 30, _TOP + high + 30
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.0f}" '
         f'height="{height:.0f}" font-family="sans-serif">'
         f'<rect width="100%" height="100%" fill="white"/>{"".join(parts)}</svg>\n'
-    )
-
-
-def _line(points: Sequence[str], colour: str, width: float) -> str:
-    return (
-        f'<polyline points="{" ".join(points)}" fill="none" stroke="{colour}" '
-        f'stroke-width="{width}" stroke-linejoin="round"/>'
-    )
-
-
-def _text(x: float, y: float, text: str, colour: str, size: int) -> str:
-    return (
-        f'<text x="{x:.0f}" y="{y:.0f}" fill="{colour}" font-size="{size}">'
-        f"{escape(text)}</text>"
     )

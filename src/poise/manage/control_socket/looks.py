@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import secrets
+from collections.abc import Callable, Iterator, Sequence
 
-from poise.errors import PoiseError
-from poise.manage.agent_connections.output import read_log
-from poise.manage.agent_connections.taps import read_tap
+from msgspec.structs import replace
+
+from poise.errors import PoiseError, RunError, UsageError
+from poise.manage.agent_connections.agents import Agents
+from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.control_socket.records import (
     Command,
     JournalCommand,
     JournalEntries,
     LogCommand,
+    LogReading,
     Refusal,
     Result,
     RobotStatus,
@@ -23,6 +27,14 @@ from poise.manage.observe.chains import chain_reports
 from poise.manage.observe.estimates import Estimates
 from poise.manage.tasks.report import TaskReport
 from poise.model.robot import Computer
+from poise.wire.records.migration import StepsFailed
+from poise.wire.records.output import OutputLines, ReadOutput
+from poise.wire.records.requests import Refused
+from poise.wire.records.taps import Tap, TapReading
+
+_ANSWER_LIMIT = 1.0
+"""An agent tells what was written, or went out, within this time [s]."""
+_BITS = 62
 
 
 def look(
@@ -39,9 +51,9 @@ def look(
             case JournalCommand(after=after, most=most):
                 return JournalEntries(tuple(run.journal.entries(after, most)))
             case LogCommand():
-                return read_log(run.agents, command)
+                return _read_log(run.agents, command)
             case TapCommand():
-                return read_tap(run.agents, command)
+                return _read_tap(run.agents, command)
     except PoiseError as error:
         return Refusal.from_error(error)
     return None
@@ -73,3 +85,91 @@ def _capacity(computer: Computer) -> dict[str, float]:
     """Return what a computer has; an emulated slow one has a part of a core."""
     share = 1.0 if computer.address else computer.speed
     return {**computer.capacity, "cpu": computer.capacity.get("cpu", 0.0) * share}
+
+
+def _read_log(agents: Agents, command: LogCommand) -> LogReading:
+    """Return what was written after the moments of a command; from any thread."""
+    asked = {
+        computer: ReadOutput(
+            component=command.component,
+            after=command.after.get(computer, 0),
+            most=command.most,
+        )
+        for computer in agents.statuses()
+    }
+    answers = agents.ask_all(asked, _ANSWER_LIMIT)
+    after, lines, omitted = dict(command.after), [], 0
+    for computer, answer in answers.items():
+        if isinstance(answer, OutputLines):
+            lines += [replace(line, computer=computer) for line in answer.lines]
+            omitted += answer.omitted
+            if answer.lines:
+                after[computer] = answer.lines[-1].at
+    lines.sort(key=lambda line: line.at)
+    last = lines[-command.most :]
+    silent = [c for c, each in answers.items() if not isinstance(each, OutputLines)]
+    omitted += len(lines) - len(last)
+    return LogReading(tuple(last), after, omitted, tuple(sorted(silent)))
+
+
+def _read_tap(agents: Agents, command: TapCommand) -> TapReading:
+    """Return what has gone out since the viewer asked last; from any thread.
+
+    Raises
+    ------
+    UsageError
+        There is no such connector, or several.
+    RunError
+        Its container or agent gives no answer.
+    """
+    connector, computer, container = begin_of(agents.statuses(), command.connector)
+    asked = Tap(
+        number=secrets.randbits(_BITS),
+        container=container,
+        connector=connector,
+        viewer=command.viewer,
+        rate=command.rate,
+        items=command.items,
+        limit=_ANSWER_LIMIT,
+    )
+    answer = agents.ask(computer, asked, _ANSWER_LIMIT)
+    if isinstance(answer, TapReading):
+        return answer
+    why = f"no answer within {_ANSWER_LIMIT:g} s"
+    if isinstance(answer, Refused | StepsFailed):
+        why = answer.reason
+    raise RunError(f"connector '{connector}' on '{computer}': {why}")
+
+
+def begin_of(statuses: Statuses, asked: str) -> tuple[str, str, str]:
+    """Return a connector's name, and the computer and container where it begins.
+
+    Parameters
+    ----------
+    asked
+        Its name, or ``component.port`` of an end that has one connector only, or whose
+        connectors all carry the same messages.
+
+    Raises
+    ------
+    UsageError
+        There is no such connector, or several that differ.
+    """
+    found = dict(_begins(statuses))
+    sources = [name for name in found if name.startswith(f"{asked}-")]
+    targets = [name for name in found if name.endswith(f"-{asked}")]
+    names = [asked] if asked in found else sources or targets
+    if not names:
+        listed = "; ".join(sorted(found)) or "none"
+        raise UsageError(f"no connector '{asked}' (there are: {listed})")
+    if names == targets and len(names) > 1:
+        raise UsageError(f"several lead to '{asked}': {'; '.join(sorted(names))}")
+    return (names[0], *found[names[0]])
+
+
+def _begins(statuses: Statuses) -> Iterator[tuple[str, tuple[str, str]]]:
+    for computer, status in sorted(statuses.items()):
+        for container in status.containers:
+            for end in container.connectors:
+                if end.end != "target":
+                    yield end.name, (computer, container.name)

@@ -38,12 +38,6 @@ class PrefetchReport(Struct, frozen=True, kw_only=True):
     memory: int = 0
     wasted: int = 0
 
-    @property
-    def hit_rate(self) -> float | None:
-        """The share of switches to what was prepared; None: there were none."""
-        count = self.hit.count + self.miss.count
-        return self.hit.count / count if count else None
-
     def __str__(self) -> str:
         said = []
         if self.hit.count:

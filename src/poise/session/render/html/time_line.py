@@ -7,6 +7,7 @@ from html import escape
 from typing import TYPE_CHECKING
 
 from poise.manage.journal import JournalEntry
+from poise.session.render.html.svg import line, svg, text
 
 if TYPE_CHECKING:
     from poise.session.reports.history import Moment
@@ -17,6 +18,7 @@ _MOST_NUMBERS = 40
 """Entries that are numbered; of more, there are lines without numbers."""
 _STEPS = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 3600, 7200, 21600, 86400)
 _MISSED = "worst missed"
+_DASHED = 'stroke-dasharray="3 2"'
 
 
 def time_line(
@@ -44,10 +46,7 @@ def time_line(
     parts = [*_axis(end, height), *_marks(entries, began, end, height)]
     for row, (name, points) in enumerate(strips.items()):
         parts += _strip(name, points, _GAP + row * (_HEIGHT + _GAP), end)
-    return (
-        f'<svg viewBox="0 0 {_WIDTH} {height}" role="img" font-size="12" '
-        f'aria-label="CPU and missed deadlines over time">{"".join(parts)}</svg>'
-    )
+    return svg(_WIDTH, height, "CPU and missed deadlines over time", parts)
 
 
 def _x(seconds: float, end: float) -> float:
@@ -59,11 +58,8 @@ def _axis(end: float, height: int) -> Iterator[str]:
     step = next((s for s in _STEPS if end / s <= 10), _STEPS[-1])  # noqa: PLR2004
     for second in range(0, int(end) + 1, step):
         x = _x(second, end)
-        yield (
-            f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{_GAP}" y2="{height - 22}" '
-            'stroke="#8884"/>'
-            f'<text x="{x:.1f}" y="{height - 6}" text-anchor="middle">{second} s</text>'
-        )
+        yield line([(x, _GAP), (x, height - 22)], "#8884")
+        yield text(x, height - 6, f"{second} s", text_anchor="middle")
 
 
 def _marks(
@@ -73,13 +69,10 @@ def _marks(
         if entry.at < began:
             continue
         x = _x(entry.at - began, end)
-        text = f'<text x="{x + 2:.1f}" y="11" font-size="10">{number}</text>'
-        yield (
-            f"<g><title>{escape(str(entry))}</title>"
-            f'<line x1="{x:.1f}" x2="{x:.1f}" y1="0" y2="{height - 22}" '
-            'stroke="#d98c00" stroke-dasharray="3 2" stroke-width="1.5"/>'
-            f"{text if len(entries) <= _MOST_NUMBERS else ''}</g>"
-        )
+        says = f"<title>{escape(str(entry))}</title>"
+        mark = line([(x, 0), (x, height - 22)], "#d98c00", 1.5, _DASHED)
+        told = text(x + 2, 11, str(number), font_size=10)
+        yield f"<g>{says}{mark}{told if len(entries) <= _MOST_NUMBERS else ''}</g>"
 
 
 def _strip(
@@ -89,13 +82,10 @@ def _strip(
     most = max([1.0, *(share for _, share in points)])
     bottom = top + _HEIGHT
     colour = "#c0392b" if name == _MISSED else "#3b7dd8"
-    left = f'<text x="{_LEFT - 8}" text-anchor="end"'
-    yield (
-        f'{left} y="{top + 12}">{escape(name)}</text>'
-        f'{left} y="{bottom}" font-size="10">0 to {most:.0%}</text>'
-        f'<line x1="{_LEFT}" x2="{_WIDTH - 20}" y1="{bottom}" y2="{bottom}" '
-        'stroke="#888"/>'
-    )
+    left, scale = _LEFT - 8, f"0 to {most:.0%}"
+    yield text(left, top + 12, name, text_anchor="end")
+    yield text(left, bottom, scale, text_anchor="end", font_size=10)
+    yield line([(_LEFT, bottom), (_WIDTH - 20, bottom)], "#888")
     if not points:
         return
     began = max(0.0, points[0][0] - 1)
