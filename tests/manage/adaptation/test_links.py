@@ -103,7 +103,7 @@ def test_one_end_of_a_cut_link_moves_to_where_both_are_reached(
     facts: Make, two: Robot
 ) -> None:
     """Nothing can move over the cut link itself; all they compute is in vain."""
-    found = decide(over(facts, joined(two), quality(silent=1.0)), {}, {})
+    found = decide(over(facts, joined(two), quality(silent=1.0)))
     assert found.acts
     assert found.gain == pytest.approx((0.2 + 0.2) * 30)
     assert found.proposal is not None
@@ -120,7 +120,7 @@ def test_nothing_moves_when_there_is_no_way_round_a_cut_link(
     facts: Make, two: Robot
 ) -> None:
     alone = over(facts, joined(two, third=False), quality(silent=1.0))
-    found = decide(alone, {}, {})
+    found = decide(alone)
     assert not found.acts
     assert found.why.startswith(
         "it stays as it is: link 'left-right' is cut, and 'a.out-b.in' crosses it; "
@@ -130,7 +130,7 @@ def test_nothing_moves_when_there_is_no_way_round_a_cut_link(
 def test_over_a_slow_link_the_ends_meet_at_once(facts: Make, two: Robot) -> None:
     """Of a period of 100 ms 60 are lost."""
     slow = over(facts, joined(two, third=False), quality(delay=0.06))
-    found = decide(slow, {}, {})
+    found = decide(slow)
     assert found.acts
     assert found.gain == pytest.approx(0.6 * (0.2 + 0.2) * 30)
     assert found.proposal is not None
@@ -140,7 +140,7 @@ def test_over_a_slow_link_the_ends_meet_at_once(facts: Make, two: Robot) -> None
 
 def test_what_nothing_crosses_changes_nothing(facts: Make, two: Robot) -> None:
     robot = replace(joined(two), connectors=())
-    found = decide(over(facts, robot, quality(silent=1.0)), {}, {})
+    found = decide(over(facts, robot, quality(silent=1.0)))
     assert not found.acts
     assert found.why.startswith(
         "link 'left-right' is cut, and no connector crosses it; "
@@ -152,7 +152,7 @@ def test_a_slow_link_that_costs_little_is_not_worth_a_move(
 ) -> None:
     """0.3 s to start a component, against 0.002 x 0.4 cores x 30 s."""
     seen = over(facts, joined(two), quality(delay=0.0002))
-    assert not decide(seen, {}, {}).acts
+    assert not decide(seen).acts
 
 
 def test_another_link_that_is_cut_is_not_crossed_instead(
@@ -163,7 +163,7 @@ def test_another_link_that_is_cut_is_not_crossed_instead(
     first, second = whole.components
     held = replace(whole, components=(first, replace(second, only=("right",))))
     robot = joined(replace(two, architectures=(held,)))
-    found = decide(over(facts, robot, quality(silent=1.0)), {}, {})
+    found = decide(over(facts, robot, quality(silent=1.0)))
     assert found.acts
     assert found.proposal is not None
     assert found.proposal.placement == {"a": "middle", "b": "right"}
@@ -185,7 +185,7 @@ def test_a_link_that_comes_and_goes_moves_less_and_less(
         )
         if limits.rests(now, seen.situation()):
             continue
-        found = decide(seen, limits.barred(now), {})
+        found = decide(seen, limits.barred(now))
         if found.acts and found.proposal is not None:
             limits.note(found.proposal.steps, now)
             at = dict(found.proposal.placement)

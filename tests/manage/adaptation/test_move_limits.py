@@ -67,7 +67,7 @@ def test_no_load_makes_a_component_go_to_and_fro(facts: Make, load: str) -> None
         if move_limits.rests(now):
             continue
         seen = facts(dict(placement), background={side: 0.35})
-        found = decide(seen, move_limits.barred(now), {})
+        found = decide(seen, move_limits.barred(now))
         if not found.acts or found.proposal is None:
             move_limits.note_nothing(now)
             continue

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+
 import pytest
 from msgspec.structs import replace
 
 from poise.errors import RobotError
 from poise.estimate.online import Drift, Estimate
+from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.proposals import Proposal
-from poise.manage.adaptation.replan import (
-    propose,
-)
+from poise.manage.adaptation.replan import propose
 from poise.manage.observe.estimates import DemandEstimate
 from poise.model.robot import (
     Action,
@@ -72,8 +73,17 @@ def standing(
     )
 
 
+def proposed(
+    robot: Robot, now: Mapping[str, str], needs: Iterable[DemandEstimate], move: float
+) -> Proposal:
+    facts = Facts(
+        robot=robot, task="work", placement=now, demand_estimates=tuple(needs)
+    )
+    return propose(facts, robot, move)
+
+
 def test_what_is_best_stays(robot: Robot) -> None:
-    found = propose(robot, "work", NOW, [standing("eye", 0.25)], 0.01)
+    found = proposed(robot, NOW, [standing("eye", 0.25)], 0.01)
     assert found.steps == ()
     assert found.shifted == {}
     assert found.placement == NOW
@@ -83,7 +93,7 @@ def test_what_is_best_stays(robot: Robot) -> None:
 def test_a_demand_shifts_as_the_mean_does(robot: Robot) -> None:
     """The profile said 0.25 of the 0.3 counted with; 0.5 now is twice as much."""
     grown = standing("eye", 0.5, expected=0.25, drift=True)
-    found = propose(robot, "work", NOW, [grown], 0.01)
+    found = proposed(robot, NOW, [grown], 0.01)
     assert counted(found) == pytest.approx({"eye": 0.6})
     assert found.trouble
     assert all(step.source and step.target for step in found.steps)
@@ -92,7 +102,7 @@ def test_a_demand_shifts_as_the_mean_does(robot: Robot) -> None:
 
 def test_what_needs_more_than_was_counted_with_is_believed(robot: Robot) -> None:
     """(0.5 + 0.01) * 1.05, as no profile says how mean and demand belong together."""
-    found = propose(robot, "work", NOW, [standing("eye", 0.5)], 0.01)
+    found = proposed(robot, NOW, [standing("eye", 0.5)], 0.01)
     assert counted(found) == pytest.approx({"eye": 0.5355})
     assert str(found.shifted["eye"]) == (
         "50.0% ± 1.0% of a core now: counted as 53.6%"  # 53.55
@@ -103,20 +113,20 @@ def test_what_needs_more_than_was_counted_with_is_believed(robot: Robot) -> None
 def test_what_is_not_certain_yet_is_not_believed(
     robot: Robot, error: float | None
 ) -> None:
-    found = propose(robot, "work", NOW, [standing("eye", 0.5, error=error)], 0.01)
+    found = proposed(robot, NOW, [standing("eye", 0.5, error=error)], 0.01)
     assert found.shifted == {}
 
 
 def test_a_move_must_gain_more_than_it_costs(robot: Robot) -> None:
     """Together F is 0.5 x communication 0 + 0.5 x spread; dear moves change nothing."""
     apart = {"eye": "left", "mind": "right"}
-    assert propose(robot, "work", apart, [], 0.0).steps
-    assert not propose(robot, "work", apart, [], 1.0).steps
+    assert proposed(robot, apart, [], 0.0).steps
+    assert not proposed(robot, apart, [], 1.0).steps
 
 
 def test_no_more_is_believed_than_a_computer_can_give(robot: Robot) -> None:
     """It seems to need 90 % of a core, where a computer has 60 %: one for itself."""
-    found = propose(robot, "work", NOW, [standing("eye", 0.9)], 0.01)
+    found = proposed(robot, NOW, [standing("eye", 0.9)], 0.01)
     assert counted(found) == {"eye": 0.6}
     assert found.placement["eye"] != found.placement["mind"]
     told = str(found.shifted["eye"])
@@ -136,15 +146,15 @@ def test_a_component_uses_one_core_at_most_and_a_command_all(robot: Robot) -> No
     command = replace(architecture, components=(replace(eye, command=("see",)), mind))
     commanded = replace(large, architectures=(command,))
     needy = [standing("eye", 3.0)]
-    assert counted(propose(large, "work", NOW, needy, 0.01)) == {"eye": 0.5}
-    assert counted(propose(commanded, "work", NOW, needy, 0.01)) == {"eye": 2.0}
+    assert counted(proposed(large, NOW, needy, 0.01)) == {"eye": 0.5}
+    assert counted(proposed(commanded, NOW, needy, 0.01)) == {"eye": 2.0}
 
 
 def test_what_fits_nowhere_is_said(robot: Robot) -> None:
     needy = [standing("eye", 0.6), standing("mind", 0.6)]
     crowded = replace(robot, computers=robot.computers[:1])
     with pytest.raises(RobotError, match=r"'work' has no placement any more: ") as said:
-        propose(crowded, "work", NOW, needy, 0.01)
+        proposed(crowded, NOW, needy, 0.01)
     assert "mind needs 60.0% ± 1.0% of a core now" in str(said.value)
 
 

@@ -13,7 +13,7 @@ from tests.manage.adaptation.conftest import Make
 
 
 def test_says_loads_limits_and_what_the_move_costs(facts: Make) -> None:
-    seen = what_if(facts(), "a", "right", {"a": 0.5})
+    seen = what_if(replace(facts(), downtimes={"a": 0.5}), "a", "right")
     assert (seen.source, seen.target) == ("left", "right")
     before, after = seen.loads["left"]
     gained = seen.loads["right"][1] - seen.loads["right"][0]
@@ -27,7 +27,7 @@ def test_says_loads_limits_and_what_the_move_costs(facts: Make) -> None:
 def test_says_which_limits_the_move_would_break(facts: Make, two: Robot) -> None:
     small = Computer(name="right", capacity={"cpu": 0.1})
     robot = replace(two, computers=(two.computers[0], small))
-    seen = what_if(facts(robot=robot), "a", "right", {})
+    seen = what_if(facts(robot=robot), "a", "right")
     assert any("right" in limit for limit in seen.breaks)
     assert any("refused" in line for line in what_if_lines(seen))
 
@@ -37,12 +37,14 @@ def test_says_which_limits_the_move_would_break(facts: Make, two: Robot) -> None
 )
 def test_refuses_what_is_no_move(facts: Make, component: str, computer: str) -> None:
     with pytest.raises(UsageError):
-        what_if(facts(), component, computer, {})
+        what_if(facts(), component, computer)
 
 
 def test_says_what_else_could_be_done_and_what_that_would_cost(facts: Make) -> None:
     """Of 0.5 cores others take 0.2 and want 0.3: 0.2 are left for 0.4."""
-    stays, *moves = alternatives(facts(background={"left": 0.2}), {"b": 1.0})
+    stays, *moves = alternatives(
+        replace(facts(background={"left": 0.2}), downtimes={"b": 1.0})
+    )
     assert (stays.what, stays.cost) == ("stay", 0.0)
     assert stays.short == pytest.approx(0.2)
     assert "left" in stays.breaks
@@ -62,6 +64,6 @@ def test_a_component_that_must_stay_is_no_alternative(facts: Make, two: Robot) -
     robot = two.with_components(
         lambda c: replace(c, movable=False) if c.name == "a" else c
     )
-    stays, *moves = alternatives(facts(robot=robot), {})
+    stays, *moves = alternatives(facts(robot=robot))
     assert [each.what.split()[1] for each in moves] == ["b"]
     assert stays.short == 0.0

@@ -75,10 +75,10 @@ def test_an_architecture_is_not_replaced(layer: str) -> None:
 
 def test_an_overload_moves_none(layer: str) -> None:
     robbed = Robbed(robot_of_two(layer))
-    decision = decide(robbed.facts(0.5, "high", "low"), {}, {})
+    decision = decide(robbed.facts(0.5, "high", "low"))
     assert not decision.acts
     sequencing = Robbed(robot_of_two("sequencing"))
-    assert decide(sequencing.facts(0.5, "high", "low"), {}, {}).acts
+    assert decide(sequencing.facts(0.5, "high", "low")).acts
 
 
 def test_a_lost_computer_takes_them_with_it(layer: str) -> None:

@@ -71,19 +71,13 @@ class Decision(Struct, frozen=True, kw_only=True):
     cost: float = 0.0
 
 
-def decide(
-    facts: Facts,
-    barred: Mapping[str, AbstractSet[str]],
-    downtimes: Mapping[str, float],
-) -> Decision:
+def decide(facts: Facts, barred: Mapping[str, AbstractSet[str]] = {}) -> Decision:
     """Return whether to change the placement, and why.
 
     Parameters
     ----------
     barred
         Component -> computers where it may not go.
-    downtimes
-        Component -> the downtime of its last move [s].
     """
     facts = facts.within_reach()
     bad = bad_links(facts)
@@ -101,7 +95,7 @@ def decide(
             return Decision(acts=False, why=causes + relief.why)
         robot, relieved = _held(robot, relief.homes), relief.wasted
     try:
-        proposal = _propose(robot, facts)
+        proposal = propose(facts, robot, MOVE, is_quick=True)
     except RobotError as error:
         room = _room(robot_now, facts)
         why = f"no placement can help: {causes}{late(facts)}{error}{room}"
@@ -110,7 +104,7 @@ def decide(
     left = sum(missing_cpu(robot_now, proposal.placement).values())
     in_vain -= wasted(facts, robot_now, proposal.placement, bad)
     gain = (short - left + relieved + in_vain) * HORIZON
-    cost = cost_of(robot_now, proposal.steps, downtimes, starts_of(facts))
+    cost = cost_of(facts, robot_now, proposal.steps)
     what = (
         f"{causes}{counted(len(proposal.steps), 'step')}: cost {cost:.2f} "
         f"core-seconds, gain {gain:.2f} within {HORIZON:g} s"
@@ -124,18 +118,6 @@ def decide(
             cost=cost,
         )
     return Decision(acts=True, why=what, proposal=proposal, gain=gain, cost=cost)
-
-
-def _propose(robot: Robot, facts: Facts, *, fewer: bool = False) -> Proposal:
-    return propose(
-        robot,
-        facts.task,
-        facts.placement,
-        facts.demand_estimates,
-        MOVE,
-        fewer=fewer,
-        is_quick=True,
-    )
 
 
 def _held(robot: Robot, homes: Mapping[str, str]) -> Robot:
@@ -168,7 +150,7 @@ def _with_fewer(robot: Robot, facts: Facts, unable: Decision) -> Decision:
     higher ones suffer in spite of their CPU weights.
     """
     try:
-        proposal = _propose(robot, facts, fewer=True)
+        proposal = propose(facts, robot, MOVE, fewer=True, is_quick=True)
     except RobotError:
         return unable
     aside = {
@@ -202,24 +184,21 @@ def _suffering(facts: Facts) -> set[str]:
     return starved | {each.component for each in facts.misses if each.late}
 
 
-def cost_of(
-    robot: Robot,
-    steps: Iterable[TransitionStep],
-    downtimes: Mapping[str, float],
-    starts: Mapping[str, float],
-) -> float:
-    """Return what steps cost [core-seconds]."""
+def cost_of(facts: Facts, robot: Robot, steps: Iterable[TransitionStep]) -> float:
+    """Return what steps cost [core-seconds].
+
+    Parameters
+    ----------
+    robot
+        With the present demands.
+    """
     demands = {c.name: c.demand.get("cpu", 0.0) for c in robot.components()}
+    starts = {c.name: c.start for c in components_of(facts.statuses) if c.start}
     return sum(
         starts.get(step.component, START)
-        + demands[step.component] * downtimes.get(step.component, DOWNTIME)
+        + demands[step.component] * facts.downtimes.get(step.component, DOWNTIME)
         for step in steps
     )
-
-
-def starts_of(facts: Facts) -> dict[str, float]:
-    """Return how long components took to start, where that is known [s]."""
-    return {c.name: c.start for c in components_of(facts.statuses) if c.start}
 
 
 def _barring(

@@ -42,6 +42,8 @@ class Facts(Struct, frozen=True, kw_only=True):
         Computer -> what its agent reported last.
     traffic
         Connector -> what goes over it now.
+    downtimes
+        Component -> the downtime of its last move [s].
     bad_links
         The links about which policies want a new plan, by name.
     """
@@ -56,6 +58,7 @@ class Facts(Struct, frozen=True, kw_only=True):
     demand_estimates: tuple[DemandEstimate, ...] = ()
     statuses: Mapping[str, AgentStatus] = {}
     traffic: Mapping[str, ConnectorProfile] = {}
+    downtimes: Mapping[str, float] = {}
     bad_links: frozenset[str] = frozenset()
 
     def within_reach(self) -> Facts:

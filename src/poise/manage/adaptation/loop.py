@@ -81,7 +81,7 @@ class Adaptation:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._run = run
-        self._facts = facts
+        self._read = facts
         self._put_aside = put_aside
         self._acts = acts
         self._keep = keep
@@ -134,7 +134,7 @@ class Adaptation:
         facts = replace(facts, bad_links=frozenset(links))
         due = self._policies.due(bad, now)
         if due and not self._move_limits.rests(now, facts.situation()):
-            decision = decide(facts, self._move_limits.barred(now), self._downtimes)
+            decision = decide(facts, self._move_limits.barred(now))
             self._carry_out(decision, due, facts, now)
 
     def balance(
@@ -157,13 +157,7 @@ class Adaptation:
         facts = self._facts().within_reach()
         if not dry:
             self._put_aside.forgive()
-        proposal = propose(
-            facts.robot_left(),
-            facts.task,
-            facts.placement,
-            facts.demand_estimates,
-            move,
-        )
+        proposal = propose(facts, facts.robot_left(), move)
         if dry or not proposal.steps:
             return proposal, None
         what = f"asked to balance: {counted(len(proposal.steps), 'step')}"
@@ -171,7 +165,7 @@ class Adaptation:
             "decided",
             what,
             proposal=proposal,
-            alternatives=alternatives(facts, self._downtimes),
+            alternatives=alternatives(facts),
             loads=facts.loads,
         )
         return proposal, self._transit(proposal.steps, self._clock())
@@ -184,18 +178,21 @@ class Adaptation:
         UsageError
             There is no such component or computer.
         """
-        return what_if(self._facts(), component, computer, self._downtimes)
+        return what_if(self._facts(), component, computer)
 
     def note_asked(self, component: str, computer: str) -> None:
         """Journal that a person asks for a move, and what else could be done."""
         facts = self._facts()
         try:
-            change = what_if(facts, component, computer, self._downtimes)
+            change = what_if(facts, component, computer)
         except PoiseError:  # the move itself says why not
             return
         what = f"asked to move '{component}' to '{computer}'"
-        others = alternatives(facts, self._downtimes)
+        others = alternatives(facts)
         self._run.journal.note("seen", what, what_if=change, alternatives=others)
+
+    def _facts(self) -> Facts:
+        return replace(self._read(), downtimes=self._downtimes)
 
     def close(self) -> None:
         """End what policies have started."""
@@ -256,7 +253,7 @@ class Adaptation:
             return
         for name in found:
             del self._back[name]
-        decision = decide(facts, self._move_limits.barred(now), self._downtimes)
+        decision = decide(facts, self._move_limits.barred(now))
         is_better = decision.acts or decision.proposal is not None
         why = decision.why if is_better else "all that runs has what it needs"
         names = " and ".join(f"'{name}'" for name in found)
@@ -277,7 +274,7 @@ class Adaptation:
                 "decided",
                 why,
                 decision=decision,
-                alternatives=alternatives(facts, self._downtimes),
+                alternatives=alternatives(facts),
                 policies=_seen(due),
                 loads=facts.loads,
             )
@@ -328,7 +325,7 @@ class Adaptation:
         if any(reported.why_not != why for reported in self._reported.values()):
             for reported in self._reported.values():
                 reported.why_not = why
-            others = alternatives(facts, self._downtimes)
+            others = alternatives(facts)
             note = self._run.journal.note
             note("seen", why, decision=decision, alternatives=others)
 

@@ -10,6 +10,7 @@ from msgspec.structs import replace
 from poise import plan
 from poise.errors import RobotError
 from poise.estimate.demands import shifted_cpu_demand
+from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.proposals import PresentDemand, Proposal
 from poise.manage.migration.transition import (
     plan_transition,
@@ -26,10 +27,8 @@ EXPLAIN_FOR = 1.0
 
 
 def propose(
+    facts: Facts,
     robot: Robot,
-    task: str,
-    now: Mapping[str, str],
-    demand_estimates: Iterable[DemandEstimate],
     move: float,
     *,
     fewer: bool = False,
@@ -41,10 +40,6 @@ def propose(
     ----------
     robot
         With the demands it was placed by.
-    now
-        Component -> computer.
-    demand_estimates
-        What the components need now.
     move
         What F grows by for every component that moves, plus as much for each MB of
         its state; >= 0.
@@ -58,7 +53,8 @@ def propose(
     RobotError
         The task fits nowhere with these demands, or there is no way to the placement.
     """
-    shifted = dict(_shifted(robot, demand_estimates))
+    task, now = facts.task, facts.placement
+    shifted = dict(_shifted(robot, facts.demand_estimates))
     robot_now = _with_cpu(
         robot, {name: demand.counted for name, demand in shifted.items()}
     )

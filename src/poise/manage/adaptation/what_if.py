@@ -8,7 +8,7 @@ from msgspec import Struct
 
 from poise import plan
 from poise.errors import RobotError, UsageError
-from poise.manage.adaptation.decision import DOWNTIME, MOVE, cost_of, starts_of
+from poise.manage.adaptation.decision import DOWNTIME, MOVE, cost_of
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.proposals import WhatIf
 from poise.manage.adaptation.replan import with_present_demands
@@ -24,15 +24,8 @@ _MOST_KEPT = 5
 """So many alternatives are kept."""
 
 
-def what_if(
-    facts: Facts, component: str, computer: str, downtimes: Mapping[str, float]
-) -> WhatIf:
+def what_if(facts: Facts, component: str, computer: str) -> WhatIf:
     """Return what a move would change.
-
-    Parameters
-    ----------
-    downtimes
-        Component -> the downtime of its last move [s].
 
     Raises
     ------
@@ -69,8 +62,8 @@ def what_if(
             for name in (source, computer)
         },
         usable={name: computers[name].usable("cpu") for name in (source, computer)},
-        downtime=downtimes.get(component, DOWNTIME),
-        cost=cost_of(robot, [step], downtimes, starts_of(facts)),
+        downtime=facts.downtimes.get(component, DOWNTIME),
+        cost=cost_of(facts, robot, [step]),
         state=sizes.get(component, 0),
     )
 
@@ -99,17 +92,10 @@ class Alternative(Struct, frozen=True, kw_only=True):
     breaks: str = ""
 
 
-def alternatives(
-    facts: Facts, downtimes: Mapping[str, float]
-) -> tuple[Alternative, ...]:
+def alternatives(facts: Facts) -> tuple[Alternative, ...]:
     """Return what could be done now: first nothing, then single moves, the best first.
 
     None when some component can run nowhere.
-
-    Parameters
-    ----------
-    downtimes
-        Component -> the downtime of its last move [s].
     """
     facts = facts.within_reach()
     robot = with_present_demands(facts.robot_left(), facts.demand_estimates)
@@ -119,7 +105,6 @@ def alternatives(
     except RobotError:
         return ()
     problem = plan.keep_components(problem, now.keys())
-    starts = starts_of(facts)
 
     def work_out(short: float, step: TransitionStep | None) -> Alternative:
         after = {**now, step.component: step.target} if step else now
@@ -129,7 +114,7 @@ def alternatives(
             what=str(step) if step else "stay",
             total=result.objective.total,
             short=short,
-            cost=cost_of(robot, [step], downtimes, starts) if step else 0.0,
+            cost=cost_of(facts, robot, [step]) if step else 0.0,
             breaks=result.reason,
         )
 

@@ -187,7 +187,7 @@ def test_other_layers_are_never_put_aside(layer: str) -> None:
 
 
 def test_an_overload_that_no_placement_helps_puts_the_lowest_aside() -> None:
-    decision = decide(Robbed(robot_with()).facts(0.3, "high", "low"), {}, {})
+    decision = decide(Robbed(robot_with()).facts(0.3, "high", "low"))
     assert decision.acts
     assert decision.why == "not all fits without 'low-task' (priority 1)"
     assert decision.proposal is not None
@@ -196,20 +196,20 @@ def test_an_overload_that_no_placement_helps_puts_the_lowest_aside() -> None:
 
 
 def test_nothing_is_put_aside_while_the_higher_keep_their_deadlines() -> None:
-    decision = decide(Robbed(robot_with()).facts(0.3, "low"), {}, {})
+    decision = decide(Robbed(robot_with()).facts(0.3, "low"))
     assert not decision.acts
     assert decision.why.startswith("no placement can help")
 
 
 def test_of_equal_priorities_none_is_put_aside() -> None:
-    decision = decide(Robbed(robot_with(1, 1)).facts(0.3, "high", "low"), {}, {})
+    decision = decide(Robbed(robot_with(1, 1)).facts(0.3, "high", "low"))
     assert not decision.acts
     assert decision.why.startswith("no placement can help")
 
 
 @pytest.mark.parametrize("layer", ["reactive", "deliberative"])
 def test_an_overload_puts_no_other_layer_aside(layer: str) -> None:
-    decision = decide(Robbed(robot_with(layer=layer)).facts(0.3, "high", "low"), {}, {})
+    decision = decide(Robbed(robot_with(layer=layer)).facts(0.3, "high", "low"))
     assert not decision.acts
 
 
