@@ -16,7 +16,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.errors import RobotError
-from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.facts import Facts, Homes
 from poise.manage.adaptation.late import late, relieve
 from poise.manage.adaptation.links import (
     bad_links,
@@ -109,21 +109,15 @@ def decide(facts: Facts, barred: Mapping[str, AbstractSet[str]] = {}) -> Decisio
         f"{causes}{counted(len(proposal.steps), 'step')}: cost {cost:.2f} "
         f"core-seconds, gain {gain:.2f} within {HORIZON:g} s"
     )
-    if not proposal.steps or gain <= cost:
-        return Decision(
-            acts=False,
-            why=f"it stays as it is: {what}",
-            proposal=proposal,
-            gain=gain,
-            cost=cost,
-        )
-    return Decision(acts=True, why=what, proposal=proposal, gain=gain, cost=cost)
+    acts = bool(proposal.steps) and gain > cost
+    why = what if acts else f"it stays as it is: {what}"
+    return Decision(acts=acts, why=why, proposal=proposal, gain=gain, cost=cost)
 
 
-def _held(robot: Robot, homes: Mapping[str, str]) -> Robot:
-    """Return the robot with components held to computers."""
+def _held(robot: Robot, homes: Homes) -> Robot:
+    """Return the robot with components held to their homes, where they have any."""
     return robot.with_components(
-        lambda c: replace(c, only=(homes[c.name],)) if c.name in homes else c
+        lambda c: replace(c, only=homes[c.name]) if homes.get(c.name) else c
     )
 
 
@@ -208,7 +202,7 @@ def _barring(
     if not barred:
         return robot
     allowed = allowed_computers(robot)
-    only = {
+    homes = {
         name: tuple(
             computer
             for computer in sorted(allowed[name])
@@ -216,6 +210,4 @@ def _barring(
         )
         for name, computers in barred.items()
     }
-    return robot.with_components(
-        lambda c: replace(c, only=only[c.name]) if only.get(c.name) else c
-    )
+    return _held(robot, homes)

@@ -15,6 +15,8 @@ from poise.model.policy.values import TimerValues
 from poise.model.robot import Computer, Robot
 from poise.wire.records.status import AgentStatus
 
+Homes = Mapping[str, tuple[str, ...]]
+"""Component -> the computers where it may be; one: it stays there."""
 _WANTS_MORE = 1.5
 """What other programs want on a full computer, as a multiple of what they get there."""
 

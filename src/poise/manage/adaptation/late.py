@@ -11,7 +11,7 @@ from collections.abc import Set as AbstractSet
 
 from msgspec import Struct
 
-from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.facts import Facts, Homes
 from poise.manage.observe.chains import ChainAge
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
@@ -32,7 +32,7 @@ class Relief(Struct, frozen=True, kw_only=True):
     """
 
     why: str
-    homes: Mapping[str, str] = {}
+    homes: Homes = {}
     wasted: float = 0.0
 
 
@@ -63,7 +63,7 @@ def relieve(
             ):
                 return Relief(
                     why=_sentence(chain),
-                    homes={stays: home, moves: home},
+                    homes={stays: (home,), moves: (home,)},
                     wasted=sum(needs.get(name, 0.0) for name in chain.ages)
                     * chain.missed
                     / chain.used,
@@ -96,10 +96,8 @@ def _longest_wire(chain: ChainAge) -> tuple[str, str]:
 
 
 def _sentence(chain: ChainAge) -> str:
-    age, best = (
-        chain.ages[chain.last],
-        chain.ages[chain.last] - sum(chain.wires.values()),
-    )
+    age = chain.ages[chain.last]
+    best = age - sum(chain.wires.values())
     return (
         f"the data of chain '{chain.chain}' must not be older than "
         f"{format_seconds(chain.deadline)} and is {format_seconds(age)} old, "

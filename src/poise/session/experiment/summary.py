@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from statistics import fmean, median
+from typing import TypeVar
 
 from msgspec import Struct
 
 from poise.session.experiment.results import Missed, Result
 
+V = TypeVar("V")
 _Z = 1.959963984540054
 """The normal quantile of a two-sided interval of 95 %."""
 
@@ -140,8 +142,9 @@ def _summary(
     arm: str, condition: str, runs: Sequence[Result], functions: Sequence[str]
 ) -> ArmSummary:
     valid = [each for each in runs if not each.invalid]
-    chains = _names(each.chains for each in valid)
-    timers = _names(each.timers for each in valid)
+    chains = _by_name(each.chains for each in valid)
+    timers = _by_name(each.timers for each in valid)
+    cpu_shares = _by_name(each.cpu_share for each in valid)
     errors = [each.world.get("path_error") for each in valid]
     aside = [name for each in valid for name in each.put_aside]
     return ArmSummary(
@@ -154,28 +157,14 @@ def _summary(
             for name in functions
         },
         all_worked=_held(all(r.functions.values()) for r in valid if r.functions),
-        deadline_miss_share={
-            name: _missed([r.chains[name] for r in valid if name in r.chains])
-            for name in chains
-        },
-        timer_miss_share={
-            name: _missed([r.timers[name] for r in valid if name in r.timers])
-            for name in timers
-        },
-        ages={
-            n: _median(r.chains[n].median for r in valid if n in r.chains)
-            for n in chains
-        },
-        ages_p99={
-            n: _median(r.chains[n].p99 for r in valid if n in r.chains) for n in chains
-        },
+        deadline_miss_share={name: _missed(each) for name, each in chains.items()},
+        timer_miss_share={name: _missed(each) for name, each in timers.items()},
+        ages={n: _median(m.median for m in each) for n, each in chains.items()},
+        ages_p99={n: _median(m.p99 for m in each) for n, each in chains.items()},
         path_error=_median(errors),
         decision_seconds=_median(each.decision_seconds for each in valid),
         moves=_median(each.moves for each in valid),
-        cpu_share={
-            name: fmean(r.cpu_share[name] for r in valid if name in r.cpu_share)
-            for name in _names(each.cpu_share for each in valid)
-        },
+        cpu_share={name: fmean(shares) for name, shares in cpu_shares.items()},
         put_aside={name: aside.count(name) for name in dict.fromkeys(aside)},
     )
 
@@ -185,8 +174,13 @@ def _held(outcomes: Iterable[bool]) -> Share:
     return wilson(sum(known), len(known))
 
 
-def _names(several: Iterable[Mapping[str, object]]) -> list[str]:
-    return list(dict.fromkeys(name for each in several for name in each))
+def _by_name(several: Iterable[Mapping[str, V]]) -> dict[str, list[V]]:
+    """Return what several say of each name."""
+    found: dict[str, list[V]] = {}
+    for each in several:
+        for name, value in each.items():
+            found.setdefault(name, []).append(value)
+    return found
 
 
 def _missed(counts: Sequence[Missed]) -> float | None:

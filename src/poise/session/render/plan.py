@@ -169,9 +169,7 @@ def _sum(phased: plan.PhasedResult) -> str:
     if phased.total is None:
         return f"decided in {time}"
     phases = sum(r.objective.total for r in phased.results.values() if r.objective)
-    known = ", proven to be the least" if phased.proven and phased.feasible else ""
-    if phased.bound is not None and not known:
-        known = f", at least {_cost(phased.bound)} in any placement"
+    known = _known(phased.bound, is_least=phased.proven and phased.feasible)
     return (
         f"F = {_cost(phased.total)} = {counted(len(phased.results), 'phase')} "
         f"{_cost(phases)} + {counted(len(phased.moves), 'move')} "
@@ -276,14 +274,18 @@ def _terms(result: plan.Result) -> str:
     ]
     if terms.quality:
         parts.append(f"quality {_cost(terms.quality)}")
-    known = ", proven to be the least" if result.proven else ""
-    if result.bound is not None and not result.proven:
-        known = f", at least {_cost(result.bound)} in any placement"
+    known = _known(result.bound, is_least=result.proven)
     return (
         f"F = {_cost(terms.total)} = {' + '.join(parts)} ({result.scale} scale, "
         f"{result.spread}){known}; by {result.method} in {_seconds(result)}"
         f"{', stopped by Ctrl-C' if result.stopped_by == 'interrupted' else ''}"
     )
+
+
+def _known(bound: float | None, *, is_least: bool) -> str:
+    if is_least:
+        return ", proven to be the least"
+    return "" if bound is None else f", at least {_cost(bound)} in any placement"
 
 
 def _term(result: plan.Result, label: str) -> str:

@@ -8,13 +8,10 @@ from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import RobotError
-from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.facts import Facts, Homes
 from poise.manage.adaptation.replan import SOLVE_FOR, with_present_demands
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import ComponentEntry, Robot
-
-Homes = Mapping[str, tuple[str, ...]]
-"""Component -> the computers where it may be; one: it stays there."""
 
 
 def placed_beside(
