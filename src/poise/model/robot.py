@@ -6,7 +6,7 @@ Names are unique within their kind; names of components are unique in the whole 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Container, Iterator, Mapping
 from typing import Annotated, Literal, Protocol, TypeVar
 
 from msgspec import Struct
@@ -320,6 +320,14 @@ class Robot(Struct, frozen=True, kw_only=True):
         tasks = {each.name: each for each in self.tasks}
         every = (f for a in actions_of(tasks, task) for f in a.functions)
         return tuple(dict.fromkeys(every))
+
+    def whole(self, components: Container[str]) -> list[Architecture]:
+        """Return the architectures all of whose components are among `components`."""
+        return [
+            architecture
+            for architecture in self.architectures
+            if all(each.name in components for each in architecture.components)
+        ]
 
     def components_for(self, functions: Collection[str]) -> set[str]:
         """Return the names of all components that help to provide functions."""

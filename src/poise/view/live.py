@@ -6,6 +6,7 @@ import time
 from collections import deque
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from poise.errors import PoiseError
 from poise.session.running_robots.running import JournalEntry, Running, Status
@@ -55,26 +56,14 @@ class LiveReader:
         try:
             status = self.running.status()
             self.running.name = status.robot
-            self._read_journal(_is_same_manager(before.status, status))
+            if before.status is None or before.status.manager != status.manager:
+                # its journal may be another file, with numbers of its own
+                self._entries.clear()
+            after = self._entries[-1].number if self._entries else 0
+            self._entries.extend(self.running.journal(after))
         except PoiseError as error:
             since = before.since if before.trouble else time.time()
-            trouble = str(error)
-            self._look = Look(
-                status=before.status,
-                entries=before.entries,
-                trouble=trouble,
-                since=since,
-            )
+            self._look = replace(before, trouble=str(error), since=since)
         else:
             self._look = Look(status=status, entries=tuple(self._entries))
         return self._look
-
-    def _read_journal(self, is_same: bool) -> None:  # noqa: FBT001
-        if not is_same:  # its journal may be another file, with numbers of its own
-            self._entries.clear()
-        after = self._entries[-1].number if self._entries else 0
-        self._entries.extend(self.running.journal(after))
-
-
-def _is_same_manager(before: Status | None, now: Status) -> bool:
-    return before is not None and before.manager == now.manager

@@ -55,9 +55,4 @@ class Serving:
         }
 
     def _whole(self) -> list[Architecture]:
-        placed = self._run.placed
-        return [
-            a
-            for a in self._run.robot.architectures
-            if a.components and all(c.name in placed for c in a.components)
-        ]
+        return [a for a in self._run.robot.whole(self._run.placed) if a.components]

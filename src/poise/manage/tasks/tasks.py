@@ -45,6 +45,11 @@ class Tasks:
         Decides between the steps of a choice.
     say
         Takes each change, for people.
+
+    Attributes
+    ----------
+    saved
+        What the next manager needs.
     """
 
     def __init__(
@@ -58,24 +63,19 @@ class Tasks:
         self._tasks = {each.name: each for each in robot.tasks}
         self._choose = choose
         self._say = say
-        self._saved = saved or Saved()
+        self.saved = saved or Saved()
         self._blocked: dict[str, str] = {}
         self._ended: list[Ended] = []
-        self._announced = {r.order: (r.state, r.why) for r in self._saved.records}
-        for record in list(self._saved.records):
+        self._announced = {r.order: (r.state, r.why) for r in self.saved.records}
+        for record in list(self.saved.records):
             if record.name not in self._tasks:
-                self._saved.records.remove(record)
+                self.saved.records.remove(record)
                 say(f"task '{record.name}' is given up: the robot file has it no more")
-
-    @property
-    def saved(self) -> Saved:
-        """What the next manager needs."""
-        return self._saved
 
     @property
     def records(self) -> list[TaskRecord]:
         """All tasks, those that are over, too; the first started first."""
-        return self._saved.records
+        return self.saved.records
 
     def start(self, name: str, now: float, priority: int | None = None) -> TaskRecord:
         """Begin a task.
@@ -355,5 +355,5 @@ class Tasks:
         return Steps(self._tasks, name, self._choose, self._next, self._say)
 
     def _next(self) -> int:
-        self._saved.number += 1
-        return self._saved.number
+        self.saved.number += 1
+        return self.saved.number

@@ -28,7 +28,15 @@ def progress(
         nothing, or their lines and the bar end up in each other.
     """
     if not live or not console.is_terminal:
-        yield _Lines(console, seconds).tell
+        due = _LINE_EVERY
+
+        def tell(run: Run, now: float) -> None:
+            nonlocal due
+            if now >= due:
+                due = now + _LINE_EVERY
+                console.print(f"  {_sentence(run, now, seconds)}")
+
+        yield tell
         return
     columns = BarColumn(), TextColumn("{task.description}")
     with Progress(*columns, console=console, transient=True) as bar:
@@ -36,21 +44,6 @@ def progress(
         yield lambda run, now: bar.update(
             task, completed=now, description=_sentence(run, now, seconds)
         )
-
-
-class _Lines:
-    """Prints a line now and then."""
-
-    def __init__(self, console: Console, seconds: float) -> None:
-        self._console = console
-        self._seconds = seconds
-        self._next = _LINE_EVERY
-
-    def tell(self, run: Run, now: float) -> None:
-        """Print how the run is, when it is time."""
-        if now >= self._next:
-            self._next = now + _LINE_EVERY
-            self._console.print(f"  {_sentence(run, now, self._seconds)}")
 
 
 def _sentence(run: Run, now: float, seconds: float) -> str:

@@ -16,7 +16,7 @@ from poise.errors import PoiseError
 from poise.session.render.html.page import html_table
 from poise.session.render.moves import outcome_sentence, what_if_lines
 from poise.session.running_robots.running import JournalEntry, Running, WhatIf
-from poise.view.dashboard.state import Page, why
+from poise.view.dashboard.state import Page, proposal_in, why
 from poise.wire.records.output import OutputLine
 
 _LOG_EVERY = 0.5
@@ -93,14 +93,11 @@ class Actions:
         """Show a decision, why it was taken, and what else there was."""
         facts = entry.facts if isinstance(entry.facts, dict) else {}
         decision = facts.get("decision") or {}
-        proposal = (
-            decision.get("proposal") or facts.get("proposal") or facts.get("what_if")
-        )
         with self._place, _dialog() as dialog:
             ui.html(f"<h2>{escape(f'{entry.kind}: {entry}')}</h2>")
             if reason := why(entry):
                 ui.label(f"Why: {reason}")
-            if proposal:
+            if proposal := proposal_in(facts):
                 stay, go = proposal["now"], proposal["then"]
                 ui.html(_terms({"stay as it is": stay, "what was proposed": go}))
                 if proposal["trouble"]:

@@ -147,8 +147,7 @@ def why(entry: JournalEntry) -> str:
         for each in facts.get("policies", ())
     ]
     decision = facts.get("decision") or {}
-    proposal = decision.get("proposal") or facts.get("proposal") or facts.get("what_if")
-    if proposal:
+    if proposal := proposal_in(facts):
         now, then = proposal["now"]["total"], proposal["then"]["total"]
         parts.append(f"F = {now:.4g} becomes {then:.4g}")
     if decision.get("gain") or decision.get("cost"):
@@ -156,6 +155,12 @@ def why(entry: JournalEntry) -> str:
             f"gain {decision['gain']:.2f}, cost {decision['cost']:.2f} core-seconds"
         )
     return "; ".join(parts)
+
+
+def proposal_in(facts: Mapping[str, Any]) -> Any:  # noqa: ANN401, JSON's
+    """Return the proposal or what-if among an entry's facts; None: there is none."""
+    decision = facts.get("decision") or {}
+    return decision.get("proposal") or facts.get("proposal") or facts.get("what_if")
 
 
 def _values(saw: Mapping[str, Any]) -> str:

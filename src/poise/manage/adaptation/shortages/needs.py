@@ -61,9 +61,5 @@ def lacking(task: str, functions: Iterable[str]) -> str:
 def missing_functions(facts: Facts) -> AbstractSet[str]:
     """Return the functions of the task that nothing provides now."""
     there = {n for n, at in facts.placement.items() if at not in facts.lost}
-    provided = {
-        a.function
-        for a in facts.robot.architectures
-        if there.issuperset(c.name for c in a.components)
-    }
+    provided = {a.function for a in facts.robot.whole(there)}
     return {*facts.robot.functions_of(facts.task)} - provided

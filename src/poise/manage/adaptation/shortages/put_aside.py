@@ -124,10 +124,8 @@ class PutAside:
         functions = facts.robot.functions_of(facts.task)
         held = [
             a
-            for a in facts.robot.architectures
-            if a.layer == "sequencing"
-            and a.function in functions
-            and all(c.name in there for c in a.components)
+            for a in facts.robot.whole(there)
+            if a.layer == "sequencing" and a.function in functions
         ]
         if not held or now < self._hold_at:
             return False
