@@ -157,6 +157,7 @@ def _measure(
     def look_around() -> None:
         check()
         looks()
+        up.computers.raise_if_ended()
         run.excused -= manager.lost()
 
     def look(_: float) -> None:

@@ -19,11 +19,11 @@ from poise.wire.records.status import (
 
 
 def on(
-    computer: str, *components: str, ends: Sequence[tuple[str, int]] = ()
+    computer: str, *components: str, ends: Sequence[tuple[str, int]] = (), pid: int = 1
 ) -> dict[str, AgentStatus]:
     container = ContainerStatus(
         name="arm",
-        pid=1,
+        pid=pid,
         components=tuple(ComponentStatus(name=n, state="active") for n in components),
         connectors=tuple(
             ConnectorStatus(name=n, kind="local", end="source", ready=True, messages=m)
@@ -67,3 +67,19 @@ def test_counts_what_moved_only_where_it_was_last() -> None:
     merged = seen.merged(on("left") | on("right"))
     assert where(merged) == [("right", "eye")]
     assert len(list(connectors_of(merged))) == 1
+
+
+def test_keeps_what_a_container_had_counted_when_another_took_its_place() -> None:
+    seen = LastSeen()
+    seen.look(on("left", "eye", ends=[("eye.x-hand.x", 3)]))
+    seen.look(on("left"))
+    seen.look(on("left", "eye", ends=[("eye.x-hand.x", 1)], pid=2))
+    assert [end.messages for end in seen.ended] == [3]
+
+
+def test_what_comes_back_from_elsewhere_has_its_count_with_it() -> None:
+    seen = LastSeen()
+    seen.look(on("left", "eye", ends=[("eye.x-hand.x", 3)]))
+    seen.look(on("left") | on("right", "eye", ends=[("eye.x-hand.x", 4)]))
+    seen.look(on("left", "eye", ends=[("eye.x-hand.x", 5)], pid=2) | on("right"))
+    assert not seen.ended

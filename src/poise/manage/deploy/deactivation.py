@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from functools import partial
 
 from poise.manage.agent_connections.statuses import (
@@ -105,8 +105,16 @@ def _is_processed(run: Run, targets: Collection[str]) -> bool:
     return not unprocessed(run, targets)
 
 
-def unprocessed(run: Run, targets: Collection[str]) -> dict[str, int]:
-    """Return connector -> messages sent to `targets` that they have not processed."""
+def unprocessed(
+    run: Run, targets: Collection[str], ended: Iterable[ConnectorStatus] = ()
+) -> dict[str, int]:
+    """Return connector -> messages sent to `targets` that they have not processed.
+
+    Parameters
+    ----------
+    ended
+        The last counts of containers that ended; what they did after is not known.
+    """
     ends: dict[str, list[ConnectorStatus]] = {}
     for end in connectors_of(run.agents.statuses()):
         ends.setdefault(end.name, []).append(end)
@@ -115,6 +123,9 @@ def unprocessed(run: Run, targets: Collection[str]) -> dict[str, int]:
         for connector in run.layout.connectors(run.placed)
     }
     left = {name: _left(same) for name, same in ends.items()}
+    for end in ended:
+        if end.name in left:
+            left[end.name] += _sent(end) - _taken(end)
     return {
         name: count
         for name, count in left.items()
@@ -122,11 +133,18 @@ def unprocessed(run: Run, targets: Collection[str]) -> dict[str, int]:
     }
 
 
-def _left(ends: Iterable[ConnectorStatus]) -> int:
+def _left(ends: Sequence[ConnectorStatus]) -> int:
     """Return how many messages a connector's target has neither processed nor refused.
 
-    Errors of a target that waits for messages are refusals.
+    A source that moves takes its count along.
     """
-    sent = max((e.messages - e.drops for e in ends if e.end != "target"), default=0)
-    taken = sum(e.wait.count + e.drops + e.errors for e in ends if e.end != "source")
-    return sent - taken
+    return max(map(_sent, ends), default=0) - sum(map(_taken, ends))
+
+
+def _sent(end: ConnectorStatus) -> int:
+    return 0 if end.end == "target" else end.messages - end.drops
+
+
+def _taken(end: ConnectorStatus) -> int:
+    """Errors of a target that waits for messages are refusals."""
+    return 0 if end.end == "source" else end.wait.count + end.drops + end.errors

@@ -81,8 +81,10 @@ def _failures(report: RunReport) -> Iterator[RenderableType]:
     for name, count in report.refused.items():
         refused = counted(count, "message")
         yield f"[red]{name}: {refused} refused: not of the port's type[/]"
+    most = "up to " if report.faults else ""  # its container's last count is old
     for name, count in report.lost.items():
-        yield f"[red]{name}: {counted(count, 'message')} sent and not processed[/]"
+        lost = f"{most}{counted(count, 'message')}"
+        yield f"[red]{name}: {lost} sent and not processed[/]"
     for connector in report.connectors:
         if connector.drops:
             dropped = counted(connector.drops, "message")

@@ -21,12 +21,19 @@ class LastSeen:
     """Keeps what is gone: components of actions that are over, and their connectors.
 
     Where something was in several places, only the latest counts.
+
+    Attributes
+    ----------
+    ended
+        What ends of connectors had counted when their container ended and another one
+        took its place; those began at 0.
     """
 
     def __init__(self) -> None:
         self._containers: dict[Place, ContainerStatus] = {}
         self._components: dict[str, str] = {}
         self._ends: dict[tuple[str, str], Place] = {}
+        self.ended: list[ConnectorStatus] = []
 
     def look(self, statuses: Statuses) -> None:
         """Take what the agents say now; call it a few times a second."""
@@ -36,6 +43,12 @@ class LastSeen:
             for container in status.containers:
                 place = computer, container.name
                 before = self._containers.get(place)
+                if before is not None and before.pid != container.pid:
+                    self.ended += (
+                        end
+                        for end in before.connectors
+                        if self._ends[end.name, end.end] == place
+                    )
                 self._containers[place] = _with(container, before)
                 for end in container.connectors:
                     self._ends[end.name, end.end] = place

@@ -102,7 +102,8 @@ class RunReport(Printable, Struct, frozen=True, kw_only=True):
     refused
         Connector -> messages that its target refused.
     lost
-        Connector -> messages that were sent and not processed in the end.
+        Connector -> messages that were sent and not processed in the end; of a
+        container that ended, what it did after its last status counts as not done.
     silent
         Subscribed ports that got no message, and why.
     faults
@@ -264,7 +265,7 @@ def reported(
         errors=component_errors(final),
         hung=hung_handlers(final),
         refused=refused_messages(final),
-        lost=unprocessed(up.run, placed.where.keys()),
+        lost=unprocessed(up.run, placed.where.keys(), seen.last_seen.ended),
         silent=silent_ports(robot, final),
         faults=tuple(fault for _, fault in faults_after(up.run.faults_before, final)),
         clocks=clocks_of(seen.end),
