@@ -12,6 +12,7 @@ decides what is accepted.
 from __future__ import annotations
 
 import re
+import threading
 from collections.abc import Iterable
 from functools import cache, lru_cache
 from math import prod
@@ -47,6 +48,19 @@ class Unreadable(WireError):
     """Where they end is not known, so nothing behind them can be read."""
 
 
+class _Here(threading.local):
+    """The memory of the arrays in what this thread encodes, and decodes."""
+
+    sent: list[memoryview]
+    received: memoryview
+
+    def __init__(self) -> None:
+        self.sent, self.received = [], _NOTHING
+
+
+_here = _Here()
+
+
 class Codec(Generic[T]):
     """Encodes and decodes values of one type.
 
@@ -58,10 +72,12 @@ class Codec(Generic[T]):
 
     def __init__(self, type_: Any) -> None:  # noqa: ANN401, any type
         self.type = type_
-        self._plain_encode = msgspec.msgpack.Encoder(enc_hook=_plain).encode
         self._has_arrays = _has_arrays(type_)
-        self._plain_decode = msgspec.msgpack.Decoder(type_).decode
-        self._spare: list[_Arrays] = []
+        hook = _encode_array if self._has_arrays else _plain
+        self._encode = msgspec.msgpack.Encoder(enc_hook=hook).encode
+        self._decode = msgspec.msgpack.Decoder(
+            type_, ext_hook=_decode_array, dec_hook=_check
+        ).decode
 
     def encode(self, value: T) -> tuple[bytes, list[memoryview]]:
         """Return the body and the buffers of `value`.
@@ -73,12 +89,13 @@ class Codec(Generic[T]):
         """
         try:
             if not self._has_arrays:
-                return self._plain_encode(value), []
-            arrays = self._take_spare()
+                return self._encode(value), []
+            before, _here.sent = _here.sent, []
+            buffers = _here.sent
             try:
-                return arrays.encode(value)
+                return self._encode(value), buffers
             finally:
-                self._spare.append(arrays)
+                _here.sent = before
         except _UNFIT as error:
             raise WireError(f"{self._name} cannot cross a connector: {error}") from None
 
@@ -97,59 +114,19 @@ class Codec(Generic[T]):
         """
         try:
             if not self._has_arrays:
-                return self._plain_decode(body)  # type: ignore[no-any-return]
-            arrays = self._take_spare()
+                return self._decode(body)  # type: ignore[no-any-return]
+            before = _here.received
+            _here.received = buffers.toreadonly()  # and so are the arrays
             try:
-                return arrays.decode(body, buffers)  # type: ignore[no-any-return]
+                return self._decode(body)  # type: ignore[no-any-return]
             finally:
-                self._spare.append(arrays)
+                _here.received = before
         except (msgspec.DecodeError, *_UNFIT) as error:
             raise WireError(f"not a {self._name}: {error}") from error
 
     @property
     def _name(self) -> str:
         return getattr(self.type, "__qualname__", str(self.type))
-
-    def _take_spare(self) -> _Arrays:
-        try:
-            return self._spare.pop()
-        except IndexError:  # as often as threads were here at the same time
-            return _Arrays(self.type)
-
-
-class _Arrays:
-    """An encoder and a decoder that have the arrays' memory at hand.
-
-    One thread at a time uses it, and it is used again: making one takes longer.
-    """
-
-    def __init__(self, type_: Any) -> None:  # noqa: ANN401, any type
-        self._sent: list[memoryview] = []
-        self._received = _NOTHING
-        self._encode = msgspec.msgpack.Encoder(enc_hook=self._on_unknown).encode
-        self._decode = msgspec.msgpack.Decoder(
-            type_, ext_hook=self._on_extension, dec_hook=_check
-        ).decode
-
-    def encode(self, value: object) -> tuple[bytes, list[memoryview]]:
-        buffers = self._sent = []
-        try:
-            return self._encode(value), buffers
-        finally:
-            self._sent = []
-
-    def decode(self, body: Bytes, buffers: memoryview) -> Any:  # noqa: ANN401, its type's
-        self._received = buffers.toreadonly()  # and so are the arrays
-        try:
-            return self._decode(body)
-        finally:
-            self._received = _NOTHING
-
-    def _on_unknown(self, value: Any) -> Any:  # noqa: ANN401, msgspec's hook
-        return _encode_array(self._sent, value)
-
-    def _on_extension(self, code: int, data: memoryview) -> np.ndarray:
-        return _decode_array(self._received, code, data)
 
 
 @cache
@@ -184,10 +161,11 @@ def _numpy() -> ModuleType:
     return np
 
 
-def _encode_array(buffers: list[memoryview], value: Any) -> Any:  # noqa: ANN401, whatever msgspec does not know
+def _encode_array(value: Any) -> Any:  # noqa: ANN401, whatever msgspec does not know
     np = _numpy()
     if not isinstance(value, np.ndarray):
         return _plain(value)
+    buffers = _here.sent
     offset = sum(b.nbytes + padding(b.nbytes) for b in buffers) if buffers else 0
     extension = _extension(value.dtype, value.shape, offset)
     try:
@@ -237,10 +215,11 @@ def _layout(header: bytes) -> _Layout:
     return _Layout(shape, dtype, offset, offset + prod(shape) * dtype.itemsize)
 
 
-def _decode_array(buffers: memoryview, code: int, data: memoryview) -> np.ndarray:
+def _decode_array(code: int, data: memoryview) -> np.ndarray:
     if code != _ARRAY or len(data) > _LONGEST_HEADER:
         raise ValueError(f"refused extension {code} of {len(data)} B")
     shape, dtype, offset, end = _layout(bytes(data))
+    buffers = _here.received
     if end > buffers.nbytes:
         raise ValueError(f"array of {end - offset} B at {offset} in {buffers.nbytes} B")
     array: np.ndarray = _numpy().ndarray(shape, dtype, buffers, offset)
