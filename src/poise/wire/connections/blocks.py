@@ -108,19 +108,6 @@ class Blocks:
         self._changing = threading.Lock()
         self._free_slots = list(reversed(range(1, DATA)))
 
-    def new_loan(self, shape: Any, dtype: DTypeLike) -> np.ndarray:  # noqa: ANN401, as numpy's
-        """Return an array of any content; an ordinary one when there is no block."""
-        import numpy as np  # noqa: PLC0415, only where users' arrays are
-
-        kind = np.dtype(dtype)
-        sides = (shape,) if isinstance(shape, int) else tuple(shape)
-        size = prod(sides) * kind.itemsize
-        if size >= THRESHOLD and not kind.hasobject and min(sides) > 0:
-            block = self.take(size, OWN)
-            if block is not None:
-                return block.make_loan(sides, kind)
-        return np.empty(sides, kind)
-
     def take(self, size: int, slot: int) -> Block | None:
         """Return a free block for `size` bytes, lent to a slot.
 
@@ -219,7 +206,16 @@ def loan(shape: int | tuple[int, ...], dtype: DTypeLike = float) -> np.ndarray:
     -------
     An array of any content, of that shape.
     """
-    return BLOCKS.new_loan(shape, dtype)
+    import numpy as np  # noqa: PLC0415, only where users' arrays are
+
+    kind = np.dtype(dtype)
+    sides = (shape,) if isinstance(shape, int) else tuple(shape)
+    size = prod(sides) * kind.itemsize
+    if size >= THRESHOLD and not kind.hasobject and min(sides) > 0:
+        block = BLOCKS.take(size, OWN)
+        if block is not None:
+            return block.make_loan(sides, kind)
+    return np.empty(sides, kind)
 
 
 def _capacity(block: Block) -> int:
