@@ -92,9 +92,12 @@ class Frame(Struct, frozen=True):
         return codec.decode(self.body, self.buffers)
 
 
-def failure(type_name: str, message: str, traceback: str = "") -> Pieces:
+def failure(
+    type_name: str, message: str, traceback: str = "", number: int = 0
+) -> Pieces:
     """Return the answer to a call that failed; a callee's error has a traceback."""
-    return segments(FAILURE, (type_name, message, traceback), Kind.ERROR)
+    said = type_name, message, traceback
+    return segments(FAILURE, said, Kind.ERROR, number=number)
 
 
 def size_of(pieces: Pieces) -> int:

@@ -242,14 +242,15 @@ class ConnectionServer:
             try:
                 connection.send(answer, deadline)
             except WireError as error:  # it is too large
-                connection.send(_refusal(error), deadline)
+                connection.send(frame.failure("WireError", str(error)), deadline)
         return True
 
     def _refuse(self, served: _Served, error: WireError) -> bool:
         """Answer a malformed frame; return whether the connection goes on."""
         is_last = isinstance(error, Unreadable)
         if served.use != MESSAGES:
-            pieces = _refusal(error, LAST_ANSWER if is_last else 0)
+            number = LAST_ANSWER if is_last else 0
+            pieces = frame.failure("WireError", str(error), number=number)
             served.connection.send(pieces, time.monotonic() + _TAKE_LIMIT)
         log.warning("connector %s: refused: %s", served.connector, error)
         return not is_last
@@ -273,11 +274,6 @@ def _handed_over(gateway: socket.socket) -> socket.socket:
     if not files:  # the kernel closed it, because this process may open no more
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
     return socket.socket(fileno=files[0])
-
-
-def _refusal(error: WireError, number: int = 0) -> Pieces:
-    failure = "WireError", str(error), ""
-    return frame.segments(frame.FAILURE, failure, Kind.ERROR, number=number)
 
 
 def _wait_until_taken(before: _Served) -> None:
