@@ -13,8 +13,8 @@ import logging
 import os
 import signal
 import time
-from collections import deque
 from collections.abc import Callable
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
@@ -93,7 +93,6 @@ class Agent:
         self._stopping = False
         self._trouble: Callable[[], str] = str
         self._usage: Callable[[], Usage] = dict
-        self._silences: deque[Silence] = deque()
         try:
             socket_path(Path(setup.folder), "")
         except ValueError as error:
@@ -114,7 +113,7 @@ class Agent:
             self._supervisor.take(left.wanted)
         self._relay = MigrationRelay(self._supervisor.processes)
         self._waker = Waker()
-        self._requests = AgentInbox(setup.computer, self._waker.wake)
+        self._inbox = AgentInbox(setup.computer, self._attend, self._waker.wake)
         self._fence = Fence(
             setup.robot,
             setup.computer,
@@ -165,7 +164,7 @@ class Agent:
             )
             publisher = session.declare_publisher(f"{prefix}/status/{setup.computer}")
             key = f"{prefix}/agent/{setup.computer}"
-            answers = session.declare_queryable(key, self._requests.hear)
+            answers = session.declare_queryable(key, self._inbox.hear)
             managers = session.liveliness().declare_subscriber(
                 f"{prefix}/manager/*", self._fence.note_liveliness, history=True
             )
@@ -243,8 +242,7 @@ class Agent:
             return [(p.name, p.pid, p.counted) for p in processes if p.counted]
 
         def on_silence(silence: Silence) -> None:
-            self._silences.append(silence)
-            self._waker.wake()
+            self._inbox.put(partial(self._supervisor.note_silence, silence))
 
         every, computer = self._setup.sample_every, self._setup.computer
         return Sampler(computer, every, containers, samples.put, on_silence)
@@ -300,11 +298,8 @@ class Agent:
                 is_there = True
                 appear()
             self._wait(reports.due if is_there else self._born + ADOPT_LIMIT)
-            for request, query in self._requests.take():
-                self._attend(request, query)
+            self._inbox.work()
             self._keep_state()
-            while self._silences:
-                self._supervisor.note_silence(self._silences.popleft())
             self._fence.look()
             self._supervisor.is_cut_off = bool(self._fence.cut_off)
             self._relay.give_up(self._clock.now())

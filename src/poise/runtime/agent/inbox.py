@@ -1,12 +1,10 @@
-"""What an agent is asked by its manager, until it attends to it.
-
-Requests come on zenoh's threads; the agent's own thread takes them out.
-"""
+"""What other threads leave to an agent's own, above all its manager's requests."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from functools import partial
 
 import msgspec
 import zenoh
@@ -18,20 +16,33 @@ _MOST = 100
 
 
 class AgentInbox:
-    """The requests that wait for an agent.
+    """What waits for an agent's thread, which does it in order.
 
     Parameters
     ----------
     computer
         The agent's.
+    attend
+        Attends to a request, and answers it.
     wake
-        Called on zenoh's threads when one came; must not block.
+        Called when something waits, on any thread; must not block.
     """
 
-    def __init__(self, computer: str, wake: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        computer: str,
+        attend: Callable[[ManagerRequest, zenoh.Query], None],
+        wake: Callable[[], None],
+    ) -> None:
         self._computer = computer
+        self._attend = attend
         self._wake = wake
-        self._waiting: deque[tuple[ManagerRequest, zenoh.Query]] = deque()
+        self._waiting: deque[Callable[[], None]] = deque()
+
+    def put(self, work: Callable[[], None]) -> None:
+        """Leave something to the agent's thread; from any thread."""
+        self._waiting.append(work)
+        self._wake()
 
     def hear(self, query: zenoh.Query) -> None:
         """Keep a request, or refuse it; for zenoh's threads."""
@@ -49,13 +60,12 @@ class AgentInbox:
         if len(self._waiting) >= _MOST:
             answer(query, Refused(f"over {_MOST} requests wait"))
             return
-        self._waiting.append((request, query))
-        self._wake()
+        self.put(partial(self._attend, request, query))
 
-    def take(self) -> Iterator[tuple[ManagerRequest, zenoh.Query]]:
-        """Take out all that wait, in order; each is to be answered."""
+    def work(self) -> None:
+        """Do all that waits."""
         while self._waiting:
-            yield self._waiting.popleft()
+            self._waiting.popleft()()
 
     def _refusal_of(self, protocol: int) -> Refused:
         return Refused(
