@@ -11,24 +11,10 @@ from __future__ import annotations
 
 from collections import deque
 
-from msgspec import Struct
-
 from poise.clock import DRIFT
 from poise.wire.records.clocks import ClockStatus
 
 _KEPT = 64
-
-
-class RoundTrip(Struct, frozen=True):
-    """The four times of a round trip: sent, received, answered, returned [s].
-
-    `sent` and `returned` are on this computer's clock, the others on the other's.
-    """
-
-    sent: float
-    received: float
-    answered: float
-    returned: float
 
 
 class ClockOffset:
@@ -37,12 +23,16 @@ class ClockOffset:
     def __init__(self) -> None:
         self._bounds: deque[tuple[float, float, float]] = deque(maxlen=_KEPT)
 
-    def add(self, trip: RoundTrip) -> None:
-        """Add a round trip; inconsistent times are ignored."""
-        low, high = trip.answered - trip.returned, trip.received - trip.sent
-        if low > high or trip.answered < trip.received:
-            return
-        self._bounds.append((trip.sent, low, high))
+    def add(
+        self, sent: float, received: float, answered: float, returned: float
+    ) -> None:
+        """Add a round trip [s]; inconsistent times are ignored.
+
+        `sent` and `returned` are on this computer's clock, the others on the other's.
+        """
+        low, high = answered - returned, received - sent
+        if low <= high and received <= answered:
+            self._bounds.append((sent, low, high))
 
     def at(self, now: float) -> ClockStatus | None:
         """Return what is known at `now` [s, on this clock]; None before any round trip.

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 
 from poise.clock import Clock
 from poise.endpoint import Endpoint
-from poise.runtime.agent.clock_offset import ClockOffset, RoundTrip
+from poise.runtime.agent.clock_offset import ClockOffset
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.lease import Lease
 from poise.wire.contacts import ASK_AFTER, ASK_EVERY, Contacts
@@ -155,9 +155,8 @@ class HeartbeatExchange:
             is_news = self._contacts.note(beat, now)
             echo = beat.heard.get(self._computer) if is_news else None
             if echo is not None and beat.sender != MANAGER:
-                came = beat.sent - echo.held
-                trip = RoundTrip(echo.sent, came, beat.sent, now)
-                self._offsets.setdefault(beat.sender, ClockOffset()).add(trip)
+                offset = self._offsets.setdefault(beat.sender, ClockOffset())
+                offset.add(echo.sent, beat.sent - echo.held, beat.sent, now)
         return is_news and (beat.sender == MANAGER or self._computer in beat.asks)
 
     def _next_beat(self) -> tuple[Heartbeat, float]:
