@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from typing import Protocol
 
 from msgspec import Struct
@@ -128,14 +129,13 @@ class Watchdog:
         if seconds < _SUSPICIOUS:
             return None
         kernel = self._processes
+        found = partial(
+            Silence, container=name, pid=pid, seconds=seconds, heartbeat=known.beat
+        )
         if kernel.is_stopped(pid):
-            return Silence(
-                container=name,
-                pid=pid,
-                seconds=seconds,
+            return found(
                 reason="its process is stopped (SIGSTOP)",
                 remedy=f"`kill -CONT {pid}` lets it go on",
-                heartbeat=known.beat,
             )
         delays, cpu = kernel.delays(pid), kernel.cpu(pid)
         if not known.looked_at:
@@ -150,19 +150,12 @@ class Watchdog:
         is_starved = not waited or max(waited.values()) > _SHARE * window
         if is_starved and cpu - known.cpu < _LONG and seconds < _STARVED:
             return None
-        remedy = f"`kill -KILL {pid}` ends it, and it is started again"
-        reason = "a thread holds its interpreter (GIL)"
-        if cpu - known.cpu < _SHARE * window:
+        if cpu - known.cpu >= _SHARE * window:
+            reason = "a thread holds its interpreter (GIL)"
+        elif is_starved:
+            remedy = "Give its computer more CPU, or move components to another"
+            return found(reason="it gets no CPU", remedy=remedy, is_starved=True)
+        else:
             reason = "a thread waits while it holds its interpreter (GIL)"
-            if is_starved:
-                reason = "it gets no CPU"
-                remedy = "Give its computer more CPU, or move components to another"
-        return Silence(
-            container=name,
-            pid=pid,
-            seconds=seconds,
-            reason=reason,
-            remedy=remedy,
-            heartbeat=known.beat,
-            is_starved=reason == "it gets no CPU",
-        )
+        remedy = f"`kill -KILL {pid}` ends it, and it is started again"
+        return found(reason=reason, remedy=remedy)
