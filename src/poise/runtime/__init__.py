@@ -1,1 +1,1 @@
-"""."""
+"""What runs on a robot's computers: agents, containers, components."""

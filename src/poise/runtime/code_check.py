@@ -105,19 +105,17 @@ def _check_functions(robot: Robot) -> Iterator[Finding]:
     for policy in robot.policies:
         if policy.call is None or policy.off:
             continue
-        path = ("policies", policy.name, "call")
         module, _, name = policy.call.partition(":")
         try:
             function = operator.attrgetter(name)(load_module(module, robot.folder))
+            text = f"'{policy.call}' is no function: {function!r}"
         except RobotError as error:
-            yield Finding(path, f"policy '{policy.name}': {error}")
+            function, text = None, str(error)
         except AttributeError:
-            text = f"module '{module}' has no function '{name}'"
+            function, text = None, f"module '{module}' has no function '{name}'"
+        if not callable(function):
+            path = ("policies", policy.name, "call")
             yield Finding(path, f"policy '{policy.name}': {text}")
-        else:
-            if not callable(function):
-                text = f"'{policy.call}' is no function: {function!r}"
-                yield Finding(path, f"policy '{policy.name}': {text}")
 
 
 def _origin(error: RobotError) -> object:

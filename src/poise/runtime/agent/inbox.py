@@ -51,7 +51,9 @@ class AgentInbox:
             # first, for what another protocol asks may look different
             spoken = msgspec.msgpack.decode(data, type=_Spoken).protocol
             if spoken != PROTOCOL:
-                answer(query, self._refusal_of(spoken))
+                text = f"manager speaks protocol {spoken}, agent '{self._computer}' "
+                text += f"speaks {PROTOCOL}: install the same Poise"
+                answer(query, Refused(text))
                 return
             request = msgspec.msgpack.decode(data, type=ManagerRequest)
         except msgspec.DecodeError as error:
@@ -66,12 +68,6 @@ class AgentInbox:
         """Do all that waits."""
         while self._waiting:
             self._waiting.popleft()()
-
-    def _refusal_of(self, protocol: int) -> Refused:
-        return Refused(
-            f"manager speaks protocol {protocol}, agent '{self._computer}' "
-            f"speaks {PROTOCOL}: install the same Poise"
-        )
 
 
 class _Spoken(Struct, frozen=True):

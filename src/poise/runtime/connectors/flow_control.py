@@ -45,7 +45,7 @@ class Credit:
     def __init__(self) -> None:
         self.route = secrets.randbits(63) | 1
         self.sent = 0
-        self.on_credit: Callable[[], None] = _do_nothing
+        self.on_credit: Callable[[], None] = lambda: None
         self._total = _AT_FIRST
 
     def has_room(self) -> bool:
@@ -131,7 +131,7 @@ class CreditIssuer:
 
     def close(self) -> None:
         """Give no more credit."""
-        self._feed.on_room = _do_nothing
+        self._feed.on_room = lambda: None
         with self._lock:
             self._back = None
 
@@ -171,7 +171,3 @@ class CreditIssuer:
         )
         if not self._back.send_back(pieces) or total == _UNBOUNDED:
             self._back = None
-
-
-def _do_nothing() -> None:
-    pass

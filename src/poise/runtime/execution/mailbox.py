@@ -42,7 +42,7 @@ class Feed:
     def __init__(self, inbox: Inbox, counts: Counts) -> None:
         self.counts = counts
         self.waiting = 0
-        self.on_room: Callable[[], None] = _do_nothing
+        self.on_room: Callable[[], None] = lambda: None
         self._inbox = inbox
         self.half = max(1, inbox.queue.size // 2)
 
@@ -224,7 +224,3 @@ class Mailbox:
     def _set_unbounded(self, *, unbounded: bool) -> None:
         for inbox in self._inboxes.values():
             inbox.set_unbounded(unbounded=unbounded)
-
-
-def _do_nothing() -> None:
-    pass

@@ -36,10 +36,6 @@ _IDLE = 30.0
 """Connections unused for this time are closed, with their shared memory [s]."""
 
 
-def _do_nothing() -> None:
-    pass
-
-
 class _Connections:
     """Open connections for one use; idle ones are closed."""
 
@@ -212,7 +208,7 @@ class Channel:
         self,
         pieces: Pieces,
         limit: float,
-        on_sent: Callable[[], object] = _do_nothing,
+        on_sent: Callable[[], object] = lambda: None,
     ) -> None:
         """Send a message; all use one connection, which keeps their order.
 
