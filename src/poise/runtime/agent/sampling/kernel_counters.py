@@ -15,37 +15,6 @@ counts it. Not set on a real computer, where the kernel counts all."""
 _TICK = 1 / os.sysconf("SC_CLK_TCK")
 _BUSY = (1, 2, 3, 6, 7)
 """Of a CPU's times in /proc/stat: user, nice, system, and those of interrupts."""
-_LARGEST = 65536
-
-
-class KernelFile:
-    """Keeps it open: to open such a file takes ten times as long as to read it.
-
-    Parameters
-    ----------
-    path
-        A file in /proc or of a cgroup.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._fd: int | None = None
-
-    def read(self) -> str:
-        """Return what it says now; raises OSError."""
-        if self._fd is None:
-            self._fd = os.open(self._path, os.O_RDONLY | os.O_CLOEXEC)
-        try:
-            return os.pread(self._fd, _LARGEST, 0).decode("ascii")
-        except OSError:
-            self.close()  # it may be another one the next time
-            raise
-
-    def close(self) -> None:
-        """Close it until it is read again."""
-        if self._fd is not None:
-            os.close(self._fd)
-            self._fd = None
 
 
 class ComputerCpu:
@@ -54,7 +23,7 @@ class ComputerCpu:
     def __init__(self) -> None:
         path = os.environ.get(CPU_FILE)
         self._is_group = path is not None
-        self._file = KernelFile(Path(path or "/proc/stat")) if path != "" else None
+        self._file = Path(path or "/proc/stat") if path != "" else None
 
     def read(self) -> float | None:
         """Return the CPU time so far [s].
@@ -64,7 +33,7 @@ class ComputerCpu:
         if self._file is None:
             return None
         try:
-            text = self._file.read()
+            text = self._file.read_text()
             return _of_group(text) if self._is_group else _of_all(text)
         except (OSError, ValueError, IndexError):
             return None

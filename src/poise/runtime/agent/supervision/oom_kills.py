@@ -11,7 +11,6 @@ from collections import deque
 from pathlib import Path
 
 from poise.cgroup_mounts import Mount, mounts
-from poise.runtime.agent.sampling.kernel_counters import KernelFile
 from poise.units import format_bytes
 
 _LATE = 10.0
@@ -35,8 +34,7 @@ class OomKills:
             group / "memory.oom_control",
             proc / "vmstat",
         ]
-        files = map(KernelFile, counters)
-        self._file = next((f for f in files if _count(f) is not None), None)
+        self._file = next((f for f in counters if _count(f) is not None), None)
         self._limits = group / "memory.max", group / "memory.limit_in_bytes"
         self._seen = (_count(self._file) or 0) if self._file else 0
         self._unclaimed: deque[float] = deque()
@@ -70,9 +68,9 @@ class OomKills:
         return ""
 
 
-def _count(file: KernelFile) -> int | None:
+def _count(file: Path) -> int | None:
     try:
-        lines = file.read().splitlines()
+        lines = file.read_text().splitlines()
     except OSError:
         return None
     counts = (line.split()[1] for line in lines if line.startswith("oom_kill "))
