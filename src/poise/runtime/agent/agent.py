@@ -151,10 +151,7 @@ class Agent:
         prefix = f"poise/{setup.robot}"
         with (
             self._open_gateway() as gateway,
-            open_session(
-                listen=[self._locator],
-                lease=setup.lease,
-            ) as session,
+            open_session(listen=[self._locator], lease=setup.lease) as session,
         ):
             self._gateway, self._trouble = str(gateway), gateway.warning.trouble
             self._say(
@@ -192,11 +189,7 @@ class Agent:
                 checkpoints.keep_only(self._supervisor.wanted)
             sampler = self._sampler(samples)
             heartbeats = self._heartbeats = HeartbeatExchange(
-                setup.robot,
-                setup.computer,
-                self._endpoint,
-                self._fence,
-                self._clock,
+                setup.robot, setup.computer, self._endpoint, self._fence, self._clock
             )
             heartbeats.begin_again(*self._agents_before)
             go_first()
