@@ -124,16 +124,18 @@ class Gateway:
 
     def _attend(self, connection: socket.socket) -> None:
         """Hand a connection on to the container that it names, or say why not."""
-        with connection, contextlib.suppress(CallError, OSError):
-            try:
-                why = self._hand_on(connection, _named(connection))
-            except WireError as error:
-                why = str(error)
-                text = "a connection from %s is refused: %s"
-                log.warning(text, connection.getpeername()[0], why)
-            if why:
-                _refuse(connection, why)
-        self._room.release()
+        try:
+            with connection, contextlib.suppress(CallError, OSError):
+                try:
+                    why = self._hand_on(connection, _named(connection))
+                except WireError as error:
+                    why = str(error)
+                    text = "a connection from %s is refused: %s"
+                    log.warning(text, connection.getpeername()[0], why)
+                if why:
+                    _refuse(connection, why)
+        finally:
+            self._room.release()
 
     def _hand_on(self, connection: socket.socket, container: str) -> str:
         """Return why the container does not get a connection; empty: it does."""
