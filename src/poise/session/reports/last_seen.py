@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
+from collections.abc import Iterator
+from itertools import groupby
 
 from msgspec.structs import replace
 
-from poise.manage.agent_connections.statuses import Statuses, located
+from poise.manage.agent_connections.statuses import Statuses
 from poise.wire.records.status import (
     ComponentStatus,
     ConnectorStatus,
     ContainerStatus,
+    Side,
 )
 
 Place = tuple[str, str]
@@ -31,27 +33,24 @@ class LastSeen:
 
     def __init__(self) -> None:
         self._containers: dict[Place, ContainerStatus] = {}
-        self._components: dict[str, str] = {}
-        self._ends: dict[tuple[str, str], Place] = {}
         self.ended: list[ConnectorStatus] = []
+        self._components: dict[str, tuple[Place, ComponentStatus]] = {}
+        self._ends: dict[tuple[str, Side], tuple[Place, list[ConnectorStatus]]] = {}
 
     def look(self, statuses: Statuses) -> None:
         """Take what the agents say now; call it a few times a second."""
-        for computer, component in located(statuses):
-            self._components[component.name] = computer
-        for computer, status in statuses.items():
+        for computer, status in sorted(statuses.items()):
             for container in status.containers:
                 place = computer, container.name
-                before = self._containers.get(place)
-                if before is not None and before.pid != container.pid:
-                    self.ended += (
-                        end
-                        for end in before.connectors
-                        if self._ends[end.name, end.end] == place
-                    )
-                self._containers[place] = _with(container, before)
-                for end in container.connectors:
-                    self._ends[end.name, end.end] = place
+                before = self._containers.get(place, container)
+                if before.pid != container.pid:
+                    self.ended += self._ends_at(place)
+                self._containers[place] = container
+                for each in container.components:
+                    self._components[each.name] = place, each
+                ends = sorted(container.connectors, key=_key)
+                for key, same in groupby(ends, _key):  # of a source with two paths
+                    self._ends[key] = place, list(same)
 
     def merged(self, statuses: Statuses) -> Statuses:
         """Return the statuses, with what was there before and is gone."""
@@ -69,39 +68,15 @@ class LastSeen:
         }
 
     def _latest(self, place: Place, container: ContainerStatus) -> ContainerStatus:
-        return replace(
-            container,
-            components=tuple(
-                component
-                for component in container.components
-                if self._components[component.name] == place[0]
-            ),
-            connectors=tuple(
-                end
-                for end in container.connectors
-                if self._ends[end.name, end.end] == place
-            ),
-        )
+        components = (each for at, each in self._components.values() if at == place)
+        ends = tuple(self._ends_at(place))
+        return replace(container, components=tuple(components), connectors=ends)
+
+    def _ends_at(self, place: Place) -> Iterator[ConnectorStatus]:
+        for at, same in self._ends.values():
+            if at == place:
+                yield from same
 
 
-def _with(now: ContainerStatus, before: ContainerStatus | None) -> ContainerStatus:
-    """Return a container with what it had before and has no more."""
-    if before is None:
-        return now
-    return replace(
-        now,
-        components=(*now.components, *_gone(now.components, before.components)),
-        connectors=(*now.connectors, *_gone(now.connectors, before.connectors)),
-    )
-
-
-S = TypeVar("S", ComponentStatus, ConnectorStatus)
-
-
-def _gone(now: tuple[S, ...], before: tuple[S, ...]) -> list[S]:
-    here = {_key(each) for each in now}
-    return [each for each in before if _key(each) not in here]
-
-
-def _key(each: ComponentStatus | ConnectorStatus) -> tuple[str, str]:
-    return each.name, each.end if isinstance(each, ConnectorStatus) else ""
+def _key(end: ConnectorStatus) -> tuple[str, Side]:
+    return end.name, end.end
