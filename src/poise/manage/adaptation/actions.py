@@ -19,7 +19,11 @@ from poise.manage.adaptation.what_if import check_move
 from poise.manage.deploy.running_components import Run
 from poise.manage.migration.move import move
 from poise.manage.migration.replacement import replace_architecture
-from poise.manage.migration.report import TransitionStep
+from poise.manage.migration.report import (
+    MigrationReport,
+    TransitionReport,
+    TransitionStep,
+)
 from poise.manage.migration.transition_run import transit
 from poise.model.policy.policy import Do
 from poise.model.robot import Architecture
@@ -66,25 +70,20 @@ class Actions:
                 raise RunError(f"'{component}' left '{target}' only lately")
             check_move(facts, component, target)
         self._limits.note([TransitionStep(component, source, target)], now)
-        report = move(run, component, target)
-        if not report.committed:
-            raise RunError(report.reason)
+        _raise_on_failure(move(run, component, target))
 
     def _replace(self, symptom: Symptom, _facts: Facts, _now: float) -> None:
         policy, run = symptom.policy, self._run
         old = self._architecture(symptom)
         others = [
-            a
-            for a in run.robot.architectures
+            a.name
+            for a in sorted(run.robot.architectures, key=lambda a: -a.quality)
             if a.function == old.function and a.name != old.name
         ]
-        best = max(others, key=lambda a: a.quality, default=None)
-        if not policy.by and best is None:
+        if not (by := policy.by or next(iter(others), "")):
             raise UsageError(f"architecture '{old.name}' has no alternative")
-        by = policy.by or (best.name if best else "")
         report = replace_architecture(run, old.name, by, fresh=policy.force)
-        if not report.committed:
-            raise RunError(report.reason)
+        _raise_on_failure(report)
 
     def _restart(self, symptom: Symptom, facts: Facts, _now: float) -> None:
         run = self._run
@@ -95,13 +94,8 @@ class Actions:
         steps = []
         for name in sorted(components):
             at = facts.placement[name]
-            steps += [
-                TransitionStep(name, at),
-                TransitionStep(name, target=at),
-            ]
-        report = transit(run, tuple(steps))
-        if not report.committed:
-            raise RunError(report.reason)
+            steps += [TransitionStep(name, at), TransitionStep(name, target=at)]
+        _raise_on_failure(transit(run, tuple(steps)))
 
     def _put(self, symptom: Symptom, facts: Facts, now: float) -> None:
         if symptom.policy.for_each == "computer":
@@ -116,11 +110,14 @@ class Actions:
         for architecture in self._run.robot.architectures:
             for component in architecture.components:
                 inside = layout.container_of(component.name) if is_container else ""
-                if name in {inside, component.name} or (
-                    not is_container and _component(symptom) == component.name
-                ):
+                if component.name == _component(symptom) or name == inside:
                     return architecture
         raise UsageError(f"no architecture has '{name}'")
+
+
+def _raise_on_failure(report: MigrationReport | TransitionReport) -> None:
+    if not report.committed:
+        raise RunError(report.reason)
 
 
 def _component(symptom: Symptom) -> str:

@@ -6,7 +6,6 @@ Each computer is tried once. What is pinned stays, and its agent goes on restart
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 
 from poise.errors import RunError
 from poise.manage.adaptation.facts import Facts
@@ -61,7 +60,11 @@ class CrashLoops:
         crashed[symptom.computer] = now
         self._crashed[container] = crashed
         while where := room_for_components(facts, names, crashed):
-            self._limits.note(_steps(facts, where), now)
+            steps = [
+                TransitionStep(name, facts.placement[name], at)
+                for name, at in where.items()
+            ]
+            self._limits.note(steps, now)
             if start_together(run, where, facts.lost):
                 return
             if lost := set(where.values()) - run.computers():
@@ -89,10 +92,10 @@ class CrashLoops:
         why = f"container '{container}' crashes again and again on {computers}{said}"
         architecture = self._run.robot.architecture_of(names[0])
         self._put_aside.bar(architecture.name)
-        if any(c.name in self._run.placed for c in architecture.components):
-            self._put_aside.put([architecture.name], f"{why}; {way_out}", now)
-        else:  # the last try to start it ended so
-            self._put_aside.note([architecture.name], f"{why}; {way_out}", now)
+        is_there = any(c.name in self._run.placed for c in architecture.components)
+        # else the last try to start it ended so
+        put = self._put_aside.put if is_there else self._put_aside.note
+        put([architecture.name], f"{why}; {way_out}", now)
 
 
 def _crashed_before(container: str, facts: Facts, now: float) -> dict[str, float]:
@@ -130,10 +133,3 @@ def _pinned(robot: Robot) -> dict[str, str]:
     }
     pinned = pinned_components(robot)
     return {name: why for name, why in pinned.items() if name not in free}
-
-
-def _steps(facts: Facts, where: Mapping[str, str]) -> list[TransitionStep]:
-    return [
-        TransitionStep(name, facts.placement[name], computer)
-        for name, computer in where.items()
-    ]
