@@ -22,7 +22,7 @@ from pathlib import Path
 from benchmarks.synthetic import robots
 from poise.clock import SystemClock
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
@@ -63,7 +63,7 @@ def measure(robot: Robot, seconds: float) -> Mapping[str, float]:
         )
         agents.wait_alive(computers.endpoints, LIMIT, computers.raise_if_ended)
         agent_there = time.monotonic()
-        run = Run(robot, placement, agents, journal, str(folder))
+        run = RunningComponents(robot, placement, agents, journal, str(folder))
         stack.callback(stop, run)
         run.start()
         active = time.monotonic()

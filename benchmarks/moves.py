@@ -25,7 +25,7 @@ from threading import Timer
 from poise.clock import SystemClock
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import components_of
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
 from poise.manage.migration.move import move
@@ -39,7 +39,9 @@ _SIGNS = ("answered", "received")
 
 
 @contextlib.contextmanager
-def running(name: str, placement: dict[str, str]) -> Iterator[tuple[Run, Path]]:
+def running(
+    name: str, placement: dict[str, str]
+) -> Iterator[tuple[RunningComponents, Path]]:
     """Start a robot of `robots/` and yield its run and its folder."""
     robot = load(ROBOTS / name)
     with contextlib.ExitStack() as stack:
@@ -53,13 +55,13 @@ def running(name: str, placement: dict[str, str]) -> Iterator[tuple[Run, Path]]:
             Agents(robot.name, computers.endpoints, SystemClock())
         )
         agents.wait_alive(computers.endpoints, 20)
-        run = Run(robot, placement, agents, journal, str(folder))
+        run = RunningComponents(robot, placement, agents, journal, str(folder))
         run.start()
         yield run, folder
         stop(run)
 
 
-def totals(run: Run, component: str) -> dict[str, float]:
+def totals(run: RunningComponents, component: str) -> dict[str, float]:
     """Return the largest value of each of a component's measures."""
     found: dict[str, float] = {}
     for status in components_of(run.agents.statuses()):
@@ -70,7 +72,11 @@ def totals(run: Run, component: str) -> dict[str, float]:
 
 
 def storm(
-    run: Run, moves: int, limit: float, chance: random.Random, killing: int = 0
+    run: RunningComponents,
+    moves: int,
+    limit: float,
+    chance: random.Random,
+    killing: int = 0,
 ) -> list[MigrationReport]:
     """Move components at random, `moves` times or for `limit` [s].
 
@@ -92,7 +98,7 @@ def storm(
     return reports
 
 
-def kill_soon(run: Run, chance: random.Random) -> None:
+def kill_soon(run: RunningComponents, chance: random.Random) -> None:
     """Kill one of the moving components' containers within a move's usual time."""
     pids = [
         container.pid
@@ -110,7 +116,7 @@ def kill(pid: int) -> None:
         os.kill(pid, signal.SIGKILL)
 
 
-def is_at_work(run: Run) -> bool:
+def is_at_work(run: RunningComponents) -> bool:
     """Return whether numbers go through and calls are answered, within 10 s."""
     for _ in range(20):
         before = totals(run, "producer"), totals(run, "consumer")
@@ -126,7 +132,7 @@ def is_at_work(run: Run) -> bool:
     return False
 
 
-def count(run: Run, folder: Path) -> dict[str, int]:
+def count(run: RunningComponents, folder: Path) -> dict[str, int]:
     """Halt the producer, wait until all has arrived, and return the counts."""
     (folder / "halt").touch()
     until = time.monotonic() + 10

@@ -33,7 +33,7 @@ from poise.clock import SystemClock
 from poise.errors import PoiseError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import components_of
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.stop import stop
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal, read_journal
@@ -134,7 +134,7 @@ def _die() -> None:
 @contextlib.contextmanager
 def manager(
     endpoints: Mapping[str, str], folder: Path, *, doomed_from: int | None = None
-) -> Iterator[tuple[Run, DoomedAgents, float]]:
+) -> Iterator[tuple[RunningComponents, DoomedAgents, float]]:
     """Take over the robot; yield its run, its agents, and when these were there."""
     robot = load(ROBOTS / "storm.yaml")
     journal = Journal(folder / "journal.sqlite")
@@ -146,12 +146,12 @@ def manager(
         connected = time.monotonic()
         if doomed_from is not None:
             agents.begin(random.Random(doomed_from), 4)
-        run = Run(robot, PLACEMENT, agents, journal, str(folder))
+        run = RunningComponents(robot, PLACEMENT, agents, journal, str(folder))
         start_or_take_over(run, by_force=False)
         yield run, agents, connected
 
 
-def active(run: Run) -> Counter[str]:
+def active(run: RunningComponents) -> Counter[str]:
     """Return how often each component is active."""
     found = components_of(run.current())
     return Counter(each.name for each in found if each.state == "active")

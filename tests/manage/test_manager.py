@@ -16,7 +16,7 @@ from poise.manage.control_socket.records import (
     StopCommand,
     TapCommand,
 )
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.manage.manager import Manager
 from poise.manage.migration.report import MigrationReport
@@ -43,7 +43,7 @@ class Managed:
         self.agents = FakeAgents("left", "right")
         self.journal = Journal(":memory:")
         agents = cast("Agents", self.agents)
-        self.run = Run(robot, PLACEMENT, agents, self.journal, "/run")
+        self.run = RunningComponents(robot, PLACEMENT, agents, self.journal, "/run")
         self.run.start()
         estimates = Estimates(robot, None, emulated=True)
         self.samples = Recording()

@@ -39,7 +39,7 @@ from poise.manage.control_socket.records import (
     TaskDone,
 )
 from poise.manage.deploy.lost_computers import LostComputers
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.stop import stop
 from poise.manage.migration.move import move, replace
 from poise.manage.migration.replacement import replace_architecture
@@ -81,7 +81,7 @@ class Manager:
 
     def __init__(
         self,
-        run: Run,
+        run: RunningComponents,
         tasks: Saved,
         estimates: Estimates,
         samples: Recording,

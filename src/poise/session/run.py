@@ -10,7 +10,7 @@ from pathlib import Path
 from poise.errors import PoiseError, RunError
 from poise.manage.control_socket.server import ControlServer
 from poise.manage.deploy.deactivation import drain
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal, JournalEntry
 from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
@@ -28,7 +28,7 @@ from poise.session.reports.last_seen import LastSeen
 from poise.session.reports.run_report import MeasuredRun, RunReport, reported
 from poise.session.robot_file import task_of
 
-Meanwhile = Callable[[Run, float], object]
+Meanwhile = Callable[[RunningComponents, float], object]
 """Called a few times a second with the run and its time so far [s]; may move
 components, and may raise to end the run."""
 

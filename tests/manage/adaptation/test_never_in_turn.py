@@ -22,7 +22,7 @@ from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.move_limits import STAY_AWAY
 from poise.manage.adaptation.shortages.put_aside import PutAside
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.report import TransitionReport, TransitionStep
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.observe.loads import Load
@@ -152,7 +152,7 @@ class World:
         return found
 
     def transit(
-        self, _: Run, steps: tuple[TransitionStep, ...], **__: object
+        self, _: RunningComponents, steps: tuple[TransitionStep, ...], **__: object
     ) -> TransitionReport:
         """Make the moves at once; each takes some time."""
         before = dict(self.placement)
@@ -189,7 +189,7 @@ def run(world: World, seconds: float) -> World:
     patch.setattr(loop, "transit", world.transit)
     try:
         adaptation = Adaptation(
-            cast(Run, Robotless(world.robot)),
+            cast(RunningComponents, Robotless(world.robot)),
             world.facts,
             cast(PutAside, Nothing()),
             clock=lambda: world.now,

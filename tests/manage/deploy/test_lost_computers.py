@@ -4,7 +4,7 @@ from types import SimpleNamespace
 from typing import cast
 
 from poise.manage.deploy.lost_computers import LostComputers
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 
 
 def test_an_agent_that_was_back_before_anybody_looked_is_told_of() -> None:
@@ -24,7 +24,7 @@ def test_an_agent_that_was_back_before_anybody_looked_is_told_of() -> None:
         synchronise=lambda computer: said.append(("told again", computer)),
         journal=SimpleNamespace(note=lambda kind, what: said.append((kind, what))),
     )
-    lost = LostComputers(cast("Run", run))
+    lost = LostComputers(cast("RunningComponents", run))
     lost.note()
     lost.bring_back()
     assert said == []

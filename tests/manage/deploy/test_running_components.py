@@ -8,7 +8,7 @@ import pytest
 
 from poise.errors import RunError
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
@@ -18,9 +18,11 @@ from tests.manage.conftest import FakeAgents
 PLACEMENT = {"grabber": "left", "thinker": "right"}
 
 
-def run_of(robot: Robot, agents: FakeAgents) -> tuple[Run, Journal]:
+def run_of(robot: Robot, agents: FakeAgents) -> tuple[RunningComponents, Journal]:
     journal = Journal(":memory:")
-    return Run(robot, PLACEMENT, cast("Agents", agents), journal, "/run"), journal
+    return RunningComponents(
+        robot, PLACEMENT, cast("Agents", agents), journal, "/run"
+    ), journal
 
 
 @pytest.fixture
@@ -203,7 +205,7 @@ def test_a_computer_that_has_not_reported_again_keeps_its_address(
     """Else what is told meanwhile breaks the components whose connectors lead there."""
     placement = {"filter": "left", "thinker": "right"}
     journal = Journal(":memory:")
-    run = Run(robot, placement, cast("Agents", agents), journal, "/run")
+    run = RunningComponents(robot, placement, cast("Agents", agents), journal, "/run")
     run.start()
     agents.forget("right")
     run.tell([each.with_goal("inactive") for each in run.placed.values()], {"left"})

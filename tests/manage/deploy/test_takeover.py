@@ -12,7 +12,7 @@ from poise.estimate.profile.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.incarnation import Incarnation
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal
 from poise.manage.manager import Manager
@@ -31,14 +31,16 @@ LEFT = (
 LATER = ManagerId(key="l", user="bob", host="desk", pid=8, since=0.0)
 
 
-def run_of(robot: Robot, *left: Incarnation) -> tuple[Run, FakeAgents, Journal]:
+def run_of(
+    robot: Robot, *left: Incarnation
+) -> tuple[RunningComponents, FakeAgents, Journal]:
     """Return a run whose agents do what an earlier manager told them."""
     agents, journal = FakeAgents("left", "right"), Journal(":memory:")
     gateways = {"left": "left:7000", "right": "right:7000"}
     if left:
         layout = DeploymentPlan(robot, "/run", code_version=version_of)
         agents.deploy(layout.specs(left, 5, gateways))
-    run = Run(robot, PLACEMENT, cast("Agents", agents), journal, "/run")
+    run = RunningComponents(robot, PLACEMENT, cast("Agents", agents), journal, "/run")
     return run, agents, journal
 
 
@@ -74,7 +76,7 @@ def test_new_incarnations_differ_from_any_that_another_computer_may_run(
     assert run.next_epoch("grabber") == 1
 
 
-def serving_tasks(robot: Robot) -> Run:
+def serving_tasks(robot: Robot) -> RunningComponents:
     """Return a run of tasks that goes on, of which only `grabber` was found."""
     run, agents, _ = run_of(robot)
     layout = DeploymentPlan(robot, "/run", code_version=version_of)

@@ -23,7 +23,7 @@ from poise.errors import RunError, UsageError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.requests import AgentRequests
 from poise.manage.agent_connections.statuses import components_of, connectors_of
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
 from poise.manage.migration.coordinator import (
@@ -277,17 +277,19 @@ class MovingRobot:
         self.joints = JOINTS
         self.limit = 3.0
         self.chance = random.Random(1)
-        self.run: Run
+        self.run: RunningComponents
 
     def start(
         self, counter: str, source: str = "left", *, isolated: bool = False
-    ) -> Run:
+    ) -> RunningComponents:
         (self.folder / self.name).mkdir()
         robot = self._robot(counter, isolated=isolated)
         placement = {"source": source, "counter": "left", "sink": "left"}
         placement |= {component.name: "left" for component in self.extra}
         agents: Agents = self.striking  # type: ignore[assignment] # it stands in for one
-        self.run = Run(robot, placement, agents, self.journal, str(self.folder))
+        self.run = RunningComponents(
+            robot, placement, agents, self.journal, str(self.folder)
+        )
         self.run.start()
         self.works()
         return self.run
@@ -452,7 +454,7 @@ def assert_bounded(report: MigrationReport) -> None:
     assert report.downtime < DOWNTIME_LIMIT + RESUME_LIMIT + 2.0
 
 
-def move_counter(run: Run, computer: str) -> None:
+def move_counter(run: RunningComponents, computer: str) -> None:
     """Move the counter; only a busy machine makes the downtime too long."""
     with needs_quiet_machine():
         report = move(run, "counter", computer)
@@ -801,7 +803,9 @@ def test_what_a_manager_left_that_is_gone_is_ended_first(
     run = world.start("Counter")
     before = processes()
     placement, folder = run.placement(), str(world.folder)
-    world.run = Run(run.robot, placement, run.agents, world.journal, folder)
+    world.run = RunningComponents(
+        run.robot, placement, run.agents, world.journal, folder
+    )
     world.run.start()
     world.works()
     assert before

@@ -11,7 +11,7 @@ import pytest
 from poise.errors import UsageError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import components_of
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
 from poise.manage.migration.move import replace
@@ -168,7 +168,9 @@ class RobotWithAlternatives(Told):
         placement = dict.fromkeys(("source", "sink", "counter"), "left")
         placement["adder"] = "right"
         robot = _robot(folder, place)
-        self.run = Run(robot, placement, agents, self.journal, str(folder))
+        self.run = RunningComponents(
+            robot, placement, agents, self.journal, str(folder)
+        )
 
     def active(self) -> set[str]:
         """Return what is active, by what was said last."""

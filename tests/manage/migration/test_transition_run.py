@@ -8,7 +8,7 @@ import pytest
 from msgspec import structs
 
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.manage.migration.report import TransitionStep
 from poise.manage.migration.transition_run import transit
@@ -28,8 +28,10 @@ def agents() -> FakeAgents:
 
 
 @pytest.fixture
-def run(robot: Robot, agents: FakeAgents) -> Run:
-    run = Run(robot, PLACEMENT, cast("Agents", agents), Journal(":memory:"), "/run")
+def run(robot: Robot, agents: FakeAgents) -> RunningComponents:
+    run = RunningComponents(
+        robot, PLACEMENT, cast("Agents", agents), Journal(":memory:"), "/run"
+    )
     run.start()
     return run
 
@@ -45,7 +47,9 @@ def told(agents: FakeAgents) -> dict[str, tuple[str, int, str]]:
     }
 
 
-def test_what_cannot_be_started_is_placed_nowhere(run: Run, agents: FakeAgents) -> None:
+def test_what_cannot_be_started_is_placed_nowhere(
+    run: RunningComponents, agents: FakeAgents
+) -> None:
     agents.states["thinker"] = ComponentStatus(
         name="thinker", state="failed", error="ValueError: no thought"
     )
@@ -56,7 +60,9 @@ def test_what_cannot_be_started_is_placed_nowhere(run: Run, agents: FakeAgents) 
     assert told(agents).keys() == PLACEMENT.keys()
 
 
-def test_what_does_not_end_is_started_anew(run: Run, agents: FakeAgents) -> None:
+def test_what_does_not_end_is_started_anew(
+    run: RunningComponents, agents: FakeAgents
+) -> None:
     agents.deaf = {"left"}
     report = transit(run, (STOP,))
     assert not report.committed
@@ -66,7 +72,7 @@ def test_what_does_not_end_is_started_anew(run: Run, agents: FakeAgents) -> None
 
 
 def test_what_was_replaced_stays_replaced_over_a_cold_move(
-    run: Run, agents: FakeAgents
+    run: RunningComponents, agents: FakeAgents
 ) -> None:
     run.placed["filter"] = structs.replace(
         run.placed["filter"], implementation="eye:Better"
@@ -77,7 +83,7 @@ def test_what_was_replaced_stays_replaced_over_a_cold_move(
 
 
 def test_a_move_that_is_refused_undoes_the_steps_before(
-    run: Run, agents: FakeAgents
+    run: RunningComponents, agents: FakeAgents
 ) -> None:
     nowhere = TransitionStep("grabber", "left", "moon")
     report = transit(run, (START, nowhere))

@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
 from poise.manage.observe.loads import Load
@@ -33,7 +33,9 @@ class Rig:
         self.agents = FakeAgents("left", "right")
         self.journal = Journal(":memory:")
         agents = cast("Agents", self.agents)
-        self.run = Run(robot, {"grabber": "left"}, agents, self.journal, "/run")
+        self.run = RunningComponents(
+            robot, {"grabber": "left"}, agents, self.journal, "/run"
+        )
         self.run.start()
         self.now = 0.0
         self.prefetch = Prefetch(self.run, lambda: self.now)

@@ -13,7 +13,7 @@ from poise.errors import UsageError
 from poise.estimate.success.learning import beliefs_about
 from poise.manage.adaptation.facts import Facts
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.manage.tasks.progress import Saved
 from poise.manage.tasks.saved import goes_on_with
@@ -116,7 +116,7 @@ class Rig:
         self.agents = Speaking("main", "spare")
         self.journal = Journal(":memory:")
         agents = cast("Agents", self.agents)
-        self.run = Run(robot, {}, agents, self.journal, "/run")
+        self.run = RunningComponents(robot, {}, agents, self.journal, "/run")
         self.run.start()
         self.manager = TaskManager(self.run, saved or Saved(), self._facts)
         for name in started:

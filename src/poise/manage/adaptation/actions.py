@@ -16,7 +16,7 @@ from poise.manage.adaptation.policy.evaluation import Symptom
 from poise.manage.adaptation.shortages.crash_loops import CrashLoops, components_in
 from poise.manage.adaptation.shortages.put_aside import PutAside
 from poise.manage.adaptation.what_if import check_move
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.move import move
 from poise.manage.migration.replacement import replace_architecture
 from poise.manage.migration.report import (
@@ -35,7 +35,9 @@ class Actions:
     `take` raises PoiseError when an action is refused or fails.
     """
 
-    def __init__(self, run: Run, put_aside: PutAside, limits: MoveLimits) -> None:
+    def __init__(
+        self, run: RunningComponents, put_aside: PutAside, limits: MoveLimits
+    ) -> None:
         self._run = run
         self._put_aside = put_aside
         self._limits = limits

@@ -32,7 +32,7 @@ from poise.manage.adaptation.what_if import (
     alternatives,
     what_if,
 )
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.report import TransitionReport, TransitionStep
 from poise.manage.migration.transition_run import (
     start_together,
@@ -72,7 +72,7 @@ class Adaptation:
 
     def __init__(
         self,
-        run: Run,
+        run: RunningComponents,
         facts: Callable[[], Facts],
         put_aside: PutAside,
         *,

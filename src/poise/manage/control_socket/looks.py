@@ -22,7 +22,7 @@ from poise.manage.control_socket.records import (
     StatusCommand,
     TapCommand,
 )
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.observe.chains import chain_reports
 from poise.manage.observe.estimates import Estimates
 from poise.manage.tasks.report import TaskReport
@@ -38,7 +38,7 @@ _BITS = 62
 
 
 def look(
-    run: Run, status: Callable[[], RobotStatus], command: Command
+    run: RunningComponents, status: Callable[[], RobotStatus], command: Command
 ) -> Result | Refusal | None:
     """Return the answer to a command that changes nothing; None: it is another one.
 
@@ -60,7 +60,7 @@ def look(
 
 
 def status_of(
-    run: Run, tasks: Sequence[TaskReport], estimates: Estimates
+    run: RunningComponents, tasks: Sequence[TaskReport], estimates: Estimates
 ) -> RobotStatus:
     """Return the last known state, but for deviations and faults; from any thread."""
     statuses = run.agents.statuses()

@@ -12,7 +12,7 @@ from poise.manage.agent_connections.statuses import (
     connectors_of,
 )
 from poise.manage.deploy.incarnation import Incarnation
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.topological_order import levels
 from poise.wire.records.status import ConnectorStatus
 
@@ -27,7 +27,7 @@ ARRIVAL_LIMIT = 2.5
 containers report their counts once a second, agents twice."""
 
 
-def deactivate_callers(run: Run) -> None:
+def deactivate_callers(run: RunningComponents) -> None:
     """Make callers inactive before those whom they call: no call goes nowhere."""
     calls = calling_ports(run.agents.statuses())
     ends = [connector.between for connector in run.layout.connectors(run.placed)]
@@ -39,7 +39,7 @@ def deactivate_callers(run: Run) -> None:
         next(inactive for inactive in _deactivate(run, leads) if callees <= inactive)
 
 
-def drain(run: Run) -> None:
+def drain(run: RunningComponents) -> None:
     """Deactivate all components, each when it has processed what was sent to it.
 
     Afterwards the agents' statuses hold the final counts. A component whose handler
@@ -57,7 +57,7 @@ def drain(run: Run) -> None:
         run.agents.wait_news(partial(_is_processed, run, fed), ARRIVAL_LIMIT)
 
 
-def _deactivate(run: Run, leads: Leads) -> Iterator[set[str]]:
+def _deactivate(run: RunningComponents, leads: Leads) -> Iterator[set[str]]:
     """Make components inactive, each before those to which it leads; yield which are.
 
     A component whose handler does not end is not waited for any longer.
@@ -73,7 +73,7 @@ def _deactivate(run: Run, leads: Leads) -> Iterator[set[str]]:
         yield inactive
 
 
-def _are_inactive(run: Run, names: Collection[str]) -> bool:
+def _are_inactive(run: RunningComponents, names: Collection[str]) -> bool:
     run.raise_on_lost()
     places = [each for each in run.placed.values() if each.component in names]
     return not maybe_active(places, run.computers(), run.current())
@@ -100,13 +100,15 @@ def maybe_active(
     ]
 
 
-def _is_processed(run: Run, targets: Collection[str]) -> bool:
+def _is_processed(run: RunningComponents, targets: Collection[str]) -> bool:
     run.raise_on_lost()
     return not unprocessed(run, targets)
 
 
 def unprocessed(
-    run: Run, targets: Collection[str], ended: Iterable[ConnectorStatus] = ()
+    run: RunningComponents,
+    targets: Collection[str],
+    ended: Iterable[ConnectorStatus] = (),
 ) -> dict[str, int]:
     """Return connector -> messages sent to `targets` that they have not processed.
 

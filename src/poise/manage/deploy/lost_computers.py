@@ -10,7 +10,7 @@ import contextlib
 import time
 
 from poise.errors import RunError
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.observe.deviations import Deviation
 from poise.units import counted
 from poise.wire.records.container import RESTART_LIMIT
@@ -26,7 +26,7 @@ _RESTART_LIMIT = RESTART_LIMIT + 1.0
 class LostComputers:
     """The computers of a running robot that do not obey its manager."""
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: RunningComponents) -> None:
         self._run = run
         self._reached = set(run.computers())
         self._retry_at: dict[str, float] = {}
@@ -147,6 +147,6 @@ class LostComputers:
         run.journal.note("right", what)
 
 
-def _pids(run: Run) -> dict[str, int]:
+def _pids(run: RunningComponents) -> dict[str, int]:
     """Return the processes of the agents, by computer."""
     return {name: each.pid for name, each in run.agents.statuses().items()}

@@ -37,7 +37,7 @@ ACTIVE_LIMIT = 10.0
 STOP_LIMIT = 5.0
 
 
-class Run:
+class RunningComponents:
     """The components of a task on the robot's computers.
 
     Parameters

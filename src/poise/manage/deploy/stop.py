@@ -6,13 +6,13 @@ import contextlib
 
 from poise.errors import RunError
 from poise.manage.deploy.deactivation import deactivate_callers
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 
 RETURN_LIMIT = 3.0
 """A stop waits this long for computers that are out of reach [s]."""
 
 
-def stop(run: Run) -> None:
+def stop(run: RunningComponents) -> None:
     """Stop everything, callers first, on all computers that are reached.
 
     Computers that come back within `RETURN_LIMIT` are stopped, too. Harmless when

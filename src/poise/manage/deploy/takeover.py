@@ -19,7 +19,11 @@ from poise.manage.deploy.adoption import (
     is_half_done,
 )
 from poise.manage.deploy.incarnation import Incarnation
-from poise.manage.deploy.running_components import ACTIVE_LIMIT, READY_LIMIT, Run
+from poise.manage.deploy.running_components import (
+    ACTIVE_LIMIT,
+    READY_LIMIT,
+    RunningComponents,
+)
 from poise.manage.migration.transition import plan_transition
 from poise.manage.migration.transition_run import transit
 from poise.model.check.allowed_computers import allowed_computers
@@ -31,7 +35,9 @@ HALT_LIMIT = 1.0
 """Containers say within this time how far a half-done migration came [s]."""
 
 
-def start_or_take_over(run: Run, *, is_rule: bool = False, by_force: bool) -> None:
+def start_or_take_over(
+    run: RunningComponents, *, is_rule: bool = False, by_force: bool
+) -> None:
     """Bring a robot up: what runs as it should goes on, and the rest is started.
 
     Parameters
@@ -66,7 +72,7 @@ def start_or_take_over(run: Run, *, is_rule: bool = False, by_force: bool) -> No
 
 
 def _take_over(
-    run: Run,
+    run: RunningComponents,
     deployments: Mapping[str, Deployment],
     unclaimed: Mapping[str, str],
     found: Sequence[Found],
@@ -103,7 +109,7 @@ def _take_over(
         _move(run, planned)
 
 
-def _at_work(run: Run, found: Sequence[Found]) -> dict[str, str]:
+def _at_work(run: RunningComponents, found: Sequence[Found]) -> dict[str, str]:
     """Return what works, with what its architectures lack, and layers that never stop.
 
     What works stays where it is, if it still may. What is lacking may be at work on a
@@ -136,7 +142,9 @@ def _at_work(run: Run, found: Sequence[Found]) -> dict[str, str]:
     return {name: may[0] for name, may in homes.items()}
 
 
-def _is_committed(run: Run, deployments: Mapping[str, Deployment]) -> bool:
+def _is_committed(
+    run: RunningComponents, deployments: Mapping[str, Deployment]
+) -> bool:
     """Return whether a half-done migration was committed; nothing of it goes on then.
 
     A container that began a step after the commit knows. When none did, the migration
@@ -167,7 +175,7 @@ def _last_epochs(found: Sequence[Found]) -> dict[str, int]:
     return epochs
 
 
-def _note(run: Run, adoption: Adoption) -> None:
+def _note(run: RunningComponents, adoption: Adoption) -> None:
     for sentence in adoption.half_done:
         run.journal.note("decided", sentence)
     for name, reason in adoption.restarts.items():
@@ -178,7 +186,7 @@ def _note(run: Run, adoption: Adoption) -> None:
     run.journal.note("decided", f"{kept} go on as they run", kept=sorted(adoption.kept))
 
 
-def _start(run: Run, adoption: Adoption, found: Sequence[Found]) -> None:
+def _start(run: RunningComponents, adoption: Adoption, found: Sequence[Found]) -> None:
     """Start what does not go on; what cannot start is a deviation from then on."""
     starts = [
         Incarnation(component=name, computer=computer, epoch=run.next_epoch(name))
@@ -203,7 +211,9 @@ def _start(run: Run, adoption: Adoption, found: Sequence[Found]) -> None:
     _tell(run)
 
 
-def _claim(run: Run, *, by_force: bool) -> tuple[dict[str, Deployment], dict[str, str]]:
+def _claim(
+    run: RunningComponents, *, by_force: bool
+) -> tuple[dict[str, Deployment], dict[str, str]]:
     """Return what the agents work towards, and why some were not claimed.
 
     Those are claimed once they answer.
@@ -225,7 +235,7 @@ def _claim(run: Run, *, by_force: bool) -> tuple[dict[str, Deployment], dict[str
     return deployments, unclaimed
 
 
-def _tell(run: Run) -> None:
+def _tell(run: RunningComponents) -> None:
     """Tell agents what should run; one that is lost meanwhile is told when it is back.
 
     Nothing of a robot at work ends because one of its agents cannot be told.
@@ -236,7 +246,7 @@ def _tell(run: Run) -> None:
         run.journal.note("failed", f"not all agents know yet what should run: {error}")
 
 
-def _move(run: Run, wanted: Mapping[str, str]) -> None:
+def _move(run: RunningComponents, wanted: Mapping[str, str]) -> None:
     """Move what was kept to where the user wants it."""
     try:
         steps = plan_transition(run.robot, run.placement(), wanted)

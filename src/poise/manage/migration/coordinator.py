@@ -20,7 +20,7 @@ from msgspec import structs
 from poise.errors import RunError
 from poise.manage.agent_connections.statuses import calling_ports, components_of
 from poise.manage.deploy.incarnation import Incarnation
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.plan import MigrationPlan, PlacedStep
 from poise.manage.migration.report import MigrationReport
 from poise.manage.observe.deviations import explain
@@ -66,7 +66,7 @@ class Migration:
 
     def __init__(
         self,
-        run: Run,
+        run: RunningComponents,
         report: MigrationReport,
         sources: Sequence[Incarnation],
         targets: Sequence[Incarnation],

@@ -12,14 +12,18 @@ from msgspec import structs
 
 from poise.errors import RunError, UsageError
 from poise.manage.deploy.incarnation import Incarnation
-from poise.manage.deploy.running_components import ACTIVE_LIMIT, READY_LIMIT, Run
+from poise.manage.deploy.running_components import (
+    ACTIVE_LIMIT,
+    READY_LIMIT,
+    RunningComponents,
+)
 from poise.manage.migration.coordinator import Migration
 from poise.manage.migration.report import MigrationReport
 from poise.model.check.allowed_computers import allowed_computers
 
 
 def move(
-    run: Run, component: str, computer: str, *, force: bool = False
+    run: RunningComponents, component: str, computer: str, *, force: bool = False
 ) -> MigrationReport:
     """Move a running component to a computer; it stays where it is when that fails.
 
@@ -50,7 +54,7 @@ def move(
 
 
 def replace(
-    run: Run,
+    run: RunningComponents,
     component: str,
     implementation: str,
     adapt: str = "",
@@ -97,7 +101,7 @@ def replace(
 
 
 def _migrate(
-    run: Run, old: Incarnation, new: Incarnation, by: str = ""
+    run: RunningComponents, old: Incarnation, new: Incarnation, by: str = ""
 ) -> MigrationReport:
     report = MigrationReport(
         what=old.component,
@@ -115,7 +119,7 @@ def _migrate(
 
 
 def _move_cold(
-    run: Run, report: MigrationReport, old: Incarnation, new: Incarnation
+    run: RunningComponents, report: MigrationReport, old: Incarnation, new: Incarnation
 ) -> MigrationReport:
     """Stop a command and start it elsewhere, or here again.
 
@@ -147,7 +151,7 @@ def _move_cold(
     )
 
 
-def _swap(run: Run, old: Incarnation, new: Incarnation) -> str:
+def _swap(run: RunningComponents, old: Incarnation, new: Incarnation) -> str:
     """Return why `old` runs again; empty: `new` runs."""
     others = [each for each in run.placed.values() if each != old]
     active = new.with_goal("active")
@@ -164,7 +168,7 @@ def _swap(run: Run, old: Incarnation, new: Incarnation) -> str:
     return ""
 
 
-def _placed(run: Run, component: str) -> Incarnation:
+def _placed(run: RunningComponents, component: str) -> Incarnation:
     try:
         return run.placed[component]
     except KeyError:
@@ -172,7 +176,9 @@ def _placed(run: Run, component: str) -> Incarnation:
         raise UsageError(f"no component '{component}' runs ({known} do)") from None
 
 
-def _check_target(run: Run, component: str, computer: str, *, force: bool) -> None:
+def _check_target(
+    run: RunningComponents, component: str, computer: str, *, force: bool
+) -> None:
     known = [each.name for each in run.robot.computers]
     if computer not in known:
         raise UsageError(f"no computer '{computer}' (there are {', '.join(known)})")

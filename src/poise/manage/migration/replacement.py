@@ -13,14 +13,19 @@ from poise import plan
 from poise.errors import UsageError
 from poise.manage.agent_connections.statuses import calling_ports, components_of
 from poise.manage.deploy.incarnation import Incarnation
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.coordinator import Migration
 from poise.manage.migration.report import MigrationReport
 from poise.model.robot import Architecture, Robot
 
 
 def replace_architecture(
-    run: Run, architecture: str, by: str, adapt: str = "", *, fresh: bool = False
+    run: RunningComponents,
+    architecture: str,
+    by: str,
+    adapt: str = "",
+    *,
+    fresh: bool = False,
 ) -> MigrationReport:
     """Replace a running architecture by another that provides the same function.
 
@@ -70,7 +75,9 @@ def replace_architecture(
     return report
 
 
-def _checked(run: Run, name: str, by: str) -> tuple[Architecture, Architecture]:
+def _checked(
+    run: RunningComponents, name: str, by: str
+) -> tuple[Architecture, Architecture]:
     old, new = _architecture(run.robot, name), _architecture(run.robot, by)
     missing = [c.name for c in old.components if c.name not in run.placed]
     if missing or not old.components:
@@ -100,7 +107,7 @@ def _checked(run: Run, name: str, by: str) -> tuple[Architecture, Architecture]:
     return old, new
 
 
-def _check_stateless(run: Run, old: Architecture) -> None:
+def _check_stateless(run: RunningComponents, old: Architecture) -> None:
     """Raise UsageError when a component's state would be lost."""
     placed = {run.placed[c.name].computer for c in old.components}
     names = {c.name for c in old.components}
@@ -114,7 +121,9 @@ def _check_stateless(run: Run, old: Architecture) -> None:
         )
 
 
-def _check_callers(run: Run, old: Architecture, new: Architecture) -> None:
+def _check_callers(
+    run: RunningComponents, old: Architecture, new: Architecture
+) -> None:
     """Raise UsageError when a caller of `old` could not call `new`."""
     layout = run.layout
     olds, news = ({c.name for c in each.components} for each in (old, new))
@@ -137,7 +146,9 @@ def _check_callers(run: Run, old: Architecture, new: Architecture) -> None:
             )
 
 
-def _placement(run: Run, old: Architecture, new: Architecture) -> dict[str, str]:
+def _placement(
+    run: RunningComponents, old: Architecture, new: Architecture
+) -> dict[str, str]:
     """Return where the new components go, beside all that runs.
 
     The old ones are still there meanwhile, but compute nothing any more when the new

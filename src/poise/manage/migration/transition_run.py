@@ -10,7 +10,11 @@ from msgspec import structs
 
 from poise.errors import RunError, UsageError
 from poise.manage.deploy.incarnation import Incarnation
-from poise.manage.deploy.running_components import ACTIVE_LIMIT, READY_LIMIT, Run
+from poise.manage.deploy.running_components import (
+    ACTIVE_LIMIT,
+    READY_LIMIT,
+    RunningComponents,
+)
 from poise.manage.migration.move import move
 from poise.manage.migration.report import (
     MigrationReport,
@@ -25,7 +29,7 @@ _LOOK_EVERY = 0.02
 
 
 def start_together(
-    run: Run, placement: Mapping[str, str], lost: Collection[str] = ()
+    run: RunningComponents, placement: Mapping[str, str], lost: Collection[str] = ()
 ) -> bool:
     """Start components from their checkpoints; return whether they work.
 
@@ -78,7 +82,7 @@ def start_together(
     return True
 
 
-def _revoke_leases(run: Run, lost: Collection[str]) -> None:
+def _revoke_leases(run: RunningComponents, lost: Collection[str]) -> None:
     """Wait until nothing of lost computers can be active there any more.
 
     Raises
@@ -103,7 +107,7 @@ def _names(computers: Collection[str]) -> str:
     return " or ".join(f"'{name}'" for name in sorted(computers))
 
 
-def _with_checkpoint(run: Run, new: Incarnation) -> Incarnation:
+def _with_checkpoint(run: RunningComponents, new: Incarnation) -> Incarnation:
     """Let an agent keep the state that a component has to go on from, if there is."""
     name, before = new.component, run.placed.get(new.component)
     copy = run.agents.checkpoints.get(name, before.epoch) if before else None
@@ -124,7 +128,9 @@ def _with_checkpoint(run: Run, new: Incarnation) -> Incarnation:
     return structs.replace(new, fresh=False)
 
 
-def transit(run: Run, steps: tuple[TransitionStep, ...]) -> TransitionReport:
+def transit(
+    run: RunningComponents, steps: tuple[TransitionStep, ...]
+) -> TransitionReport:
     """Take the steps of a planned transition; roll all back when one fails."""
     run.journal.note(
         "decided", f"transition of {counted(len(steps), 'step')}", steps=steps
@@ -149,7 +155,7 @@ def transit(run: Run, steps: tuple[TransitionStep, ...]) -> TransitionReport:
 class _Transition:
     """Takes the steps of one transition; a step that fails changes nothing."""
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: RunningComponents) -> None:
         self.moves: list[MigrationReport] = []
         self._run = run
         # what is started again may have been replaced since the robot began

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 
 from poise.manage.agent_connections.statuses import Statuses
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Kind
 from poise.manage.observe.deviations import (
     Deviation,
@@ -22,7 +22,7 @@ _JOIN_WITHIN = 2.0
 class Watch:
     """Compares what a run wants with what its agents report."""
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: RunningComponents) -> None:
         self.deviations: tuple[Deviation, ...] = ()
         """What is not as it should be now."""
         self._run = run

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from poise.errors import RunError
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.incarnation import Incarnation
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.residue import residue
 from poise.manage.observe.loads import Load
 from poise.manage.prefetch.choice import Choice, choose
@@ -37,7 +37,9 @@ class Prefetch:
         A time that never goes back [s].
     """
 
-    def __init__(self, run: Run, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, run: RunningComponents, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._run = run
         self._clock = clock
         self._chosen_at = float("-inf")

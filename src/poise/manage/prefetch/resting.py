@@ -11,7 +11,7 @@ import time
 from collections.abc import Collection, Iterable
 
 from poise.manage.agent_connections.statuses import components_of
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.prefetch.switch import drop
 from poise.model.robot import Architecture
 
@@ -24,7 +24,7 @@ _START = 0.3
 class Resting:
     """The components that rest after their actions, and since when."""
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: RunningComponents) -> None:
         self._run = run
         self._since: dict[str, float] = {}
 

@@ -14,11 +14,15 @@ from msgspec.structs import replace
 from poise.errors import RunError
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.incarnation import Incarnation
-from poise.manage.deploy.running_components import ACTIVE_LIMIT, READY_LIMIT, Run
+from poise.manage.deploy.running_components import (
+    ACTIVE_LIMIT,
+    READY_LIMIT,
+    RunningComponents,
+)
 from poise.wire.records.status import State
 
 
-def prepare(run: Run, placement: Mapping[str, str]) -> None:
+def prepare(run: RunningComponents, placement: Mapping[str, str]) -> None:
     """Let components be prepared on computers; return before they are.
 
     What is prepared elsewhere is dropped there; what is at work stays as it is.
@@ -43,14 +47,16 @@ def prepare(run: Run, placement: Mapping[str, str]) -> None:
         raise
 
 
-def drop(run: Run, components: Iterable[str]) -> None:
+def drop(run: RunningComponents, components: Iterable[str]) -> None:
     """End prepared components; their state is lost."""
     gone = [name for name in components if run.prepared.pop(name, None)]
     if gone:
         run.tell(run.placed.values())
 
 
-def switch(run: Run, ends: Collection[str], begins: Mapping[str, str]) -> bool:
+def switch(
+    run: RunningComponents, ends: Collection[str], begins: Mapping[str, str]
+) -> bool:
     """Let components rest, prepared, and others begin to work.
 
     Returns whether all of these were prepared.
@@ -96,7 +102,7 @@ def switch(run: Run, ends: Collection[str], begins: Mapping[str, str]) -> bool:
     return are_ready
 
 
-def _are_ready(run: Run, components: Mapping[str, str]) -> bool:
+def _are_ready(run: RunningComponents, components: Mapping[str, str]) -> bool:
     """Return whether all of some components are prepared where they are to work."""
     states = _states(run)
     return all(
@@ -107,12 +113,12 @@ def _are_ready(run: Run, components: Mapping[str, str]) -> bool:
     )
 
 
-def _states(run: Run) -> dict[tuple[str, int], State]:
+def _states(run: RunningComponents) -> dict[tuple[str, int], State]:
     return {(c.name, c.epoch): c.state for c in components_of(run.current())}
 
 
 def _prepared(
-    run: Run, name: str, computer: str, *, gently: bool = False
+    run: RunningComponents, name: str, computer: str, *, gently: bool = False
 ) -> Incarnation:
     before = run.prepared.get(name)
     if (
@@ -131,7 +137,9 @@ def _prepared(
     )
 
 
-def _wait(run: Run, wanted: Collection[Incarnation], limit: float) -> None:
+def _wait(
+    run: RunningComponents, wanted: Collection[Incarnation], limit: float
+) -> None:
     """Wait until components are at their goals; others' troubles do not count."""
     mine = {(each.component, each.epoch) for each in wanted}
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from msgspec import Struct
 
 from poise.manage.agent_connections.statuses import components_of
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.wire.records.status import TaskWish
 
 
@@ -22,7 +22,7 @@ class Heard(Struct, frozen=True):
 class Hearing:
     """Hears what the components of a run say, once."""
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: RunningComponents) -> None:
         self._run = run
         self._wishes: dict[tuple[str, int], int] = {}
 

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from poise.estimate.success.learning import learned
 from poise.manage.adaptation.facts import Facts
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.tasks.learned_choice import situation_of
 from poise.manage.tasks.likely import PlanOverTime
 from poise.manage.tasks.progress import TaskRecord, Try
@@ -22,7 +22,9 @@ from poise.manage.tasks.tasks import Tasks
 class RoomForTasks:
     """Decides where the functions of all tasks go together."""
 
-    def __init__(self, run: Run, tasks: Tasks, plans: PlanOverTime) -> None:
+    def __init__(
+        self, run: RunningComponents, tasks: Tasks, plans: PlanOverTime
+    ) -> None:
         self._run = run
         self._tasks = tasks
         self._plans = plans

@@ -8,13 +8,13 @@ import time
 import msgspec
 
 from poise.errors import UsageError
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.manage.tasks.progress import OVER, Saved
 from poise.manage.tasks.tasks import Tasks
 
 
-def goes_on_with(run: Run, asked: Tasks, journal: Journal) -> Saved:
+def goes_on_with(run: RunningComponents, asked: Tasks, journal: Journal) -> Saved:
     """Return the tasks that go on: those of the manager before, and those asked for.
 
     Parameters

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.model.robot import Architecture
 
 
 class Serving:
     """The architectures of a run that are at work."""
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: RunningComponents) -> None:
         self._run = run
 
     def moving(self) -> list[Architecture]:

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from poise.errors import PoiseError, RunError, UsageError
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.policy.subjects import values_of
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.transition_run import transit
 from poise.manage.prefetch.resting import Resting
 from poise.manage.prefetch.switch import switch
@@ -62,7 +62,7 @@ class TaskManager:
 
     def __init__(
         self,
-        run: Run,
+        run: RunningComponents,
         saved: Saved,
         facts: Callable[[], Facts],
     ) -> None:

@@ -16,7 +16,7 @@ from msgspec import Struct
 from poise.clock import SystemClock
 from poise.errors import RobotError, RunError
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
@@ -38,7 +38,7 @@ AGENT_LIMIT = 20.0
 class Started(Struct, frozen=True):
     """A robot that runs, with what it runs on."""
 
-    run: Run
+    run: RunningComponents
     computers: Computers
     world: SimulatorProcess | None
 
@@ -98,7 +98,7 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
     check: Check = nothing,
     *,
     use_kept: bool = False,
-    begin: Callable[[Run], object] | None = None,
+    begin: Callable[[RunningComponents], object] | None = None,
 ) -> Iterator[Started]:
     """Start a robot's components on its computers; stop and remove all afterwards.
 
@@ -151,10 +151,12 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
 
         if begin is None or not _is_at_work(agents, computers.endpoints, look_around):
             agents.wait_alive(computers.endpoints, AGENT_LIMIT, look_around)
-        run = Run(robot, placement, agents, journal, str(folder), weigh=look.weigh)
+        run = RunningComponents(
+            robot, placement, agents, journal, str(folder), weigh=look.weigh
+        )
         if begin is None:
             say(f"starting {counted(len(placement), 'component')}")
-        stack.enter_context(_running(run, check, begin or Run.start))
+        stack.enter_context(_running(run, check, begin or RunningComponents.start))
         stack.callback(at_work.clear)
         at_work.set()
         yield Started(run, computers, world)
@@ -193,7 +195,9 @@ def _check_runnable(robot: Robot, placed: Iterable[str]) -> None:
 
 
 @contextlib.contextmanager
-def _running(run: Run, check: Check, begin: Callable[[Run], object]) -> Iterator[None]:
+def _running(
+    run: RunningComponents, check: Check, begin: Callable[[RunningComponents], object]
+) -> Iterator[None]:
     try:
         run.check = check
         begin(run)

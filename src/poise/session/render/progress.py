@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
 from poise.manage.agent_connections.statuses import components_of
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.session.run import Meanwhile
 
 _LINE_EVERY = 5.0
@@ -30,7 +30,7 @@ def progress(
     if not live or not console.is_terminal:
         due = _LINE_EVERY
 
-        def tell(run: Run, now: float) -> None:
+        def tell(run: RunningComponents, now: float) -> None:
             nonlocal due
             if now >= due:
                 due = now + _LINE_EVERY
@@ -46,7 +46,7 @@ def progress(
         )
 
 
-def _sentence(run: Run, now: float, seconds: float) -> str:
+def _sentence(run: RunningComponents, now: float, seconds: float) -> str:
     timers = [
         timer
         for component in components_of(run.agents.statuses())

@@ -6,7 +6,7 @@ from poise.clock import SystemClock
 from poise.endpoint import Endpoint
 from poise.errors import RunError, UsageError
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
 from poise.wire.control_session import locator
@@ -37,7 +37,7 @@ def stop_without_manager(robot: Robot) -> None:
         reached = agents.reached()
         agents.claim(reached)
         journal = Journal(":memory:")
-        Run(robot, {}, agents, journal, "").end_all(reached)
+        RunningComponents(robot, {}, agents, journal, "").end_all(reached)
         journal.close()
     missing = ", ".join(sorted(ends.keys() - reached))
     if missing:

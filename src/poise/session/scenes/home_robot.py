@@ -12,7 +12,7 @@ from rich.markup import escape
 
 from poise.errors import RunError
 from poise.manage.agent_connections.statuses import components_of
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.move import move
 from poise.manage.migration.report import MigrationReport
 from poise.model.robot import Robot
@@ -133,7 +133,7 @@ class _Mover:
         self._ended = 0.0
         self._counts: list[tuple[int, int]] = [(0, 0)]
 
-    def look(self, run: Run, now: float) -> None:
+    def look(self, run: RunningComponents, now: float) -> None:
         """Move when it is time; `now` is since the start of the drive [s]."""
         if self._report is None and now > MOVE_AT:
             self._counts.append(_deadlines(run))
@@ -160,7 +160,7 @@ class _Mover:
         )
 
 
-def _deadlines(run: Run) -> tuple[int, int]:
+def _deadlines(run: RunningComponents) -> tuple[int, int]:
     """Return how many deadlines the navigator missed so far, and how many it had."""
     for component in components_of(run.agents.statuses()):
         if component.name == NAVIGATOR:
@@ -193,7 +193,7 @@ def _serve(
     """Run T-Rot's task and show how it goes on."""
     with progress(console, DRIVE, live=True) as show:
 
-        def look(run: Run, now: float) -> None:
+        def look(run: RunningComponents, now: float) -> None:
             show(run, now)
             meanwhile(run, now)
 

@@ -19,7 +19,7 @@ from poise.manage.adaptation.shortages.put_aside import (
     not_running,
 )
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.manage.observe.loads import Load
 from poise.model.policy.values import TimerValues
@@ -78,7 +78,7 @@ class Robbed:
         self.agents = FakeAgents(*computers)
         self.journal = Journal(":memory:")
         agents = cast("Agents", self.agents)
-        self.run = Run(robot, placement, agents, self.journal, "/run")
+        self.run = RunningComponents(robot, placement, agents, self.journal, "/run")
         self.run.start()
         self.aside = PutAside(self.run, lambda: robot.task("work"), "not all fits")
 

@@ -13,7 +13,7 @@ from poise.manage.adaptation.move_limits import MoveLimits
 from poise.manage.adaptation.policy.evaluation import Symptom
 from poise.manage.adaptation.shortages.put_aside import PutAside
 from poise.manage.adaptation.shortages.room import room_for_components
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.report import TransitionStep
 from poise.manage.migration.transition_run import start_together
 from poise.model.pinned import pinned_components
@@ -28,7 +28,9 @@ FORGET_AFTER = 600.0
 class CrashLoops:
     """Where containers crashed again and again, and what is done about it."""
 
-    def __init__(self, run: Run, put_aside: PutAside, limits: MoveLimits) -> None:
+    def __init__(
+        self, run: RunningComponents, put_aside: PutAside, limits: MoveLimits
+    ) -> None:
         self._run = run
         self._put_aside = put_aside
         self._limits = limits
@@ -112,7 +114,7 @@ def _crashed_before(container: str, facts: Facts, now: float) -> dict[str, float
     return found
 
 
-def components_in(run: Run, symptom: Symptom) -> list[str]:
+def components_in(run: RunningComponents, symptom: Symptom) -> list[str]:
     """Return the components of the container that a symptom is about."""
     return sorted(
         name

@@ -17,7 +17,7 @@ from poise.errors import UsageError
 from poise.estimate.profile.code_version import version_of
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.shortages.room import room_for_components
-from poise.manage.deploy.running_components import Run
+from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.report import TransitionStep
 from poise.manage.migration.transition_run import start_together, transit
 from poise.manage.observe.deviations import Deviation
@@ -62,7 +62,9 @@ class PutAside:
         Why architectures do not run from the start on.
     """
 
-    def __init__(self, run: Run, task: Callable[[], Task], why: str = "") -> None:
+    def __init__(
+        self, run: RunningComponents, task: Callable[[], Task], why: str = ""
+    ) -> None:
         self._run = run
         self._task = task
         self._why = why
