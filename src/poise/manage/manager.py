@@ -21,7 +21,7 @@ from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.shortages.put_aside import PutAside
 from poise.manage.adaptation.what_if import check_move
-from poise.manage.control_socket.looks import look, status_of
+from poise.manage.control_socket.read_commands import look, status_of
 from poise.manage.control_socket.records import (
     Command,
     JournalCommand,
@@ -46,7 +46,7 @@ from poise.manage.migration.replacement import replace_architecture
 from poise.manage.observe.chains import ChainAges, chain_reports
 from poise.manage.observe.deadline_misses import DeadlineMisses
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.own_troubles import OwnTroubles
+from poise.manage.observe.manager_troubles import ManagerTroubles
 from poise.manage.observe.recording import Recording
 from poise.manage.observe.watch import Watch
 from poise.manage.prefetch.prefetch import Prefetch
@@ -102,7 +102,7 @@ class Manager:
         self._stopping = threading.Event()
         self._has_successor = False
         self._watch = Watch(run)
-        self._troubles = OwnTroubles(run.journal)
+        self._troubles = ManagerTroubles(run.journal)
         self._lost = LostComputers(run)
         self._misses = DeadlineMisses()
         self._ages = ChainAges()

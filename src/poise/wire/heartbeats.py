@@ -17,7 +17,7 @@ import msgspec
 from poise.clock import Clock
 from poise.endpoint import Endpoint
 from poise.priority import go_first
-from poise.wire.contacts import EVERY
+from poise.wire.failure_detector import EVERY
 from poise.wire.records.heartbeats import Heartbeat
 
 log = logging.getLogger(__name__)

@@ -11,7 +11,7 @@ import pytest
 
 from poise.manage.agent_connections.reachability import Reachability
 from poise.runtime.agent.lease import Lease
-from poise.wire.contacts import DETECTED, EVERY, LEASE, SURELY_ENDED, Contacts
+from poise.wire.failure_detector import DETECTED, EVERY, LEASE, SURELY_ENDED, Contacts
 from poise.wire.records.heartbeats import MANAGER, Heartbeat
 
 AGENTS = ("left", "right", "third")

@@ -30,7 +30,7 @@ class Callee:
     """Has methods that go well, wrong, and on and on."""
 
     def __init__(self) -> None:
-        self.facade: Any = None
+        self.proxy: Any = None
 
     def add(self, one: int, other: int = 1) -> int:
         return one + other
@@ -46,7 +46,7 @@ class Callee:
 
     def again(self, depth: int) -> int:
         """Call itself through its connector."""
-        return 0 if depth == 0 else 1 + int(self.facade(depth - 1))
+        return 0 if depth == 0 else 1 + int(self.proxy(depth - 1))
 
 
 def translate(error: Exception) -> NoReturn:
@@ -120,8 +120,8 @@ def test_gives_up_a_result_that_comes_too_late(
 
 def test_lets_a_chain_come_back(exclusion: Exclusion, counts: Counts) -> None:
     callee = Callee()
-    callee.facade = direct_call(callee.again, exclusion, 1.0, counts)
-    assert callee.facade(20) == 20
+    callee.proxy = direct_call(callee.again, exclusion, 1.0, counts)
+    assert callee.proxy(20) == 20
     assert counts.calls == 21
 
 
@@ -164,7 +164,7 @@ def test_is_freed_with_the_component_that_it_calls(
     exclusion: Exclusion, counts: Counts
 ) -> None:
     callee = Callee()
-    callee.facade = direct_call(callee.again, exclusion, 1.0, counts)
+    callee.proxy = direct_call(callee.again, exclusion, 1.0, counts)
     gone = weakref.ref(callee)
     del callee
     gc.collect()

@@ -13,8 +13,8 @@ import pytest
 from poise import Message
 from poise.errors import RunError, Timeout, Unavailable
 from poise.runtime.component.ports import Port
-from poise.runtime.connectors.facade import Facade
 from poise.runtime.connectors.interface import Method
+from poise.runtime.connectors.proxy import Proxy
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.execution.exclusion import Exclusion, new_chain
 from poise.wire.codec import WireError
@@ -338,15 +338,15 @@ def test_what_does_not_go_out_is_counted(sender: Sender) -> None:
 
 @pytest.fixture
 def calling() -> tuple[Sender, Any]:
-    facade: Any = Facade("a.sums (Sums)")
-    sender = Sender("a.sums-b.sums", Port("sums", "requires", Sums), facade, 0.05)
-    return sender, facade
+    proxy: Any = Proxy("a.sums (Sums)")
+    sender = Sender("a.sums-b.sums", Port("sums", "requires", Sums), proxy, 0.05)
+    return sender, proxy
 
 
 def test_a_call_that_was_not_run_goes_where_the_target_is_now(
     calling: tuple[Sender, Any],
 ) -> None:
-    sender, facade = calling
+    sender, proxy = calling
     old, new = FakeRoute(ready=False), FakeRoute()
     sender.add("old", old)
     sender.add("new", new)
@@ -354,7 +354,7 @@ def test_a_call_that_was_not_run_goes_where_the_target_is_now(
 
     def call() -> Any:
         begun.set()
-        return facade.add(1)
+        return proxy.add(1)
 
     with ThreadPoolExecutor() as pool:
         result = pool.submit(call)
@@ -374,11 +374,11 @@ def test_a_call_does_not_wait_for_ever_for_its_target(
 
 
 def test_without_a_path_calls_are_unavailable(calling: tuple[Sender, Any]) -> None:
-    sender, facade = calling
+    sender, proxy = calling
     sender.add("old", FakeRoute())
     sender.remove("old")
     with pytest.raises(Unavailable, match=r"'a.sums-b.sums' is not connected"):
-        facade.add(1)
+        proxy.add(1)
 
 
 class SlowRoute(FakeRoute):

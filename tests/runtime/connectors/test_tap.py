@@ -11,7 +11,7 @@ import pytest
 from poise import Message
 from poise.errors import UsageError
 from poise.runtime.component.ports import Port
-from poise.runtime.connectors.facade import Facade
+from poise.runtime.connectors.proxy import Proxy
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.connectors.tap import MOST_PASSED, MOST_TIMES, Observer, Plain
 from poise.runtime.hosting import taps
@@ -54,24 +54,24 @@ def test_without_viewers_messages_take_the_way_that_they_always_took() -> None:
 
 
 def test_calls_are_noted_with_their_results_and_errors() -> None:
-    facade: Any = Facade("a.sums")
-    sender, route = Sender("a-b", SUMS, facade, 1.0), FakeRoute()
+    proxy: Any = Proxy("a.sums")
+    sender, route = Sender("a-b", SUMS, proxy, 1.0), FakeRoute()
     sender.add("here", route)
-    before = facade.add
+    before = proxy.add
     observer = Observer("a-b", Sums, rate=1e6)
     sender.observe((observer,))
-    assert facade.add(4) == (route, 4)
+    assert proxy.add(4) == (route, 4)
     sender.remove("here")
     sender.observe(())
-    assert facade.add is not before  # it refuses
+    assert proxy.add is not before  # it refuses
     (passed,) = observer.take(1).passed
     assert passed.value["add"] == [4]
     assert passed.value["seconds"] >= 0
 
 
 def test_a_call_that_raises_is_noted_and_raises() -> None:
-    facade: Any = Facade("a.sums")
-    sender = Sender("a-b", SUMS, facade, 1.0)
+    proxy: Any = Proxy("a.sums")
+    sender = Sender("a-b", SUMS, proxy, 1.0)
 
     class Raises(FakeRoute):
         def function(self, *_: object) -> Any:
@@ -84,7 +84,7 @@ def test_a_call_that_raises_is_noted_and_raises() -> None:
     observer = Observer("a-b", Sums, rate=1e6)
     sender.observe((observer,))
     with pytest.raises(ValueError, match="no"):
-        facade.add(4)
+        proxy.add(4)
     assert observer.take(1).passed[0].value["raised"] == "ValueError('no')"
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from poise.clock import SystemClock
-from poise.runtime.container.preparation import implementation_of
+from poise.runtime.container.component_import import implementation_of
 from poise.runtime.hosting.command_line import CommandLine, program
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.waker import wait_readable

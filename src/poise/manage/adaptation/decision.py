@@ -16,15 +16,15 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.errors import RobotError
-from poise.manage.adaptation.facts import Facts, Homes
-from poise.manage.adaptation.late import late, relieve
-from poise.manage.adaptation.links import (
+from poise.manage.adaptation.bad_links import (
     bad_links,
     beyond_cuts,
     reason,
     wasted,
     with_bad_links,
 )
+from poise.manage.adaptation.facts import Facts, Homes
+from poise.manage.adaptation.late_data import late, relieve
 from poise.manage.adaptation.proposals import Proposal
 from poise.manage.adaptation.replan import (
     propose,

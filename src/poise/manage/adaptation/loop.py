@@ -26,7 +26,7 @@ from poise.manage.adaptation.replan import (
     propose,
 )
 from poise.manage.adaptation.shortages.failover import fail_over
-from poise.manage.adaptation.shortages.needs import Needs, lacking
+from poise.manage.adaptation.shortages.missing_functions import Needs, lacking
 from poise.manage.adaptation.shortages.put_aside import CALM, PutAside
 from poise.manage.adaptation.what_if import (
     alternatives,

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 
 from poise.clock import Clock
 from poise.manage.agent_connections.reachability import Reachability
-from poise.wire.contacts import ASK_EVERY, EVERY, Contacts
 from poise.wire.control_session import endpoint_of
+from poise.wire.failure_detector import ASK_EVERY, EVERY, Contacts
 from poise.wire.heartbeats import Address, Heartbeats
 from poise.wire.records.heartbeats import MANAGER, Heartbeat
 

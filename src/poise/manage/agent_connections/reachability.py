@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import NamedTuple
 
-from poise.wire.contacts import (
+from poise.wire.failure_detector import (
     ASK_AFTER,
     DETECTED,
     EVERY,

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 from poise.errors import PoiseError, RobotError, RunError
 from poise.manage.adaptation.facts import Facts
-from poise.manage.adaptation.shortages.room import placed_beside
+from poise.manage.adaptation.shortages.free_room import placed_beside
 from poise.manage.deploy.adoption import (
     Adoption,
     Found,

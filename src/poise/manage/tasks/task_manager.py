@@ -20,13 +20,13 @@ from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.transition_run import transit
 from poise.manage.prefetch.resting import Resting
 from poise.manage.prefetch.switch import switch
-from poise.manage.tasks.hearing import Heard, Hearing
+from poise.manage.tasks.action_placement import Room, beyond_memory
+from poise.manage.tasks.admission import Admission
+from poise.manage.tasks.component_reports import ComponentReports, Heard
 from poise.manage.tasks.learned_choice import choose, note_ending, situation_of
 from poise.manage.tasks.likely import Likely, PlanOverTime, likely_next
 from poise.manage.tasks.progress import OVER, Ended, Saved, TaskRecord, Try
 from poise.manage.tasks.report import TaskReport, task_reports
-from poise.manage.tasks.room import Room, beyond_memory
-from poise.manage.tasks.room_for_tasks import RoomForTasks
 from poise.manage.tasks.serving import Serving
 from poise.manage.tasks.tasks import Tasks
 from poise.model.policy.condition import parse_condition
@@ -72,8 +72,8 @@ class TaskManager:
         self.tasks = Tasks(run.robot, self._say, self._choose, saved)
         self._plans = PlanOverTime(run.robot)
         self._serving = Serving(run)
-        self._room = RoomForTasks(run, self.tasks, self._plans)
-        self._hearing = Hearing(run)
+        self._room = Admission(run, self.tasks, self._plans)
+        self._component_reports = ComponentReports(run)
         self._resting = Resting(run)
         self._room_at, self._room_again = 0.0, _ROOM_AGAIN
         self._lost: AbstractSet[str] = frozenset()
@@ -128,7 +128,7 @@ class TaskManager:
 
     def has_news(self) -> bool:
         """Return whether a component says that an action has ended."""
-        heard = self._hearing.ends()
+        heard = self._component_reports.ends()
         return any(self._said(each, heard) for _, each in self._turns())
 
     def command(self, verb: str, name: str, priority: int | None = None) -> None:
@@ -192,7 +192,7 @@ class TaskManager:
         stops = [c.name for a in ends for c in a.components if c.name in run.placed]
         begins = room.begins
         is_hit = False
-        heard = self._hearing.ends()
+        heard = self._component_reports.ends()
         try:
             stops = self._make_room(room, begins, stops)
             if stops or begins:
@@ -269,14 +269,14 @@ class TaskManager:
 
     def _hear(self) -> None:
         """End the actions whose components say so, and do what components wish."""
-        now, heard = time.time(), self._hearing.ends()
+        now, heard = time.time(), self._component_reports.ends()
         for _, each in self._turns():
             if said := self._said(each, heard):
                 what = f"'{each.action.ends}' said so"
                 self.tasks.end(each.number, now, what, done=said.done)
         self._note_ended()
         note = self._run.journal.note
-        for component, wish in self._hearing.wishes():
+        for component, wish in self._component_reports.wishes():
             what = f"component '{component}' asks to {wish.verb} task '{wish.task}'"
             note("seen", what)
             try:

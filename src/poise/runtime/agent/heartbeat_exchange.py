@@ -16,8 +16,8 @@ from poise.endpoint import Endpoint
 from poise.runtime.agent.clock_offset import ClockOffset
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.lease import Lease
-from poise.wire.contacts import ASK_AFTER, ASK_EVERY, Contacts
 from poise.wire.control_session import endpoint_of
+from poise.wire.failure_detector import ASK_AFTER, ASK_EVERY, Contacts
 from poise.wire.heartbeats import Address, Heartbeats
 from poise.wire.records.clocks import ClockStatus
 from poise.wire.records.heartbeats import MANAGER, Heartbeat, LinkQuality

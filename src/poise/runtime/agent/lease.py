@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
-from poise.wire.contacts import LEASE, Contacts
+from poise.wire.failure_detector import LEASE, Contacts
 from poise.wire.records.heartbeats import MANAGER
 
 

@@ -16,7 +16,7 @@ from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.component import Component
 from poise.runtime.component.ports import Port, Published, Queue, methods_of
 from poise.runtime.connectors.chain_stamps import SentChains
-from poise.runtime.connectors.facade import Facade, refusing
+from poise.runtime.connectors.proxy import Proxy, refusing
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.execution.data_age import DataAges
 from poise.runtime.execution.exclusion import Exclusion
@@ -76,11 +76,11 @@ class Endpoints:
     ) -> Sender:
         """Return the sender of a connector at a published or required port."""
         if name not in self.senders:
-            facade = None
+            proxy = None
             if port.kind == "requires":
-                facade = getattr(self.component, port.name)
+                proxy = getattr(self.component, port.name)
             exclusion = self.exclusion if self.component.reentrant else None
-            sender = Sender(name, port, facade, limit, exclusion, chains)
+            sender = Sender(name, port, proxy, limit, exclusion, chains)
             sender.on_observed = partial(self._rewire, port)
             self.senders[name] = sender
             self._rewire(port)
@@ -137,10 +137,10 @@ class Endpoints:
             self._rewire(port)
         elif port.kind == "requires":
             what = f"{self._name}.{port.name}"
-            facade = Facade(f"{what} ({port.type.__qualname__})")
+            proxy = Proxy(f"{what} ({port.type.__qualname__})")
             for name in methods_of(port.type):
-                setattr(facade, name, refusing(what))
-            setattr(self.component, port.name, facade)
+                setattr(proxy, name, refusing(what))
+            setattr(self.component, port.name, proxy)
 
     def _rewire(self, port: Port) -> None:
         """Let a published port send over all of its connectors."""

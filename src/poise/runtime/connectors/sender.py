@@ -22,8 +22,8 @@ from poise.errors import CallError, RunError, Timeout, Unavailable
 from poise.runtime.component.error_report import Sparing
 from poise.runtime.component.ports import Port
 from poise.runtime.connectors.chain_stamps import SentChains
-from poise.runtime.connectors.facade import Facade, oneway_function, refusing
 from poise.runtime.connectors.interface import Method, methods
+from poise.runtime.connectors.proxy import Proxy, oneway_function, refusing
 from poise.runtime.connectors.route import Route
 from poise.runtime.connectors.tap import Observers, observed_call, observed_send
 from poise.runtime.execution.connector_counters import Counts
@@ -50,7 +50,7 @@ class Sender:
         The connector's name.
     port
         The source's port.
-    facade
+    proxy
         For a required port: where its methods are.
     limit
         Time limit of a call, and of a message that waits [s].
@@ -64,7 +64,7 @@ class Sender:
         self,
         name: str,
         port: Port,
-        facade: Facade | None,
+        proxy: Proxy | None,
         limit: float,
         exclusion: Exclusion | None = None,
         chains: SentChains | None = None,
@@ -75,8 +75,8 @@ class Sender:
         self.counts = Counts()
         self._sparing = Sparing()
         self._limit = limit
-        self._methods = tuple(methods(port.type).values()) if facade else ()
-        self._facade = facade
+        self._methods = tuple(methods(port.type).values()) if proxy else ()
+        self._proxy = proxy
         self._exclusion = exclusion
         self._routes: dict[str, Route] = {}
         self._current: Route | None = None
@@ -230,7 +230,7 @@ class Sender:
             left = deadline - time.monotonic()
             if not self._wait(lambda: self._current is not route, left):
                 raise Timeout(f"connector {self.name}: its target did not come back")
-        return getattr(self._facade, name)(*args, **kwargs)
+        return getattr(self._proxy, name)(*args, **kwargs)
 
     def close(self) -> None:
         """Close every route."""
@@ -384,7 +384,7 @@ class Sender:
         self._current = route
         self._changed.notify_all()
         for method in self._methods:
-            setattr(self._facade, method.name, self._function(method, route))
+            setattr(self._proxy, method.name, self._function(method, route))
 
     def _function(self, method: Method, route: Route | None) -> Callable[..., Any]:
         if route is None:

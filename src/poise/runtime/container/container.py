@@ -27,8 +27,8 @@ from poise.priority import as_usual, go_first
 from poise.runtime.component.error_report import told
 from poise.runtime.component.implementation import search_also
 from poise.runtime.container.agent_link import ORPHAN_LIMIT, AgentLink
+from poise.runtime.container.component_import import prepare
 from poise.runtime.container.descendants import Orphans
-from poise.runtime.container.preparation import prepare
 from poise.runtime.execution.clocks import ComputerClock
 from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.runner import Runner

@@ -17,7 +17,7 @@ from poise.errors import PoiseError, RunError
 from poise.runtime.component.error_report import told_in_brief
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.wiring import Runners, Wiring
-from poise.runtime.migration.party import Party
+from poise.runtime.migration.participant import Participant
 from poise.runtime.waker import poll_until
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.migration_phases import Role
@@ -44,7 +44,7 @@ class MigrationExecutor:
         self._runners = runners
         self._wiring = wiring
         self._server = server
-        self._parties: dict[Runner, Party] = {}
+        self._participants: dict[Runner, Participant] = {}
         self._beginning = threading.Lock()
         self._num_deployments = 0
         self._is_committed = False
@@ -70,8 +70,8 @@ class MigrationExecutor:
 
     def forget(self, runner: Runner) -> None:
         """Know no more of an incarnation that has ended."""
-        if runner in self._parties:
-            self._parties.pop(runner).close()
+        if runner in self._participants:
+            self._participants.pop(runner).close()
 
     def _take_all(
         self, batch: MigrationSteps, received: float, deployment: int
@@ -122,9 +122,9 @@ class MigrationExecutor:
                 left = max(0.0, deadline - time.monotonic())
                 self._runner(step).endpoints.wait_markers(markers, left)
         if step.role is not None:
-            party = self._party(self._runner(step), step.role, migration)
-            with party.phases.taking(step.name, step.phase):
-                party.take(step, deadline)
+            participant = self._participant(self._runner(step), step.role, migration)
+            with participant.phases.taking(step.name, step.phase):
+                participant.take(step, deadline)
 
     def _runner(self, step: Step) -> Runner:
         try:
@@ -133,16 +133,16 @@ class MigrationExecutor:
             text = f"component '{step.component}' ({step.epoch}) is not here"
             raise RunError(text) from None
 
-    def _party(self, runner: Runner, role: Role, migration: int) -> Party:
+    def _participant(self, runner: Runner, role: Role, migration: int) -> Participant:
         """Return an incarnation's part in a migration, which may begin with that."""
-        party = self._parties.get(runner)
-        if party is None or party.migration < migration:
+        participant = self._participants.get(runner)
+        if participant is None or participant.migration < migration:
             self.forget(runner)
-            party = Party(runner, role, migration, self._server)
-            self._parties[runner] = party
-        if party.migration > migration:
+            participant = Participant(runner, role, migration, self._server)
+            self._participants[runner] = participant
+        if participant.migration > migration:
             raise RunError(
                 f"component '{runner.spec.name}': the step belongs to migration "
-                f"{migration}, and {party.migration} has begun"
+                f"{migration}, and {participant.migration} has begun"
             )
-        return party
+        return participant

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 
+from poise.manage.adaptation.bad_links import link_values
 from poise.manage.adaptation.decision import shortages_of
 from poise.manage.adaptation.facts import Facts
-from poise.manage.adaptation.links import link_values
 from poise.model.policy.values import (
     ChainValues,
     ComponentValues,

@@ -11,8 +11,8 @@ from poise.errors import RunError
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.move_limits import MoveLimits
 from poise.manage.adaptation.policy.evaluation import Symptom
+from poise.manage.adaptation.shortages.free_room import room_for_components
 from poise.manage.adaptation.shortages.put_aside import PutAside
-from poise.manage.adaptation.shortages.room import room_for_components
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.report import TransitionStep
 from poise.manage.migration.transition_run import start_together

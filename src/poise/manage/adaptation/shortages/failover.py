@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, Mapping
 from msgspec import Struct
 
 from poise.manage.adaptation.facts import Facts, Homes
-from poise.manage.adaptation.shortages.room import placed_beside
+from poise.manage.adaptation.shortages.free_room import placed_beside
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.pinned import pinned_components
 from poise.model.robot import Architecture

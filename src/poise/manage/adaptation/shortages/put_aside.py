@@ -16,7 +16,7 @@ from msgspec import Struct, structs
 from poise.errors import UsageError
 from poise.estimate.profile.code_version import version_of
 from poise.manage.adaptation.facts import Facts
-from poise.manage.adaptation.shortages.room import room_for_components
+from poise.manage.adaptation.shortages.free_room import room_for_components
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.report import TransitionStep
 from poise.manage.migration.transition_run import start_together, transit

@@ -55,7 +55,7 @@ PyObject* invoke(PyObject* self, PyObject* const* args, Py_ssize_t count, PyObje
   if (entry > Entry::late) return refuse(call, entry, began, limit, args, num, names);
   const Moment inside = entry == Entry::late ? wall_now() : began;
 
-  // the facade may let go of this object while the callee runs
+  // the proxy may let go of this object while the callee runs
   const nb::object held = nb::borrow(self);
   const bool measured = counts.totals().cpu.should_measure(inside);
   const std::int64_t cpu_began = measured ? cpu_now() : 0;
@@ -97,7 +97,7 @@ int traverse(PyObject* self, visitproc visit, void* arg) {
   return 0;
 }
 
-// Break the cycle component -> facade -> this -> method -> component.
+// Break the cycle component -> proxy -> this -> method -> component.
 int clear(PyObject* self) {
   DirectCall& call = *nb::inst_ptr<DirectCall>(self);
   call.method = call.resend = nb::none();

@@ -10,7 +10,7 @@ from poise.runtime.connectors.interface import Method
 from poise.suggest import did_you_mean, listed
 
 
-class Facade:
+class Proxy:
     """What a required port holds: the interface's methods as attributes."""
 
     def __init__(self, what: str) -> None:

@@ -21,7 +21,7 @@ _PAUSE_SHARE = 0.8
 before they give up."""
 
 
-class Party:
+class Participant:
     """One incarnation's part in one migration; any thread may use it."""
 
     def __init__(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from poise.errors import UsageError
-from poise.manage.control_socket.looks import begin_of
+from poise.manage.control_socket.read_commands import begin_of
 from poise.wire.records.status import (
     AgentStatus,
     ConnectorStatus,

@@ -11,15 +11,15 @@ from msgspec.structs import replace
 from poise.estimate.success.learning import learned
 from poise.manage.adaptation.facts import Facts
 from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.tasks.action_placement import Room, room_for_functions
 from poise.manage.tasks.learned_choice import situation_of
 from poise.manage.tasks.likely import PlanOverTime
 from poise.manage.tasks.progress import TaskRecord, Try
-from poise.manage.tasks.room import Room, room_for_functions
 from poise.manage.tasks.serving import Serving
 from poise.manage.tasks.tasks import Tasks
 
 
-class RoomForTasks:
+class Admission:
     """Decides where the functions of all tasks go together."""
 
     def __init__(

@@ -14,7 +14,7 @@ _SHOWN = 60.0
 """A jump is a deviation for this time [s]."""
 
 
-class OwnTroubles:
+class ManagerTroubles:
     """Looks at the manager itself. The robot goes on, and nothing moves for it.
 
     Parameters

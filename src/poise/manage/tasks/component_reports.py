@@ -19,7 +19,7 @@ class Heard(Struct, frozen=True):
     done: bool = False
 
 
-class Hearing:
+class ComponentReports:
     """Hears what the components of a run say, once."""
 
     def __init__(self, run: RunningComponents) -> None:

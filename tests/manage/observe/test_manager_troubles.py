@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from poise.manage.journal import Journal
-from poise.manage.observe.own_troubles import OwnTroubles
+from poise.manage.observe.manager_troubles import ManagerTroubles
 
 
 class Clocks:
@@ -18,7 +18,7 @@ class Clocks:
 
 def test_a_jump_of_the_clock_is_said_once_and_shown_for_a_minute() -> None:
     clocks, journal = Clocks(), Journal(":memory:")
-    troubles = OwnTroubles(journal, lambda: clocks.wall, lambda: clocks.now)
+    troubles = ManagerTroubles(journal, lambda: clocks.wall, lambda: clocks.now)
     clocks.pass_by(30)
     troubles.look()
     assert not troubles.deviations()
@@ -37,7 +37,7 @@ def test_a_jump_of_the_clock_is_said_once_and_shown_for_a_minute() -> None:
 
 def test_a_clock_that_drifts_is_no_trouble() -> None:
     clocks, journal = Clocks(), Journal(":memory:")
-    troubles = OwnTroubles(journal, lambda: clocks.wall, lambda: clocks.now)
+    troubles = ManagerTroubles(journal, lambda: clocks.wall, lambda: clocks.now)
     for _ in range(100):
         clocks.pass_by(1)
         clocks.wall += 0.1
@@ -49,7 +49,7 @@ def test_a_journal_that_cannot_be_written_is_a_deviation_meanwhile(
     tmp_path: Path,
 ) -> None:
     journal = Journal(tmp_path / "journal.sqlite")
-    troubles = OwnTroubles(journal)
+    troubles = ManagerTroubles(journal)
     journal.trouble = "the journal cannot be written"
     troubles.look()
     (found,) = troubles.deviations()
