@@ -97,7 +97,7 @@ def test_a_file_with_problems_is_an_error_with_all_of_them(tmp_path: Path) -> No
 def test_a_placement_shows_where_components_are() -> None:
     placed = poise.place(hello())
     assert placed["counter"] == "left"
-    assert placed.explain("counter").reason
+    assert str(placed.explain("counter")).startswith("counter is on left: ")
     for text in (str(placed), placed._repr_html_()):
         assert "counter" in text
         assert "left" in text

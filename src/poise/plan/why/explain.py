@@ -47,6 +47,9 @@ class Explanation(Struct, frozen=True, kw_only=True):
     options: tuple[Option, ...]
     together: tuple[str, ...] = ()
 
+    def __str__(self) -> str:
+        return f"{self.component} is on {self.computer}: {self.reason}"
+
 
 class Rejection(Struct, frozen=True, kw_only=True):
     """Why an architecture was not chosen.
@@ -65,6 +68,12 @@ class Rejection(Struct, frozen=True, kw_only=True):
     reason: str
     objective: Terms | None = None
     change: Terms | None = None
+
+    def __str__(self) -> str:
+        what = f"architecture {self.architecture} was not chosen"
+        if self.chosen:
+            what += f" ({self.chosen} provides its function)"
+        return f"{what}: {self.reason}"
 
 
 def explain(

@@ -216,10 +216,7 @@ def show_explanation(
 
 def _show_options(explanation: plan.Explanation, console: Console) -> None:
     """Print why a component is where it is, and what each other computer costs."""
-    console.print(
-        f"{explanation.component} is on {explanation.computer}: {explanation.reason}",
-        highlight=False,
-    )
+    console.print(str(explanation), highlight=False)
     if explanation.together:
         names = ", ".join(explanation.together)
         console.print(f"It moves together with {names}.", highlight=False)
@@ -248,10 +245,7 @@ def _show_options(explanation: plan.Explanation, console: Console) -> None:
 
 def _show_rejection(rejection: plan.Rejection, console: Console) -> None:
     """Print why an architecture was not chosen, and what it would cost."""
-    what = f"architecture {rejection.architecture} was not chosen"
-    if rejection.chosen:
-        what += f" ({rejection.chosen} provides its function)"
-    console.print(f"{what}: {rejection.reason}", highlight=False)
+    console.print(str(rejection), highlight=False)
     if rejection.objective is None or rejection.change is None:
         return
     names = ("total", "communication", "balance", "move", "quality")
