@@ -107,6 +107,7 @@ PUBLIC = {
     ],
     "poise.plan": [
         "Bundle",
+        "ComputerTried",
         "Conflict",
         "Edge",
         "Explanation",
@@ -125,7 +126,6 @@ PUBLIC = {
         "Smallest",
         "Terms",
         "Tightest",
-        "Trial",
         "add",
         "evaluate",
         "explain",
@@ -206,3 +206,13 @@ def test_every_native_name_is_described(stub: Path) -> None:
         and not getattr(native, node.name).__doc__
     ]
     assert undescribed == []
+
+
+@pytest.mark.slow
+def test_a_class_name_says_one_thing_only() -> None:
+    places: dict[str, list[str]] = {}
+    for file in sorted(SOURCE.rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.ClassDef):
+                places.setdefault(node.name, []).append(str(file.relative_to(SOURCE)))
+    assert {name: files for name, files in places.items() if len(files) > 1} == {}

@@ -63,13 +63,13 @@ class Fired(TypedDict):
     saw: dict[str, Any]
 
 
-class Journal(TypedDict):
+class JournalShown(TypedDict):
     """What `poise journal` shows."""
 
     entries: list[JournalEntry]
 
 
-class Passed(TypedDict):
+class Echoed(TypedDict):
     """A line of `poise echo`: when it went out [s since 1970], and what."""
 
     at: float
@@ -95,7 +95,7 @@ class Compared(TypedDict):
     results: Mapping[str, Any]
 
 
-class Smallest(TypedDict):
+class SmallestShown(TypedDict):
     """The cheapest computers for tasks."""
 
     feasible: bool
@@ -108,7 +108,7 @@ class Smallest(TypedDict):
 _SCENES = [get_type_hints(play)["return"] for _, play in SCENES.values()]
 OUTPUTS: Mapping[str, Sequence[Any]] = {
     "check": [Checked],
-    "plan": [Planned, PlannedPhases, Compared, Smallest],
+    "plan": [Planned, PlannedPhases, Compared, SmallestShown],
     "profile": [Profile],
     "profile show": [Profile],
     "calibrate": [Calibration],
@@ -122,7 +122,7 @@ OUTPUTS: Mapping[str, Sequence[Any]] = {
     "emulate list": [list[ListedSet]],
     "list": [Robots],
     "record": [RobotRecording],
-    "echo": [Passed],
+    "echo": [Echoed],
     "hz": [Rate],
     "log": [OutputLine],
     "task": [list[TaskReport]],
@@ -133,7 +133,7 @@ OUTPUTS: Mapping[str, Sequence[Any]] = {
     "move": [MigrationReport, WhatIf],
     "replace": [MigrationReport],
     "balance": [Rebalanced],
-    "journal": [Journal],
+    "journal": [JournalShown],
 }
 """Command -> what it prints, or one of these; of `echo`, `hz` and `log` each line."""
 

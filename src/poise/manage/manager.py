@@ -49,7 +49,7 @@ from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.manager_troubles import ManagerTroubles
 from poise.manage.observe.recording import Recording
 from poise.manage.observe.watch import Watch
-from poise.manage.prefetch.prefetch import Prefetch
+from poise.manage.prefetch.prefetch import Prefetcher
 from poise.manage.tasks.progress import Saved
 from poise.manage.tasks.task_manager import TaskManager
 
@@ -110,7 +110,7 @@ class Manager:
         self._put_aside = PutAside(run, self.tasks.now, aside)
         if aside:
             self._put_aside.look()
-        self._prefetch = Prefetch(run)
+        self._prefetch = Prefetcher(run)
         keep = recording.add_seen if recording else None
         self._adaptation = Adaptation(
             run, self._facts, self._put_aside, acts=adapts, keep=keep

@@ -10,11 +10,11 @@ from poise.plan.problem.from_robot import problem_of, static
 from poise.plan.problem.problem import Bundle, Edge, Item, Problem
 from poise.plan.result import Result
 from poise.plan.result_records import (
+    ComputerTried,
     Conflict,
     GreedyStep,
     More,
     Tightest,
-    Trial,
 )
 from poise.plan.what_if.changed_problem import add, keep_components, scale, without
 from poise.plan.what_if.fewest_computers import Smallest, smallest
@@ -22,6 +22,7 @@ from poise.plan.why.explain import Explanation, Option, Rejection, explain
 
 __all__ = [
     "Bundle",
+    "ComputerTried",
     "Conflict",
     "Edge",
     "Explanation",
@@ -40,7 +41,6 @@ __all__ = [
     "Smallest",
     "Terms",
     "Tightest",
-    "Trial",
     "add",
     "evaluate",
     "explain",

@@ -30,7 +30,7 @@ NONE_FOUND = "no placement was found in the time given; there may be one"
 IMPOSSIBLE = "no placement keeps all limits"
 
 
-class Choice(NamedTuple):
+class Selection(NamedTuple):
     """What was chosen besides the placement.
 
     Parameters
@@ -106,7 +106,7 @@ class Result:
     proven = False
     stopped_by: Stopped = "done"
     seed = 0
-    choice = Choice()
+    choice = Selection()
     _bound: float | None = None
     _conflict: Conflict | None = None
     _given = False

@@ -31,7 +31,7 @@ class Answer(NamedTuple):
     steps: int
 
 
-class Trial(Struct, frozen=True, kw_only=True):
+class ComputerTried(Struct, frozen=True, kw_only=True):
     """One computer tried for a component: F over all placed so far.
 
     `total` is None where the component may not go; `reason` then says why.
@@ -50,7 +50,7 @@ class GreedyStep(Struct, frozen=True, kw_only=True):
     """
 
     component: str
-    trials: tuple[Trial, ...]
+    trials: tuple[ComputerTried, ...]
     chosen: str | None
 
 

@@ -57,7 +57,7 @@ _LOG = {
 part of it, for Foxglove refuses schemas of objects whose parts are not known."""
 
 
-class ChainAge(Struct, frozen=True):
+class ChainRow(Struct, frozen=True):
     """How old the data of a chain was when it was used [s], and how often too old."""
 
     name: str
@@ -67,7 +67,7 @@ class ChainAge(Struct, frozen=True):
     missed: int
 
 
-_Row = ComputerRow | ComponentRow | ConnectorRow | TimerRow | ChainAge
+_Row = ComputerRow | ComponentRow | ConnectorRow | TimerRow | ChainRow
 _SCHEMAS = {type_: schema_of(type_) for type_ in get_args(_Row)}
 
 
@@ -255,7 +255,7 @@ class Recorder:
     def _write_rows(self, file: McapFile, status: Status, now: float) -> None:
         view, at = self._reader.take(status, now), time.time()
         ages = tuple(
-            ChainAge(
+            ChainRow(
                 each.name, each.age.median, each.age.p99, each.deadline, each.missed
             )
             for each in status.chains

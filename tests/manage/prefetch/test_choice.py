@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import pytest
 from msgspec.structs import replace
 
-from poise.manage.prefetch.choice import Choice, choose
+from poise.manage.prefetch.choice import PrefetchPlan, choose
 from poise.manage.tasks.likely import Likely
 from poise.model.robot import Architecture, ComponentEntry, Computer, Device, Robot
 from poise.model.tasks.prefetch import Prefetch
@@ -53,7 +53,7 @@ def chosen(
     running: Mapping[str, str] | None = None,
     cpu: Mapping[str, float] = FREE,
     held: Mapping[str, str] | None = None,
-) -> Choice:
+) -> PrefetchPlan:
     return choose(robot, running or {}, actions, cpu=cpu, held=held or {})
 
 

@@ -13,11 +13,11 @@ from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
 from poise.manage.observe.loads import Load
-from poise.manage.prefetch.prefetch import TRY_AGAIN, Prefetch
+from poise.manage.prefetch.prefetch import TRY_AGAIN, Prefetcher
 from poise.manage.prefetch.switch import switch
 from poise.manage.tasks.likely import Likely
 from poise.model.robot import Robot
-from poise.model.tasks.prefetch import Prefetch as Bounds
+from poise.model.tasks.prefetch import Prefetch
 from poise.wire.records.status import ComponentStatus, ContainerHealth, Fault
 from tests.manage.conftest import FakeAgents
 
@@ -38,7 +38,7 @@ class Rig:
         )
         self.run.start()
         self.now = 0.0
-        self.prefetch = Prefetch(self.run, lambda: self.now)
+        self.prefetch = Prefetcher(self.run, lambda: self.now)
 
     def look(self, *likely: Likely, loads: Mapping[str, Load] | None = None) -> None:
         self.prefetch.look(likely, loads or {})
@@ -90,7 +90,7 @@ def test_switches_are_reported_with_and_without(rig: Rig) -> None:
 
 
 def test_nothing_is_prepared_when_that_is_off(robot: Robot) -> None:
-    rig = Rig(replace(robot, prefetch=Bounds(off=True)))
+    rig = Rig(replace(robot, prefetch=Prefetch(off=True)))
     rig.look(NEXT)
     assert not rig.run.prepared
 

@@ -11,7 +11,7 @@ import msgspec
 from rich.console import Console
 
 from poise.session.experiment.page import experiment_page
-from poise.session.experiment.results import Missed, Result
+from poise.session.experiment.results import Missed, TrialResult
 from poise.session.experiment.summary import ExperimentReport, summarised
 from poise.session.experiment.trials import SHORT, USUAL, Extent, schedule
 from poise.session.render.experiment import experiment_parts
@@ -19,9 +19,9 @@ from poise.session.render.experiment import experiment_parts
 
 def found(
     extent: Extent, invalid: str = "", without_chains: str = ""
-) -> tuple[ExperimentReport, list[Result]]:
+) -> tuple[ExperimentReport, list[TrialResult]]:
     results = [
-        Result(
+        TrialResult(
             trial=trial,
             at=0.0,
             invalid=invalid,
@@ -60,7 +60,7 @@ def test_it_needs_no_other_file_and_has_the_raw_data() -> None:
     HTMLParser().feed(page)
     assert not re.search(r"(src|href)=|https?:|@import", page)
     raw = page.split('id="results">')[1].split("</script>")[0].strip()
-    results = [msgspec.json.decode(line, type=Result) for line in raw.splitlines()]
+    results = [msgspec.json.decode(line, type=TrialResult) for line in raw.splitlines()]
     assert [each.trial for each in results] == schedule(SHORT)
     assert results[0].world["said"] == "</script>"
     assert "3.1 cm" in page

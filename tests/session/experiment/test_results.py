@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from poise.errors import UsageError
-from poise.session.experiment.results import Result, append, read, remaining
+from poise.session.experiment.results import TrialResult, append, read, remaining
 from poise.session.experiment.trials import Trial
 
 TRIALS = [Trial(arm, "usual", seed) for seed in range(2) for arm in ("a", "b")]
@@ -16,7 +16,9 @@ TRIALS = [Trial(arm, "usual", seed) for seed in range(2) for arm in ("a", "b")]
 def test_what_is_appended_is_read(tmp_path: Path) -> None:
     file = tmp_path / "results.jsonl"
     assert read(file) == []
-    results = [Result(trial=trial, at=1.0, functions={"x": True}) for trial in TRIALS]
+    results = [
+        TrialResult(trial=trial, at=1.0, functions={"x": True}) for trial in TRIALS
+    ]
     for result in results:
         append(file, result)
     assert read(file) == results
@@ -25,7 +27,7 @@ def test_what_is_appended_is_read(tmp_path: Path) -> None:
 
 def test_a_line_that_was_cut_off_is_made_again(tmp_path: Path) -> None:
     file = tmp_path / "results.jsonl"
-    results = [Result(trial=trial, at=1.0) for trial in TRIALS]
+    results = [TrialResult(trial=trial, at=1.0) for trial in TRIALS]
     append(file, results[0])
     with file.open("a") as out:
         out.write('{"trial": {"arm"')
@@ -36,7 +38,7 @@ def test_a_line_that_was_cut_off_is_made_again(tmp_path: Path) -> None:
 
 def test_a_line_that_is_no_result_is_named(tmp_path: Path) -> None:
     file = tmp_path / "results.jsonl"
-    append(file, Result(trial=TRIALS[0], at=1.0))
+    append(file, TrialResult(trial=TRIALS[0], at=1.0))
     with file.open("a") as out:
         out.write("nonsense\n")
     with pytest.raises(UsageError, match="line 2 is no result"):
@@ -44,8 +46,8 @@ def test_a_line_that_is_no_result_is_named(tmp_path: Path) -> None:
 
 
 def test_invalid_runs_are_made_again() -> None:
-    done = Result(trial=TRIALS[0], at=1.0)
-    broken = Result(trial=TRIALS[1], at=1.0, invalid="the world died")
+    done = TrialResult(trial=TRIALS[0], at=1.0)
+    broken = TrialResult(trial=TRIALS[1], at=1.0, invalid="the world died")
     assert remaining(TRIALS, [done, broken]) == TRIALS[1:]
-    again = Result(trial=TRIALS[1], at=2.0)
+    again = TrialResult(trial=TRIALS[1], at=2.0)
     assert remaining(TRIALS, [done, broken, again]) == TRIALS[2:]

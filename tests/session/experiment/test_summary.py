@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from poise.session.experiment.results import Missed, Result
+from poise.session.experiment.results import Missed, TrialResult
 from poise.session.experiment.summary import summarised, wilson
 from poise.session.experiment.trials import Trial
 
-VALID = Result(
+VALID = TrialResult(
     trial=Trial("a", "usual", 0),
     at=0.0,
     functions={"drive": True, "talk": False},

@@ -22,8 +22,8 @@ from poise.session.experiment.trials import (
     FULL,
     SHORT,
     USUAL,
-    Condition,
     Extent,
+    TrialCondition,
     as_it_runs,
     named,
     schedule,
@@ -79,14 +79,14 @@ def test_arms_take_turns_in_an_order_of_their_own() -> None:
 
 
 def test_a_load_makes_computers_slower_and_a_link_narrower() -> None:
-    known = under(ROBOT, Condition(name="both", load=2.0, bandwidth=5.0))
+    known = under(ROBOT, TrialCondition(name="both", load=2.0, bandwidth=5.0))
     assert [each.speed for each in known.computers] == [0.25]
     assert [each.bandwidth for each in known.links] == [5.0]
     assert under(ROBOT, CONDITIONS[0]) == ROBOT
 
 
 def test_what_overruns_is_known_to_no_planner() -> None:
-    overrun = Condition(name="over", parameters={"localiser": {"particles": 9}})
+    overrun = TrialCondition(name="over", parameters={"localiser": {"particles": 9}})
     assert under(ROBOT, overrun) == ROBOT
     runs = as_it_runs(ROBOT, named(ARMS, "Poise"), overrun, 3)
     (localiser,) = runs.components()

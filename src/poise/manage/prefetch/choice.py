@@ -16,7 +16,7 @@ LEAST_CPU = 0.01
 """Nothing begins to be prepared where less CPU is left for it [cores]."""
 
 
-class Choice(Struct, frozen=True, kw_only=True):
+class PrefetchPlan(Struct, frozen=True, kw_only=True):
     """What is to be prepared.
 
     Parameters
@@ -38,7 +38,7 @@ def choose(
     *,
     cpu: Mapping[str, float],
     held: Mapping[str, str],
-) -> Choice:
+) -> PrefetchPlan:
     """Return what is to be prepared, the likeliest action first: all of it, or nothing.
 
     An action for which there is no room is left out, and a less likely one that fits is
@@ -81,7 +81,7 @@ def choose(
             for resource, amount in _held_by(components[name]):
                 left[computer][resource] -= amount
         placement |= wanted
-    return Choice(placement=placement, why_not=why_not)
+    return PrefetchPlan(placement=placement, why_not=why_not)
 
 
 def _resting(component: str, computer: str) -> Likely:

@@ -13,7 +13,7 @@ from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.residue import residue
 from poise.manage.observe.loads import Load
-from poise.manage.prefetch.choice import Choice, choose
+from poise.manage.prefetch.choice import PrefetchPlan, choose
 from poise.manage.prefetch.report import PrefetchReport
 from poise.manage.prefetch.switch import prepare
 from poise.manage.tasks.likely import Likely
@@ -28,7 +28,7 @@ _Key = tuple[str, int]
 """A component and its epoch."""
 
 
-class Prefetch:
+class Prefetcher:
     """What waits, prepared, for actions that have not begun.
 
     Parameters
@@ -88,7 +88,7 @@ class Prefetch:
         self._chosen_for = [*likely], placement, [*self._run.prepared], cpu.keys()
 
     def _go_to(
-        self, choice: Choice, likely: Collection[Likely], cpu: Mapping[str, float]
+        self, choice: PrefetchPlan, likely: Collection[Likely], cpu: Mapping[str, float]
     ) -> None:
         run, note = self._run, self._run.journal.note
         for (action, task), why in choice.why_not.items():

@@ -114,7 +114,7 @@ class Saved(Struct, kw_only=True):
     number: int = 0
 
 
-class Ended(Struct, frozen=True):
+class ActionEnded(Struct, frozen=True):
     """An action that has ended."""
 
     action: Action

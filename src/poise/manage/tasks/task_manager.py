@@ -25,7 +25,7 @@ from poise.manage.tasks.admission import Admission
 from poise.manage.tasks.component_reports import ComponentReports, Heard
 from poise.manage.tasks.learned_choice import choose, note_ending, situation_of
 from poise.manage.tasks.likely import Likely, PlanOverTime, likely_next
-from poise.manage.tasks.progress import OVER, Ended, Saved, TaskRecord, Try
+from poise.manage.tasks.progress import OVER, ActionEnded, Saved, TaskRecord, Try
 from poise.manage.tasks.report import TaskReport, task_reports
 from poise.manage.tasks.serving import Serving
 from poise.manage.tasks.tasks import Tasks
@@ -78,7 +78,7 @@ class TaskManager:
         self._room_at, self._room_again = 0.0, _ROOM_AGAIN
         self._lost: AbstractSet[str] = frozenset()
         self._aside: AbstractSet[str] = frozenset()
-        self._unlearned: list[tuple[Ended, list[str]]] = []
+        self._unlearned: list[tuple[ActionEnded, list[str]]] = []
         self._since = time.time()
         self._ahead: list[tuple[TaskRecord, Try, float]] = []
         self.reports = self._reported()

@@ -12,8 +12,8 @@ from msgspec.structs import replace
 from poise.errors import UsageError
 from poise.manage.tasks.progress import (
     OVER,
+    ActionEnded,
     Choose,
-    Ended,
     Progress,
     Saved,
     Steps,
@@ -65,7 +65,7 @@ class Tasks:
         self._say = say
         self.saved = saved or Saved()
         self._blocked: dict[str, str] = {}
-        self._ended: list[Ended] = []
+        self._ended: list[ActionEnded] = []
         self._announced = {r.order: (r.state, r.why) for r in self.saved.records}
         for record in list(self.saved.records):
             if record.name not in self._tasks:
@@ -246,7 +246,7 @@ class Tasks:
             for each, probability in self._next_of(record)
         ]
 
-    def take_ended(self) -> list[Ended]:
+    def take_ended(self) -> list[ActionEnded]:
         """Return the actions that have ended since the last call."""
         ended, self._ended = self._ended, []
         return ended
@@ -319,7 +319,7 @@ class Tasks:
         progress.why = "" if done else f"action '{each.name}' failed: {why}"
         how = "is done" if done else "has failed"
         self._say(f"action '{each.name}' of task '{record.name}' {how}: {why}")
-        self._ended.append(Ended(each.action, done))
+        self._ended.append(ActionEnded(each.action, done))
 
     def _settle(self, record: TaskRecord, now: float) -> None:
         steps = self._steps(record.name)

@@ -16,7 +16,7 @@ from poise.plan.planner import Planner
 from poise.plan.problem.arrays import Placed, arrays_of
 from poise.plan.problem.problem import Problem
 from poise.plan.problem.snapshot import Snapshot
-from poise.plan.result import Choice, Result
+from poise.plan.result import Result, Selection
 from poise.plan.solvers.portfolio import Effort
 from poise.plan.what_if.changed_problem import keep_components
 
@@ -36,7 +36,7 @@ Solution = Mapping[str, Result]
 """Phase -> its placement, whose F has no moves; one that has none is not there."""
 
 
-def _of(snapshot: Snapshot, placed: Placed, choice: Choice) -> Result:
+def _of(snapshot: Snapshot, placed: Placed, choice: Selection) -> Result:
     result = Result.of(snapshot, placed, "phases")
     result.choice = choice
     return result

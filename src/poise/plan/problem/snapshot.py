@@ -12,8 +12,8 @@ from poise.plan import _core
 from poise.plan.problem.arrays import Arrays, Placed, arrays_of
 from poise.plan.problem.problem import Problem
 from poise.plan.result_records import (
+    ComputerTried,
     GreedyStep,
-    Trial,
 )
 from poise.plan.violations import obstacle
 
@@ -104,11 +104,11 @@ class Snapshot:
                 break
         return tuple(trace)
 
-    def _trial(self, placed: Placed, unit: int, computer: int) -> Trial:
+    def _trial(self, placed: Placed, unit: int, computer: int) -> ComputerTried:
         reason = obstacle(self.arrays, placed, unit, computer)
         trial = [*placed[:unit], computer, *placed[unit + 1 :]]
         total = None if reason else self.terms(trial).total
-        return Trial(
+        return ComputerTried(
             computer=self.arrays.computer(computer), total=total, reason=reason
         )
 

@@ -15,7 +15,7 @@ from math import inf, prod
 from poise.errors import UsageError
 from poise.model.hardware import fits
 from poise.plan.problem.problem import Bundle, Problem
-from poise.plan.result import Choice, Result
+from poise.plan.result import Result, Selection
 from poise.plan.solvers.portfolio import Decide
 from poise.plan.what_if.changed_problem import keep_components
 
@@ -58,7 +58,7 @@ def part(problem: Problem, bundles: Iterable[Bundle]) -> Problem:
 
 def chosen_by(
     problem: Problem, placement: Mapping[str, str], *, partial: bool = False
-) -> tuple[Choice, Problem]:
+) -> tuple[Selection, Problem]:
     """Return what a placement chooses, and the problem without the rest.
 
     `partial`: what has no component in the placement was put aside.
@@ -69,7 +69,7 @@ def chosen_by(
         When it has two architectures of one function, or a part of one.
     """
     if not (has_choice(problem) or partial):
-        return Choice(), problem
+        return Selection(), problem
     every, combo = needs(problem), []
     if partial:
         every = [
@@ -216,7 +216,7 @@ def _one_change_each(every: list[Need]) -> Iterator[Need]:
             yield (*first[:i], other, *first[i + 1 :])
 
 
-def _choice(problem: Problem, every: list[Need], combo: Need) -> Choice:
+def _choice(problem: Problem, every: list[Need], combo: Need) -> Selection:
     lost = sum(
         need[0].quality - chosen.quality
         for need, chosen in zip(every, combo, strict=True)
@@ -226,7 +226,7 @@ def _choice(problem: Problem, every: list[Need], combo: Need) -> Choice:
         for need, chosen in zip(every, combo, strict=True)
         if len(need) > 1
     }
-    return Choice(picked, lost=lost * problem.objective.quality)
+    return Selection(picked, lost=lost * problem.objective.quality)
 
 
 def _better(result: Result, best: Result) -> bool:

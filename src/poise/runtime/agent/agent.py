@@ -37,7 +37,7 @@ from poise.runtime.agent.sampling.watchdog import Silence
 from poise.runtime.agent.status_reports import StatusReports
 from poise.runtime.agent.supervision.adoption import (
     ADOPT_LIMIT,
-    Adoption,
+    AdoptedContainers,
     AgentFolder,
     AgentState,
 )
@@ -105,7 +105,7 @@ class Agent:
         # before any thread, zenoh session or descriptor of the agent's own exists
         held = () if setup.lifeline is None else (setup.lifeline,)
         self._zygote, self._zygote_pid = zygote.start(closing=held)
-        self._adoption = Adoption(folder, self._clock)
+        self._adoption = AdoptedContainers(folder, self._clock)
         self._supervisor = Supervisor(
             self._zygote, setup.computer, folder, self._clock, self._adoption.awaits
         )

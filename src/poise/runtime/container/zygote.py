@@ -79,14 +79,14 @@ class NotForked(Struct, frozen=True, tag=True):
     reason: str
 
 
-class Ended(Struct, frozen=True, tag=True):
+class ContainerEnded(Struct, frozen=True, tag=True):
     """A container's process ended; `status` as ``waitpid`` gives it."""
 
     pid: int
     status: int
 
 
-Event = Forked | NotForked | Ended
+Event = Forked | NotForked | ContainerEnded
 
 
 def start(closing: Sequence[int] = ()) -> tuple[socket.socket, int]:
@@ -214,7 +214,7 @@ class _Zygote:
 
     def _report_ended(self) -> None:
         for pid, status in self._ended():
-            self._tell(Ended(pid, status))
+            self._tell(ContainerEnded(pid, status))
 
     def _ended(self) -> list[tuple[int, int]]:
         """Return the containers that ended since the last look, and how.

@@ -30,7 +30,7 @@ class Packet(Message, frozen=True):
     payload: bytes
 
 
-class Echo:
+class EchoCall:
     """A call with an answer."""
 
     def echo(self, packet: Packet) -> int:
@@ -60,7 +60,7 @@ class Yardstick(Component):
 class Echoer(Component):
     """Answers calls."""
 
-    port: Provided[Echo]
+    port: Provided[EchoCall]
 
     def echo(self, packet: Packet) -> int:
         """Return the packet's size [bytes]."""
@@ -86,7 +86,7 @@ class _Sized(Component):
 class Asker(_Sized):
     """Calls once in each step."""
 
-    port: Required[Echo]
+    port: Required[EchoCall]
 
     @every(1 / RATE)
     def ask(self) -> None:

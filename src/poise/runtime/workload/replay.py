@@ -32,7 +32,7 @@ Due = tuple[float, Callable[[], None]]
 """When something is to be sent, since the beginning [s], and what sends it."""
 
 
-class Part(Struct, frozen=True, kw_only=True):
+class PlayedPort(Struct, frozen=True, kw_only=True):
     """What one port of the player sends: sources of the recording, or generated.
 
     `type` is the message's, or the interface that is called, as
@@ -48,7 +48,7 @@ class Part(Struct, frozen=True, kw_only=True):
 class Replay(Component):
     """Publishes and calls as its parameters say.
 
-    These are ``ports`` (port -> `Part`) and ``recording``, a file.
+    These are ``ports`` (port -> `PlayedPort`) and ``recording``, a file.
     A call waits for its answer, so what is due behind it may be late.
     """
 
@@ -95,7 +95,9 @@ class Replay(Component):
             self._next = next(self._due, None)
             send()
 
-    def _recorded(self, name: str, part: Part, inputs: list[Input]) -> Iterator[Due]:
+    def _recorded(
+        self, name: str, part: PlayedPort, inputs: list[Input]
+    ) -> Iterator[Due]:
         """Yield the messages or calls of a source, again and again."""
         found = [each for each in inputs if each.source in part.sources]
         send = self._call if part.calls else self._publish_recorded
@@ -140,9 +142,9 @@ class Replay(Component):
             yield at, partial(self._publish, name, message)
 
 
-def parts_of(parameters: Mapping[str, Any]) -> dict[str, Part]:
+def parts_of(parameters: Mapping[str, Any]) -> dict[str, PlayedPort]:
     """Return what a player's parameters say of its ports."""
-    return msgspec.convert(parameters["ports"], dict[str, Part])
+    return msgspec.convert(parameters["ports"], dict[str, PlayedPort])
 
 
 def read_recorded(path: Path) -> list[Input]:

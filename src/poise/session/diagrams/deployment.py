@@ -6,7 +6,13 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 
 from poise.model.robot import Computer, Link, Robot
-from poise.session.diagrams.records import DeploymentDiagram, Node, Part, Path, Placed
+from poise.session.diagrams.records import (
+    DeployedComponent,
+    DeploymentDiagram,
+    DeploymentNode,
+    Path,
+    Placed,
+)
 from poise.units import (
     counted,
     format_amount,
@@ -39,7 +45,7 @@ def _node(
     computer: Computer,
     placement: Mapping[str, str],
     first: Mapping[str, str],
-) -> Node:
+) -> DeploymentNode:
     here = [n for n, there in placement.items() if there == computer.name]
     demands = {each.name: each.demand for each in robot.components()}
     lines = []
@@ -50,8 +56,11 @@ def _node(
         lines.append(f"{resource}: {share}{format_amount(resource, usable)}")
     devices = [d.name for d in robot.devices if d.computer == computer.name]
     lines += [f"devices: {', '.join(devices)}"] if devices else []
-    parts = [Part(name, _remark(name, computer.name, first)) for name in sorted(here)]
-    return Node(computer.name, tuple(lines), tuple(parts))
+    parts = [
+        DeployedComponent(name, _remark(name, computer.name, first))
+        for name in sorted(here)
+    ]
+    return DeploymentNode(computer.name, tuple(lines), tuple(parts))
 
 
 def _remark(name: str, computer: str, first: Mapping[str, str]) -> str:

@@ -9,11 +9,11 @@ from math import ceil, sqrt
 from poise.manage.deploy.topological_order import levels
 from poise.session.diagrams.records import (
     ComponentDiagram,
+    DeployedComponent,
     DeploymentDiagram,
+    DeploymentNode,
     Diagram,
     Join,
-    Node,
-    Part,
     Placed,
     SequenceDiagram,
 )
@@ -132,7 +132,7 @@ def _placed(view: Placed, prefix: str) -> Iterator[str]:
             yield f"{one} -> {other} [dir=none]"
 
 
-def _node_table(node: Node) -> str:
+def _node_table(node: DeploymentNode) -> str:
     """Return a table as Graphviz has them: a head, then components in a grid."""
     columns = max(2, ceil(sqrt(_WIDE * len(node.parts))))
     head = _small("«device»") + _bold(node.name)
@@ -144,7 +144,7 @@ def _node_table(node: Node) -> str:
     return f'<table border="0" cellspacing="5">{"".join(rows)}</table>'
 
 
-def _cell(part: Part) -> str:
+def _cell(part: DeployedComponent) -> str:
     colour = f' bgcolor="{_MARKED}"' if part.remark else ""
     remark = f"<br/>{_bold(part.remark)}" if part.remark else ""
     text = f"{_small('«component»')}{escape(part.name)}{remark}"

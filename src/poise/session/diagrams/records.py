@@ -42,19 +42,19 @@ class ComponentDiagram(Struct, frozen=True):
     joins: tuple[Join, ...]
 
 
-class Part(Struct, frozen=True):
+class DeployedComponent(Struct, frozen=True):
     """A component on a computer; `remark` says what is special there."""
 
     name: str
     remark: str = ""
 
 
-class Node(Struct, frozen=True):
+class DeploymentNode(Struct, frozen=True):
     """A computer with what it has, what of that is used, and what runs there."""
 
     name: str
     lines: tuple[str, ...]
-    parts: tuple[Part, ...]
+    parts: tuple[DeployedComponent, ...]
 
 
 class Path(Struct, frozen=True):
@@ -68,7 +68,7 @@ class Placed(Struct, frozen=True):
     """One placement: its name, computers, and what goes between them."""
 
     name: str
-    nodes: tuple[Node, ...]
+    nodes: tuple[DeploymentNode, ...]
     paths: tuple[Path, ...]
 
 
@@ -79,7 +79,7 @@ class DeploymentDiagram(Struct, frozen=True):
     placements: tuple[Placed, ...]
 
 
-class Message(Struct, frozen=True):
+class Arrow(Struct, frozen=True):
     """What one lifeline sends another; to itself: what it does."""
 
     source: str
@@ -92,7 +92,7 @@ class SequenceDiagram(Struct, frozen=True):
 
     title: str
     lifelines: tuple[str, ...]
-    messages: tuple[Message, ...]
+    messages: tuple[Arrow, ...]
 
 
 Diagram = ComponentDiagram | DeploymentDiagram | SequenceDiagram

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 
 from poise.manage.migration.report import TransitionStep
 from poise.model.robot import Robot
-from poise.session.diagrams.records import Message, SequenceDiagram
+from poise.session.diagrams.records import Arrow, SequenceDiagram
 from poise.units import format_bytes
 
 MANAGER = "manager"
@@ -27,18 +27,18 @@ def sequence_diagram(
     return SequenceDiagram(f"{robot.name}: {title}", (MANAGER, *computers), messages)
 
 
-def _messages(step: TransitionStep, state: float) -> Iterator[Message]:
+def _messages(step: TransitionStep, state: float) -> Iterator[Arrow]:
     """Yield what a step takes; docs/design/moves.md has all of its parts."""
     name, source, target = step.component, step.source, step.target
     why = f" ({step.why})" if step.why else ""
     if not step.source:
-        yield Message(MANAGER, target, f"start {name}{why}")
+        yield Arrow(MANAGER, target, f"start {name}{why}")
     elif not step.target:
-        yield Message(MANAGER, source, f"stop {name}{why}")
+        yield Arrow(MANAGER, source, f"stop {name}{why}")
     else:
         size = f", {format_bytes(state)}" if state else ""
-        yield Message(MANAGER, target, f"prepare {name}{why}")
-        yield Message(MANAGER, source, f"pause {name}")
-        yield Message(source, target, f"state of {name}{size}")
-        yield Message(MANAGER, target, f"resume {name}")
-        yield Message(MANAGER, source, f"end {name}")
+        yield Arrow(MANAGER, target, f"prepare {name}{why}")
+        yield Arrow(MANAGER, source, f"pause {name}")
+        yield Arrow(source, target, f"state of {name}{size}")
+        yield Arrow(MANAGER, target, f"resume {name}")
+        yield Arrow(MANAGER, source, f"end {name}")

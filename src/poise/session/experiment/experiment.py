@@ -13,7 +13,7 @@ from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say
 from poise.session.experiment.measure import measure
 from poise.session.experiment.page import experiment_page
-from poise.session.experiment.results import Result, append, read, remaining
+from poise.session.experiment.results import TrialResult, append, read, remaining
 from poise.session.experiment.summary import ExperimentReport, summarised
 from poise.session.experiment.trials import Extent, named, schedule
 from poise.session.writable import to_write
@@ -87,7 +87,7 @@ def _minutes(seconds: float) -> str:
     return f"about {seconds / 60:.0f} min" if seconds > 90 else f"{seconds:.0f} s"  # noqa: PLR2004
 
 
-def _told(result: Result) -> str:
+def _told(result: TrialResult) -> str:
     """Return a result for people."""
     trial = result.trial
     what = f"{trial.arm}, {trial.condition}, seed {trial.seed}"

@@ -13,11 +13,11 @@ from poise.manage.agent_connections.statuses import Statuses, components_of
 from poise.manage.observe.chains import chain_reports
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, nothing
-from poise.session.experiment.results import Missed, Result
+from poise.session.experiment.results import Missed, TrialResult
 from poise.session.experiment.trials import (
     Arm,
-    Condition,
     Trial,
+    TrialCondition,
     as_it_runs,
     under,
 )
@@ -37,15 +37,15 @@ def measure(
     robot: Robot,
     task: str,
     arm: Arm,
-    condition: Condition,
+    condition: TrialCondition,
     seed: int,
     seconds: float,
     check: Check,
-) -> Result:
+) -> TrialResult:
     """Return what a run of some seconds showed; why it is invalid when it broke."""
     known = under(robot, condition)
     trial = Trial(arm.name, condition.name, seed)
-    blank = Result(trial=trial, at=time.time(), host_load=os.getloadavg()[0])
+    blank = TrialResult(trial=trial, at=time.time(), host_load=os.getloadavg()[0])
     try:
         placed = place(
             known, task, method=arm.method.format(seed=seed), seed=seed, fewer=True
@@ -63,8 +63,8 @@ def measure(
         return replace(blank, invalid=f"the run broke: {error}")
 
 
-class Counts:
-    """Counts deadlines over all incarnations of components that move."""
+class DeadlineCounts:
+    """DeadlineCounts deadlines over all incarnations of components that move."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
@@ -107,14 +107,14 @@ def _over_epochs(counts: Mapping[tuple[str, int], Missed]) -> dict[str, Missed]:
 
 
 def _watched(
-    running: Up, placed: Placement, blank: Result, seconds: float, check: Check
-) -> Result:
+    running: Up, placed: Placement, blank: TrialResult, seconds: float, check: Check
+) -> TrialResult:
     run, computers, world = (
         running.started.run,
         running.started.computers,
         running.started.world,
     )
-    counts, moves, where = Counts(run.robot), 0, run.placement()
+    counts, moves, where = DeadlineCounts(run.robot), 0, run.placement()
     computers.begin()
     waited = world.waited() if world is not None else 0.0
     begin, began = run.agents.statuses(), time.monotonic()

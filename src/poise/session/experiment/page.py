@@ -8,7 +8,7 @@ from html import escape
 import msgspec
 
 from poise.session.experiment.plots import curves, intervals
-from poise.session.experiment.results import Result
+from poise.session.experiment.results import TrialResult
 from poise.session.experiment.summary import ArmSummary, ExperimentReport
 from poise.session.experiment.trials import BASE, LOADS, Extent
 from poise.session.render.html.page import document, html_table
@@ -28,7 +28,7 @@ _RAW = """<h2>Raw data</h2><p>A line of JSON for each run, as in
 
 
 def experiment_page(
-    report: ExperimentReport, extent: Extent, results: Sequence[Result]
+    report: ExperimentReport, extent: Extent, results: Sequence[TrialResult]
 ) -> str:
     """Return the page: what works, where each arm breaks, all tables, the raw data."""
     base = [each for each in report.arms if each.condition == BASE]
@@ -62,7 +62,7 @@ def _counted(report: ExperimentReport) -> str:
     return f"<p>{runs}; {invalid} invalid ones.</p>"
 
 
-def _line(result: Result) -> str:
+def _line(result: TrialResult) -> str:
     """Return a result as JSON that cannot end the element around it."""
     return msgspec.json.encode(result).decode().replace("<", "\\u003c")
 

@@ -26,7 +26,7 @@ class Missed(Struct, frozen=True, kw_only=True):
     p99: float | None = None
 
 
-class Result(Struct, frozen=True, kw_only=True):
+class TrialResult(Struct, frozen=True, kw_only=True):
     """What one run showed.
 
     Parameters
@@ -76,7 +76,7 @@ class Result(Struct, frozen=True, kw_only=True):
     host_load: float = 0.0
 
 
-def append(file: Path, result: Result) -> None:
+def append(file: Path, result: TrialResult) -> None:
     """Add a result; it is on the disk when this returns."""
     with file.open("ab") as out:
         out.write(msgspec.json.encode(result) + b"\n")
@@ -84,7 +84,7 @@ def append(file: Path, result: Result) -> None:
         os.fsync(out.fileno())
 
 
-def read(file: Path) -> list[Result]:
+def read(file: Path) -> list[TrialResult]:
     """Return the results in a file; none where there is no file.
 
     A last line that was cut off, as by a loss of power, is taken out of the file.
@@ -103,7 +103,7 @@ def read(file: Path) -> list[Result]:
     found = []
     for number, line in enumerate(lines, 1):
         try:
-            found.append(msgspec.json.decode(line, type=Result))
+            found.append(msgspec.json.decode(line, type=TrialResult))
         except msgspec.DecodeError as error:
             raise UsageError(
                 f"{file}, line {number} is no result ({error}): remove it, or give "
@@ -112,7 +112,7 @@ def read(file: Path) -> list[Result]:
     return found
 
 
-def remaining(trials: Iterable[Trial], results: Iterable[Result]) -> list[Trial]:
+def remaining(trials: Iterable[Trial], results: Iterable[TrialResult]) -> list[Trial]:
     """Return the trials without a valid result: invalid runs are made again."""
     done = {each.trial for each in results if not each.invalid}
     return [trial for trial in trials if trial not in done]

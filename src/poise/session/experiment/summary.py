@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from msgspec import Struct
 
-from poise.session.experiment.results import Missed, Result
+from poise.session.experiment.results import Missed, TrialResult
 
 V = TypeVar("V")
 _Z = 1.959963984540054
@@ -113,7 +113,7 @@ def wilson(held: int, of: int) -> Share:
 
 
 def summarised(
-    results: Iterable[Result],
+    results: Iterable[TrialResult],
     arms: Sequence[str],
     conditions: Sequence[str],
     functions: Sequence[str],
@@ -127,7 +127,7 @@ def summarised(
     functions
         Those of which it says how often they worked.
     """
-    groups: dict[tuple[str, str], list[Result]] = {}
+    groups: dict[tuple[str, str], list[TrialResult]] = {}
     for result in results:
         key = result.trial.condition, result.trial.arm
         groups.setdefault(key, []).append(result)
@@ -139,7 +139,7 @@ def summarised(
 
 
 def _summary(
-    arm: str, condition: str, runs: Sequence[Result], functions: Sequence[str]
+    arm: str, condition: str, runs: Sequence[TrialResult], functions: Sequence[str]
 ) -> ArmSummary:
     valid = [each for each in runs if not each.invalid]
     chains = _by_name(each.chains for each in valid)

@@ -71,7 +71,7 @@ ARMS = (
 QUICK = ("static", "random", "greedy", "Poise")
 
 
-class Condition(Struct, frozen=True, kw_only=True):
+class TrialCondition(Struct, frozen=True, kw_only=True):
     """Under what the robot runs.
 
     Parameters
@@ -91,14 +91,14 @@ class Condition(Struct, frozen=True, kw_only=True):
 
 
 LOADS = tuple(
-    Condition(name=f"load of {share} %", load=share / 100)
+    TrialCondition(name=f"load of {share} %", load=share / 100)
     for share in (60, 80, 120, 140, 160)
 )
 CONDITIONS = (
-    Condition(name=BASE),
+    TrialCondition(name=BASE),
     *LOADS,
-    Condition(name=SLOW_LINK, bandwidth=_SLOW),
-    Condition(name=OVERRUN, parameters={"localiser": {"particles": 3000}}),
+    TrialCondition(name=SLOW_LINK, bandwidth=_SLOW),
+    TrialCondition(name=OVERRUN, parameters={"localiser": {"particles": 3000}}),
 )
 
 
@@ -120,7 +120,7 @@ class Extent(Struct, frozen=True, kw_only=True):
     """
 
     arms: tuple[Arm, ...] = ARMS
-    conditions: tuple[Condition, ...] = CONDITIONS
+    conditions: tuple[TrialCondition, ...] = CONDITIONS
     base_seeds: int = 10
     seeds: int = 3
 
@@ -151,7 +151,7 @@ def schedule(extent: Extent) -> list[Trial]:
     return trials
 
 
-N = TypeVar("N", Arm, Condition)
+N = TypeVar("N", Arm, TrialCondition)
 
 
 def named(things: Sequence[N], name: str) -> N:
@@ -159,7 +159,7 @@ def named(things: Sequence[N], name: str) -> N:
     return next(each for each in things if each.name == name)
 
 
-def under(robot: Robot, condition: Condition) -> Robot:
+def under(robot: Robot, condition: TrialCondition) -> Robot:
     """Return the robot as it is known under a condition, to be placed."""
     links = tuple(
         replace(link, bandwidth=condition.bandwidth) if condition.bandwidth else link
@@ -172,7 +172,7 @@ def under(robot: Robot, condition: Condition) -> Robot:
     return replace(robot, links=links, computers=computers)
 
 
-def as_it_runs(robot: Robot, arm: Arm, condition: Condition, seed: int) -> Robot:
+def as_it_runs(robot: Robot, arm: Arm, condition: TrialCondition, seed: int) -> Robot:
     """Return the robot that runs once it is placed, in the world of this seed."""
 
     def change(component: ComponentEntry) -> ComponentEntry:

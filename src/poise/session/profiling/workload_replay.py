@@ -17,7 +17,7 @@ from poise.model.robot import (
     ConnectorEnd,
     Robot,
 )
-from poise.runtime.workload.replay import Part, read_recorded
+from poise.runtime.workload.replay import PlayedPort, read_recorded
 from poise.session.recordings.tapped_robot import interface_type, message_type
 
 PLAYER = "player-of-workload"
@@ -34,7 +34,7 @@ class Played(Struct, frozen=True):
         The recording's file; empty: none.
     """
 
-    parts: Mapping[str, Part] = {}
+    parts: Mapping[str, PlayedPort] = {}
     recording: str = ""
 
     def covers(self, connector: Connector) -> bool:
@@ -95,18 +95,18 @@ def played(robot: Robot) -> Played:
     workload = robot.workload
     if workload is None:
         return Played()
-    parts: dict[str, Part] = {}
+    parts: dict[str, PlayedPort] = {}
     recording = ""
     if workload.recording:
         recording = str((Path(robot.folder) / workload.recording).absolute())
         parts |= _recorded(robot, recording)
     for each in workload.generate:  # generated ones replace recorded ones
         type_ = message_type(robot, each.port)
-        parts[str(each.port)] = Part(type=type_, generated=each)
+        parts[str(each.port)] = PlayedPort(type=type_, generated=each)
     return Played(parts, recording)
 
 
-def _recorded(robot: Robot, recording: str) -> dict[str, Part]:
+def _recorded(robot: Robot, recording: str) -> dict[str, PlayedPort]:
     try:
         inputs = read_recorded(Path(recording))
     except (OSError, msgspec.DecodeError) as error:
@@ -123,15 +123,15 @@ def _recorded(robot: Robot, recording: str) -> dict[str, Part]:
     return found
 
 
-def _parts(robot: Robot, known: AbstractSet[str]) -> dict[str, Part]:
+def _parts(robot: Robot, known: AbstractSet[str]) -> dict[str, PlayedPort]:
     """Return input -> its recorded sources."""
-    parts: dict[str, Part] = {}
+    parts: dict[str, PlayedPort] = {}
     for connector in robot.connectors:
         source, target = connector.between
         if str(source) in known:
             interface = interface_type(robot, source)
-            before = parts.get(str(target), Part(type=""))
-            parts[str(target)] = Part(
+            before = parts.get(str(target), PlayedPort(type=""))
+            parts[str(target)] = PlayedPort(
                 type=interface or message_type(robot, source),
                 calls=bool(interface),
                 sources=(*before.sources, str(source)),

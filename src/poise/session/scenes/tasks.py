@@ -23,7 +23,7 @@ _ALSO = (" prepared", "no action needed it")
 """... or says so."""
 
 
-class Outcome(Struct, frozen=True, kw_only=True):
+class TaskOutcome(Struct, frozen=True, kw_only=True):
     """How a task ended: ``done``, ``failed`` or ``cancelled``."""
 
     name: str
@@ -46,7 +46,7 @@ class TasksScene(Struct, frozen=True, kw_only=True):
 
     scene: str = "tasks"
     ok: bool
-    tasks: tuple[Outcome, ...]
+    tasks: tuple[TaskOutcome, ...]
     switch_hit_s: float
     switch_miss_s: float
     deadlines_missed: int
@@ -76,7 +76,7 @@ def _play(
     say: Say,
     check: Check,
     act: Callable[[Running, Callable[[], object]], None],
-) -> tuple[tuple[Outcome, ...], PrefetchReport, int]:
+) -> tuple[tuple[TaskOutcome, ...], PrefetchReport, int]:
     """Play the first task; return how all went, and how many deadlines were missed."""
     began = time.monotonic()
 
@@ -95,7 +95,7 @@ def _play(
         act(running, look)
         count.look()
         outcomes = tuple(
-            Outcome(name=each.name, outcome=each.state)
+            TaskOutcome(name=each.name, outcome=each.state)
             for each in running.tasks.started()
         )
         return outcomes, running.status().prefetch, count.missed

@@ -26,7 +26,7 @@ _MOST_LINES = 200
 """So many lines of a log are shown."""
 
 
-class Actions:
+class PageActions:
     """What one page does; everything goes through the robot's manager.
 
     Parameters

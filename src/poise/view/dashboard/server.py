@@ -11,7 +11,7 @@ from pathlib import Path
 from nicegui import app, background_tasks, run, ui
 from nicegui.events import GenericEventArguments
 
-from poise.view.dashboard.dialogs import Actions
+from poise.view.dashboard.dialogs import PageActions
 from poise.view.dashboard.guard import Guard, is_loopback
 from poise.view.dashboard.state import Page, PageState, Updates
 from poise.view.live import LiveReader, Look
@@ -59,7 +59,7 @@ class Dashboard:
         """Build one page."""
         ui.add_head_html(f"<style>{_STYLE.read_text()}</style>")
         client = ui.context.client
-        actions = Actions(self._reader.running)
+        actions = PageActions(self._reader.running)
         robot_map = RobotMap()
         robot_map.on("what_if", lambda e: actions.ask(*e.args))
         robot_map.on("component", lambda e: self._component(actions, e))
@@ -90,11 +90,11 @@ class Dashboard:
         else:
             self._viewers.discard(client)
 
-    def _component(self, actions: Actions, event: GenericEventArguments) -> None:
+    def _component(self, actions: PageActions, event: GenericEventArguments) -> None:
         if self._look.status is not None:
             actions.show_component(str(event.args), self._page)
 
-    def _entry(self, actions: Actions, event: GenericEventArguments) -> None:
+    def _entry(self, actions: PageActions, event: GenericEventArguments) -> None:
         for entry in self._look.entries:
             if entry.number == event.args:
                 actions.show_entry(entry)

@@ -7,11 +7,11 @@ import threading
 from poise.wire.connections.connection import Connection
 
 
-class _Served(threading.local):
+class _ServedCall(threading.local):
     connection: Connection | None = None
 
 
-_served = _Served()
+_served = _ServedCall()
 
 
 def serve(connection: Connection) -> None:

@@ -58,7 +58,7 @@ def ignore(_: WireError) -> None:
     """Ignore it."""
 
 
-class _Served(Struct, eq=False):
+class _ServedConnection(Struct, eq=False):
     """A connection, its thread, its connector and its use."""
 
     connection: Connection
@@ -88,8 +88,8 @@ class ConnectionServer:
     def __init__(self, folder: Path, container: str) -> None:
         self._handlers: dict[str, Handler] = {}
         self._refused: dict[str, Refused] = {}
-        self._connections: set[_Served] = set()
-        self._messages: dict[str, _Served] = {}
+        self._connections: set[_ServedConnection] = set()
+        self._messages: dict[str, _ServedConnection] = {}
         self._lock = threading.Lock()
         self.folder = folder
         self._container = container
@@ -163,7 +163,7 @@ class ConnectionServer:
 
     def _start(self, sock: socket.socket) -> None:
         connection = Connection(sock)
-        served = _Served(connection, threading.current_thread())
+        served = _ServedConnection(connection, threading.current_thread())
         served.thread = threading.Thread(
             target=self._serve, args=(served,), name="connection", daemon=True
         )
@@ -184,7 +184,7 @@ class ConnectionServer:
             log.warning(text, self._container, _MOST_CONNECTIONS)
         connection.close()
 
-    def _serve(self, served: _Served) -> None:
+    def _serve(self, served: _ServedConnection) -> None:
         caller.serve(served.connection)
         try:
             self._greet(served)
@@ -201,7 +201,7 @@ class ConnectionServer:
                     del self._messages[served.connector]
             served.connection.close()
 
-    def _greet(self, served: _Served) -> None:
+    def _greet(self, served: _ServedConnection) -> None:
         connection, deadline = served.connection, time.monotonic() + ANSWER_LIMIT
         try:
             hello = connection.receive(deadline)
@@ -225,7 +225,7 @@ class ConnectionServer:
             # usual while a robot starts: the sender tries again
             raise Unavailable(f"no connector '{connector}' ends here")
 
-    def _serve_one(self, served: _Served) -> bool:
+    def _serve_one(self, served: _ServedConnection) -> bool:
         connection, connector = served.connection, served.connector
         try:
             received = connection.receive()
@@ -245,7 +245,7 @@ class ConnectionServer:
                 connection.send(frame.failure("WireError", str(error)), deadline)
         return True
 
-    def _refuse(self, served: _Served, error: WireError) -> bool:
+    def _refuse(self, served: _ServedConnection, error: WireError) -> bool:
         """Answer a malformed frame; return whether the connection goes on."""
         is_last = isinstance(error, Unreadable)
         if served.use != MESSAGES:
@@ -276,7 +276,7 @@ def _handed_over(gateway: socket.socket) -> socket.socket:
     return socket.socket(fileno=files[0])
 
 
-def _wait_until_taken(before: _Served) -> None:
+def _wait_until_taken(before: _ServedConnection) -> None:
     """Wait for all that was sent over the connection that this one replaces.
 
     Else a message could overtake earlier ones. What has not come in time is given up.

@@ -52,7 +52,7 @@ class Silence(Struct, frozen=True, kw_only=True):
     is_starved: bool = False
 
 
-class Heartbeat(Protocol):
+class WatchedPage(Protocol):
     """What the watchdog reads of a container's stats page."""
 
     def heartbeat(self) -> int:
@@ -91,7 +91,7 @@ class Watchdog:
         self._looked_at = 0.0
 
     def look(
-        self, containers: Iterable[tuple[str, int, Heartbeat]]
+        self, containers: Iterable[tuple[str, int, WatchedPage]]
     ) -> Iterator[Silence]:
         """Yield the containers that do not respond any more, or do so again.
 

@@ -118,7 +118,7 @@ class AgentFolder:
         self._path.unlink(missing_ok=True)
 
 
-class Adoption:
+class AdoptedContainers:
     """Waits for the containers of an earlier agent, and for the ends of adopted ones.
 
     A container of this computer listens at a socket in the folder for as long as it

@@ -2,7 +2,7 @@
 
 It compares the containers that should run with those that run and takes the smallest
 step. A container that ended is started again after a delay that grows. Those that an
-earlier agent left are adopted (`Adoption`).
+earlier agent left are adopted (`AdoptedContainers`).
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ class Supervisor:
             # one with threads, as the agent is by now, must not fork another
             self.trouble = f"{error}: no container can be started"
             return
-        if isinstance(event, zygote.Ended):
+        if isinstance(event, zygote.ContainerEnded):
             self.note_ended(event.pid, ProcessEnd(event.status))
         elif process := self.processes.get(event.name):
             if isinstance(event, zygote.NotForked):

@@ -3,7 +3,7 @@
 
 #include <cstdint>
 
-#include "shared.h"
+#include "../shared_number.h"
 
 namespace poise {
 

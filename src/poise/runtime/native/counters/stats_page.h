@@ -12,7 +12,7 @@
 #include <vector>
 
 #include "cpu_share.h"
-#include "shared.h"
+#include "../shared_number.h"
 
 namespace poise {
 
