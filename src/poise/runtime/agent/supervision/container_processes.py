@@ -142,8 +142,15 @@ class ContainerProcess:
             # a container that ends closes its end: the zygote reports that
             self.give_up("" if isinstance(error, Unavailable) else str(error))
             return None
-        if what is None:
-            return None
+        return None if what is None else self._take(what)
+
+    def hear_last(self) -> None:
+        """Take in what it said before it ended: its end may be known sooner."""
+        with contextlib.suppress(Unavailable, WireError):
+            while (what := self._reader.next(FromContainer)) is not None:
+                self._take(what)
+
+    def _take(self, what: FromContainer) -> Outcome | None:
         if isinstance(what, ContainerStatus):
             self.status = what
             return None

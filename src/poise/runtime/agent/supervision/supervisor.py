@@ -148,8 +148,9 @@ class Supervisor:
     def note_ended(self, pid: int, how: ProcessEnd | str) -> None:
         """Record that the process of a container ended."""
         by_pid = {process.pid: process for process in self.processes.values()}
-        if pid in by_pid:
-            self._forget(by_pid[pid], how)
+        if process := by_pid.get(pid):
+            process.hear_last()
+            self._forget(process, how)
 
     def adopt(
         self, name: str, pid: int, connection: socket.socket, stats_page: int
