@@ -18,11 +18,7 @@ import pytest
 
 from poise.errors import PoiseError
 from poise.manage.control_socket.client import send_command
-from poise.manage.control_socket.records import (
-    MoveCommand,
-    RobotStatus,
-    StatusCommand,
-)
+from poise.manage.control_socket.records import MoveCommand, RobotStatus, StatusCommand
 from poise.manage.migration.report import MigrationReport
 from tests.command import POISE, robot_up
 from tests.manage.agents import TELLING

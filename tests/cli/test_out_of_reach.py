@@ -15,11 +15,7 @@ import pytest
 from poise.emulate import Emulation, look
 from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.control_socket.client import send_command
-from poise.manage.control_socket.records import (
-    MoveCommand,
-    RobotStatus,
-    StatusCommand,
-)
+from poise.manage.control_socket.records import MoveCommand, RobotStatus, StatusCommand
 from poise.manage.migration.report import MigrationReport
 from poise.model.robot import Computer, Robot
 from poise.wire.records.status import ConnectorStatus

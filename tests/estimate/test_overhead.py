@@ -1,11 +1,7 @@
 import pytest
 from msgspec.structs import replace
 
-from poise.estimate.overhead import (
-    kinds_together,
-    overhead_of,
-    overheads,
-)
+from poise.estimate.overhead import kinds_together, overhead_of, overheads
 from poise.estimate.profile import ConnectorProfile, Costs, KindCosts, Profile
 from poise.model.robot import ComponentEntry, Connector, ConnectorEnd, Robot
 from tests.estimate.conftest import JOINED

@@ -13,13 +13,7 @@ from poise.model.terms import Terms
 from poise.plan.problem.arrays import Placed
 from poise.plan.problem.problem import Problem
 from poise.plan.problem.snapshot import Snapshot
-from poise.plan.result_records import (
-    Ask,
-    Conflict,
-    GreedyStep,
-    Stopped,
-    Tightest,
-)
+from poise.plan.result_records import Ask, Conflict, GreedyStep, Stopped, Tightest
 from poise.plan.violations import tightest, violations
 from poise.plan.why.conflict import conflict
 

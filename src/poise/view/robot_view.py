@@ -14,11 +14,7 @@ from typing import NamedTuple
 from msgspec import Struct
 
 from poise.session.running_robots.running import Status
-from poise.wire.records.status import (
-    ComponentStatus,
-    ConnectorStatus,
-    ContainerStatus,
-)
+from poise.wire.records.status import ComponentStatus, ConnectorStatus, ContainerStatus
 
 SPAN = 3.0
 """Rates are means over this time [s]."""

@@ -11,12 +11,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from statistics import median
 
-from poise.wire.records.heartbeats import (
-    MANAGER,
-    Echo,
-    Heartbeat,
-    LinkQuality,
-)
+from poise.wire.records.heartbeats import MANAGER, Echo, Heartbeat, LinkQuality
 
 EVERY = 0.1
 """A heartbeat goes out this often [s]."""

@@ -8,9 +8,7 @@ from hypothesis import strategies as st
 
 from poise.errors import RobotError
 from poise.manage.migration.report import TransitionStep
-from poise.manage.migration.transition import (
-    plan_transition,
-)
+from poise.manage.migration.transition import plan_transition
 from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
 
 

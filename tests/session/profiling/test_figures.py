@@ -13,13 +13,8 @@ from poise.model.robot import (
     ConnectorEnd,
     Robot,
 )
-from poise.session.profiling.figures import (
-    Observed,
-    disagreeing,
-)
-from poise.session.profiling.figures import (
-    figures as measured_figures,
-)
+from poise.session.profiling.figures import Observed, disagreeing
+from poise.session.profiling.figures import figures as measured_figures
 from poise.session.profiling.rig import EMPTY, ProfilingRig
 from poise.session.profiling.usage import MeasuredUsage
 from poise.wire.records.status import AgentStatus, ComponentStatus, ContainerStatus

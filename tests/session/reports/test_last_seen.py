@@ -4,11 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from poise.manage.agent_connections.statuses import (
-    Statuses,
-    connectors_of,
-    located,
-)
+from poise.manage.agent_connections.statuses import Statuses, connectors_of, located
 from poise.session.reports.last_seen import LastSeen
 from poise.wire.records.status import (
     AgentStatus,

@@ -27,13 +27,7 @@ import pytest
 from poise.errors import Timeout, Unavailable
 from poise.wire import frame
 from poise.wire.codec import Unreadable, WireError, codec
-from poise.wire.connections.blocks import (
-    DATA,
-    MOST_BYTES,
-    MOST_LENT,
-    Block,
-    Blocks,
-)
+from poise.wire.connections.blocks import DATA, MOST_BYTES, MOST_LENT, Block, Blocks
 from poise.wire.connections.connection import Connection
 from poise.wire.frame import LARGEST, Kind
 

@@ -8,15 +8,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from poise import (
-    CallError,
-    Component,
-    Message,
-    Published,
-    Required,
-    every,
-    subscribed,
-)
+from poise import CallError, Component, Message, Published, Required, every, subscribed
 from trot import home
 from trot.interfaces import Maps, Poses
 from trot.messages import Path, Pose, Seen

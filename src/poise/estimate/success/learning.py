@@ -12,13 +12,7 @@ from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.estimate.architecture_hash import hash_of
-from poise.estimate.success import (
-    Ending,
-    Outcome,
-    Posterior,
-    Situation,
-    SuccessStore,
-)
+from poise.estimate.success import Ending, Outcome, Posterior, Situation, SuccessStore
 from poise.model.robot import Architecture, Robot
 from poise.model.tasks.steps import Action, actions_of
 from poise.suggest import unknown

@@ -26,10 +26,7 @@ from poise.manage.adaptation.bad_links import (
 from poise.manage.adaptation.facts import Facts, Homes
 from poise.manage.adaptation.late_data import late, relieve
 from poise.manage.adaptation.proposals import Proposal
-from poise.manage.adaptation.replan import (
-    propose,
-    with_present_demands,
-)
+from poise.manage.adaptation.replan import propose, with_present_demands
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.report import TransitionStep
 from poise.manage.migration.residue import missing_cpu

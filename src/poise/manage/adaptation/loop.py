@@ -22,22 +22,14 @@ from poise.manage.adaptation.move_limits import MoveLimits
 from poise.manage.adaptation.policy.evaluation import Key, Policies, Symptom
 from poise.manage.adaptation.policy.subjects import values_of
 from poise.manage.adaptation.proposals import Proposal, WhatIf
-from poise.manage.adaptation.replan import (
-    propose,
-)
+from poise.manage.adaptation.replan import propose
 from poise.manage.adaptation.shortages.failover import fail_over
 from poise.manage.adaptation.shortages.missing_functions import Needs, lacking
 from poise.manage.adaptation.shortages.put_aside import CALM, PutAside
-from poise.manage.adaptation.what_if import (
-    alternatives,
-    what_if,
-)
+from poise.manage.adaptation.what_if import alternatives, what_if
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.report import TransitionReport, TransitionStep
-from poise.manage.migration.transition_run import (
-    start_together,
-    transit,
-)
+from poise.manage.migration.transition_run import start_together, transit
 from poise.manage.observe.deviations import Deviation
 from poise.model.policy.policy import Do
 from poise.model.policy.seen import Seen

@@ -12,9 +12,7 @@ from poise.errors import RobotError
 from poise.estimate.demands import shifted_cpu_demand
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.proposals import PresentDemand, Proposal
-from poise.manage.migration.transition import (
-    plan_transition,
-)
+from poise.manage.migration.transition import plan_transition
 from poise.manage.observe.estimates import DemandEstimate
 from poise.model.robot import ComponentEntry, Computer, Robot
 

@@ -21,11 +21,7 @@ from poise.manage.agent_connections.requests import (
     nothing,
 )
 from poise.priority import ahead
-from poise.wire.control_session import (
-    IDENTITIES,
-    LEASE,
-    open_session,
-)
+from poise.wire.control_session import IDENTITIES, LEASE, open_session
 from poise.wire.records.checkpoints import CheckpointCopy
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.migration import (

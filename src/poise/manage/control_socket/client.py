@@ -8,12 +8,7 @@ from typing import TypeVar
 
 from poise.errors import RunError, Timeout
 from poise.manage.control_socket.location import find
-from poise.manage.control_socket.records import (
-    Command,
-    Refusal,
-    Response,
-    Result,
-)
+from poise.manage.control_socket.records import Command, Refusal, Response, Result
 from poise.wire import record_channel
 from poise.wire.codec import WireError
 from poise.wire.connections.socket_path import connect

@@ -19,12 +19,7 @@ from typing import Self
 
 from poise.errors import RunError, UsageError
 from poise.manage.control_socket.location import is_alive, path_of
-from poise.manage.control_socket.records import (
-    Command,
-    Refusal,
-    Result,
-    StatusCommand,
-)
+from poise.manage.control_socket.records import Command, Refusal, Result, StatusCommand
 from poise.wire import record_channel
 from poise.wire.codec import WireError
 

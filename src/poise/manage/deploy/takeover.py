@@ -11,13 +11,7 @@ from collections.abc import Mapping, Sequence
 from poise.errors import PoiseError, RobotError, RunError
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.shortages.free_room import placed_beside
-from poise.manage.deploy.adoption import (
-    Adoption,
-    Found,
-    adopt,
-    found_in,
-    is_half_done,
-)
+from poise.manage.deploy.adoption import Adoption, Found, adopt, found_in, is_half_done
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import (
     ACTIVE_LIMIT,

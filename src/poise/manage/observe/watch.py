@@ -8,11 +8,7 @@ from collections.abc import Mapping
 from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Kind
-from poise.manage.observe.deviations import (
-    Deviation,
-    find_deviations,
-    find_unjoined,
-)
+from poise.manage.observe.deviations import Deviation, find_deviations, find_unjoined
 from poise.manage.observe.faults import FaultFilter
 
 _JOIN_WITHIN = 2.0

@@ -13,9 +13,7 @@ from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.replan import SOLVE_FOR, with_present_demands
 from poise.manage.migration.report import TransitionStep
 from poise.manage.migration.residue import residue
-from poise.manage.migration.transition import (
-    plan_transition,
-)
+from poise.manage.migration.transition import plan_transition
 from poise.model.robot import Robot
 
 MOVE = 0.01

@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from poise.model.check.addresses import check_addresses
-from poise.model.check.allowed_computers import (
-    check_allowed_computers,
-    check_demands,
-)
+from poise.model.check.allowed_computers import check_allowed_computers, check_demands
 from poise.model.check.checkpoints import check_checkpoints
 from poise.model.check.connectors import check_chains, check_connectors
 from poise.model.check.names import check_names

@@ -11,10 +11,7 @@ from poise.model.terms import Terms
 from poise.plan import _core
 from poise.plan.problem.arrays import Arrays, Placed, arrays_of
 from poise.plan.problem.problem import Problem
-from poise.plan.result_records import (
-    ComputerTried,
-    GreedyStep,
-)
+from poise.plan.result_records import ComputerTried, GreedyStep
 from poise.plan.violations import obstacle
 
 

@@ -7,11 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import msgspec
 from msgspec import Struct
 
-from poise.estimate.profile import (
-    ComponentProfile,
-    ConnectorProfile,
-    TimerProfile,
-)
+from poise.estimate.profile import ComponentProfile, ConnectorProfile, TimerProfile
 from poise.estimate.profile.distribution import Distribution
 from poise.manage.agent_connections.statuses import (
     Statuses,

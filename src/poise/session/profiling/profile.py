@@ -19,12 +19,7 @@ from poise.estimate.profile.code_version import version_of
 from poise.manage.agent_connections.statuses import components_of
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
-from poise.session.profiling.figures import (
-    Figures,
-    Observed,
-    disagreeing,
-    figures,
-)
+from poise.session.profiling.figures import Figures, Observed, disagreeing, figures
 from poise.session.profiling.measurement import Tick, measure_alone
 from poise.session.profiling.rig import ProfilingRig, rig_of
 from poise.session.profiling.stored_profiles import (

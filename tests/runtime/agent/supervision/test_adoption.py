@@ -14,12 +14,7 @@ import pytest
 from poise.runtime.agent.supervision.adoption import AgentFolder, AgentState
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.requests import Claim, Refused
-from tests.runtime.agent.test_agent import (
-    Manager,
-    children,
-    manager_id,
-    wait_gone,
-)
+from tests.runtime.agent.test_agent import Manager, children, manager_id, wait_gone
 
 pytestmark = pytest.mark.slow
 
