@@ -6,8 +6,8 @@ import pytest
 from msgspec.structs import replace
 
 from poise.errors import UsageError
-from poise.manage.adaptation.what_if import alternatives, what_if
-from poise.model.robot import Computer, Robot
+from poise.manage.adaptation.what_if import alternatives, check_move, what_if
+from poise.model.robot import Architecture, Computer, Robot
 from poise.session.render.moves import what_if_lines
 from tests.manage.adaptation.conftest import Make
 
@@ -67,3 +67,18 @@ def test_a_component_that_must_stay_is_no_alternative(facts: Make, two: Robot) -
     stays, *moves = alternatives(facts(robot=robot))
     assert [each.what.split()[1] for each in moves] == ["b"]
     assert stays.short == 0.0
+
+
+def test_force_is_offered_only_where_it_helps(facts: Make, two: Robot) -> None:
+    """A computer that the file does not allow is for the move itself to refuse."""
+    small = Computer(name="right", capacity={"cpu": 0.1})
+    robot = replace(two, computers=(two.computers[0], small))
+    with pytest.raises(UsageError, match="--force"):
+        check_move(facts(robot=robot), "a", "right")
+    held = replace(robot, architectures=tuple(map(_held, robot.architectures)))
+    check_move(facts(robot=held), "a", "right")
+
+
+def _held(architecture: Architecture) -> Architecture:
+    components = [replace(each, only=("left",)) for each in architecture.components]
+    return replace(architecture, components=tuple(components))

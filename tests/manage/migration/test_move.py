@@ -594,6 +594,23 @@ def test_a_stop_ends_a_move_amid_the_pre_copy_of_its_state(
     assert world.wrong() == 0
 
 
+def test_a_move_into_a_frozen_container_is_not_begun(world: MovingRobot) -> None:
+    """It waited for 30 s, and said only that the component was not there."""
+    run = world.start("Counter", "right")
+    (container,) = run.agents.statuses()["right"].containers
+    os.kill(container.pid, signal.SIGSTOP)
+    try:
+        world.wait_for(lambda: bool(run.unresponsive([run.placed["source"]])))
+        report = move(run, "counter", "right")
+    finally:
+        os.kill(container.pid, signal.SIGCONT)
+    assert not report.committed
+    where = f"container '{container.name}' on 'right' does not respond: "
+    assert report.reason.startswith(f"{where}its process is stopped")
+    world.works()
+    assert world.told("sink")[1] == 0
+
+
 @pytest.mark.parametrize("before", ["offer state", "await idle"])
 def test_a_move_away_from_a_frozen_container_fails_soon(
     world: MovingRobot, before: StepName

@@ -161,8 +161,8 @@ def check_move(facts: Facts, component: str, computer: str) -> None:
 
     Limits that are broken without it do not count.
     """
-    known = {each.name for each in facts.robot.computers}
-    if component not in facts.placement or computer not in known:
+    allowed = allowed_computers(facts.robot, layers_stay=False)
+    if component not in facts.placement or computer not in allowed[component]:
         return  # the move itself says so
     robot = with_present_demands(facts.robot, facts.demand_estimates)
     if new := _new_breaks(robot, facts.placement, component, computer):

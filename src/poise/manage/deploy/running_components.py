@@ -326,11 +326,31 @@ class RunningComponents:
                 f"{STOP_LIMIT:g} s after it was to end"
             )
 
+    def unresponsive(self, incarnations: Iterable[Incarnation]) -> list[str]:
+        """Return which of their containers do not respond, and why, in words."""
+        known = {
+            (computer, each.name): each
+            for computer, status in self.agents.statuses().items()
+            for each in status.health
+            if each.state == "unresponsive"
+        }
+        places = dict.fromkeys(
+            (each.computer, self.layout.container_of(each.component))
+            for each in incarnations
+        )
+        return [
+            f"container '{place[1]}' on '{place[0]}' does not respond: "
+            f"{known[place].reason}"
+            for place in places
+            if place in known
+        ]
+
     def _missing(self, wanted: tuple[Incarnation, ...]) -> list[str]:
         """Return what there is still to wait for, in words."""
         statuses = self.current()
         silent = self._told.keys() - statuses.keys() - self.excused
         found = missing(wanted, statuses, silent, self._unreached_connectors())
+        found += self.unresponsive(wanted) if found else []
         faults = faults_after(self._faults_before_tell, statuses) if found else ()
         return found + [fault_sentence(computer, fault) for computer, fault in faults]
 

@@ -123,6 +123,8 @@ class Migration:
 
     def _prepare(self) -> None:
         self._raise_on_failed()
+        if stuck := self._run.unresponsive(self._targets):
+            raise RunError("; ".join(stuck))
         staying = [source.with_goal("stay") for source in self._sources]
         self._run.tell([*self._others.values(), *staying, *self._targets])
         # higher than that of any earlier migration, whatever the clock says
