@@ -68,10 +68,13 @@ class Codec(Generic[T]):
     ----------
     type_
         Any type that msgspec knows, with NumPy arrays anywhere inside.
+    name
+        What errors call its values; empty: as their type.
     """
 
-    def __init__(self, type_: Any) -> None:  # noqa: ANN401, any type
+    def __init__(self, type_: Any, name: str = "") -> None:  # noqa: ANN401, any type
         self.type = type_
+        self.name = name or f"{getattr(type_, '__qualname__', type_)}"
         self._has_arrays = _has_arrays(type_)
         hook = _encode_array if self._has_arrays else _plain
         self._encode = msgspec.msgpack.Encoder(enc_hook=hook).encode
@@ -97,7 +100,7 @@ class Codec(Generic[T]):
             finally:
                 _here.sent = before
         except _UNFIT as error:
-            raise WireError(f"{self._name} cannot cross a connector: {error}") from None
+            raise WireError(f"{self.name} cannot cross a connector: {error}") from None
 
     def size_of(self, value: T) -> int:
         """Return the size of `value` when encoded [bytes]; raises as `encode`."""
@@ -122,17 +125,13 @@ class Codec(Generic[T]):
             finally:
                 _here.received = before
         except (msgspec.DecodeError, *_UNFIT) as error:
-            raise WireError(f"not a {self._name}: {error}") from error
-
-    @property
-    def _name(self) -> str:
-        return getattr(self.type, "__qualname__", str(self.type))
+            raise WireError(f"not {self.name}: {error}") from error
 
 
 @cache
-def codec(type_: Any) -> Codec[Any]:  # noqa: ANN401, any type
+def codec(type_: Any, name: str = "") -> Codec[Any]:  # noqa: ANN401, any type
     """Return the codec of a type; the same one every time."""
-    return Codec(type_)
+    return Codec(type_, name)
 
 
 def padding(length: int) -> int:

@@ -20,7 +20,7 @@ Stamps = tuple[float, ...]
 
 def with_stamps(coder: Codec[Any]) -> Codec[tuple[Stamps, Any]]:
     """Return the codec of values behind their stamps."""
-    return codec(tuple[Stamps, coder.type])  # type: ignore[name-defined]
+    return codec(tuple[Stamps, coder.type], coder.name)  # type: ignore[name-defined]
 
 
 class SentChains:

@@ -81,13 +81,14 @@ def _method(interface: type, name: str) -> Method:
     result = hints.get("return", type(None))
     # tuple[*()] would mean "any tuple"
     arguments = tuple[types] if types else tuple[()]  # type: ignore[valid-type]
+    call = f"{interface.__qualname__}.{name}"
     return Method(
         name=name,
         tag=tag_of(f"{name}{types}{result}"),
         oneway=is_oneway(interface, name),
         bind=_binder(signature.replace(parameters=own)),
-        arguments=codec(arguments),
-        result=codec(result),
+        arguments=codec(arguments, f"arguments of {call}"),
+        result=codec(result, f"a result of {call}"),
     )
 
 
