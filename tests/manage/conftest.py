@@ -23,6 +23,7 @@ from poise.wire.records.requests import ManagerId
 from poise.wire.records.status import (
     AgentStatus,
     ComponentStatus,
+    ConnectorStatus,
     ContainerStatus,
     Fault,
 )
@@ -104,6 +105,7 @@ class FakeAgents:
         self.deployed: list[tuple[str, Deployment]] = []
         self.states: dict[str, ComponentStatus] = {}
         self.faults: tuple[Fault, ...] = ()
+        self.unjoined: tuple[ConnectorStatus, ...] = ()
         self._statuses = {
             name: AgentStatus(
                 computer=name,
@@ -202,6 +204,7 @@ class FakeAgents:
                     )
                     for c in container.components
                 ),
+                connectors=self.unjoined,
             )
             for container in deployment.containers
         )

@@ -17,6 +17,7 @@ from concurrent.futures import Future
 from msgspec import structs
 
 from poise.errors import PoiseError, RunError, TakenOver
+from poise.manage.adaptation.bad_links import check_links
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.shortages.put_aside import PutAside
@@ -276,8 +277,10 @@ class Manager:
             case MoveCommand(component, computer, dry=True):
                 return self._adaptation.what_if(component, computer)
             case MoveCommand(component, computer, force):
+                facts = self._facts()
+                check_links(facts, component, computer)
                 if not force:
-                    check_move(self._facts(), component, computer)
+                    check_move(facts, component, computer)
                 self._adaptation.note_asked(component, computer)
                 return move(run, component, computer, force=force)
             case ReplaceCommand(component, by, adapt, fresh) if ":" in by:

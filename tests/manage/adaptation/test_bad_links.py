@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from itertools import combinations
 
 import pytest
 from msgspec.structs import replace
 
+from poise.errors import UsageError
+from poise.manage.adaptation.bad_links import check_links
 from poise.manage.adaptation.decision import decide
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.move_limits import MoveLimits
@@ -125,6 +128,24 @@ def test_nothing_moves_when_there_is_no_way_round_a_cut_link(
     assert found.why.startswith(
         "it stays as it is: link 'left-right' is cut, and 'a.out-b.in' crosses it; "
     )
+
+
+@pytest.mark.parametrize(
+    ("component", "source", "why"),
+    [
+        ("a", "left", "the component's state cannot cross it"),
+        ("b", "middle", "'a.out-b.in' would cross it"),
+    ],
+)
+def test_a_move_that_needs_a_cut_link_is_refused_at_once(
+    facts: Make, two: Robot, component: str, source: str, why: str
+) -> None:
+    now = over(facts, joined(two), quality(silent=1.0))
+    now = replace(now, placement={"a": "left", "b": "right", component: source})
+    said = f"cannot move to 'right': link 'left-right' is cut: {why}"
+    with pytest.raises(UsageError, match=re.escape(said)):
+        check_links(now, component, "right")
+    check_links(now, "a", "middle")
 
 
 def test_over_a_slow_link_the_ends_meet_at_once(facts: Make, two: Robot) -> None:

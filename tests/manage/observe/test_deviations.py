@@ -116,7 +116,7 @@ def test_names_a_connector_that_is_not_joined(
     )
     settled = [Incarnation(component=n, computer="a", goal="active") for n in placed]
     plan = DeploymentPlan(joined, "")
-    found = list(find_unjoined(settled, plan, {"a": status}, 5.0))
+    found = [each for _, each in find_unjoined(settled, plan, {"a": status}, 5.0)]
     assert len(found) == count
     for each in found:
         assert each.what == "connector 'eye.x-mind.x' from 'a' does not reach 'a'"

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from poise.errors import RunError, UsageError
+from poise.manage.adaptation.bad_links import check_links
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.move_limits import MoveLimits
 from poise.manage.adaptation.policy.evaluation import Symptom
@@ -65,6 +66,7 @@ class Actions:
         source = facts.placement.get(component, "")
         if source == target:
             return
+        check_links(facts, component, target)
         if not policy.force:
             if not self._limits.may_move(1, now):
                 raise RunError("the move is over the budget of a minute")

@@ -12,6 +12,7 @@ from collections.abc import Set as AbstractSet
 from msgspec import Struct
 from msgspec.structs import replace
 
+from poise.errors import UsageError
 from poise.manage.adaptation.facts import Facts
 from poise.model.policy.values import LinkValues
 from poise.model.robot import Connector, Link, Robot
@@ -140,6 +141,31 @@ def wasted(
     return sum(demands[name] * share for name, share in shares.items())
 
 
+def check_links(facts: Facts, component: str, computer: str) -> None:
+    """Raise UsageError when a link is cut that a move needs.
+
+    A state crosses from where it is; connectors are joined before anything moves.
+    """
+    cut = [state for state in states_of(facts) if state.cut]
+    source = facts.placement.get(component)
+    if not cut or source is None or facts.robot.component(component).command:
+        return
+    needs = {
+        str(state): f"'{connector}' would cross it"
+        for connector, state in crossing(
+            facts, {**facts.placement, component: computer}, cut
+        )
+        if component in {end.component for end in connector.between}
+    } | {
+        str(state): "the component's state cannot cross it"
+        for state in cut
+        if {*state.link.between} == {source, computer}
+    }
+    if needs:
+        why = "; ".join(f"link '{link}' is cut: {what}" for link, what in needs.items())
+        raise UsageError(f"component '{component}' cannot move to '{computer}': {why}")
+
+
 def reason(facts: Facts, bad: Sequence[LinkState]) -> str:
     """Return what crosses bad links now, for people; empty where none is bad."""
     if not bad:
@@ -148,10 +174,14 @@ def reason(facts: Facts, bad: Sequence[LinkState]) -> str:
     for connector, state in crossing(facts, facts.placement, bad):
         across[str(state)].append(f"'{connector}'")
     return "".join(
-        f"link '{state}' is {'cut' if state.cut else 'slow'}, and "
-        f"{' and '.join(across[str(state)]) or 'no connector'} crosses it; "
-        for state in bad
+        f"link '{state}' is {'cut' if state.cut else 'slow'}, and {_cross(names)} it; "
+        for state, names in zip(bad, across.values(), strict=True)
     )
+
+
+def _cross(connectors: Sequence[str]) -> str:
+    verb = "cross" if len(connectors) > 1 else "crosses"
+    return f"{' and '.join(connectors) or 'no connector'} {verb}"
 
 
 def with_bad_links(robot: Robot, bad: Sequence[LinkState]) -> Robot:

@@ -102,10 +102,12 @@ def decide(facts: Facts, barred: Mapping[str, AbstractSet[str]] = {}) -> Decisio
     in_vain -= wasted(facts, robot_now, proposal.placement, bad)
     gain = (short - left + relieved + in_vain) * HORIZON
     cost = cost_of(facts, robot_now, proposal.steps)
-    what = (
-        f"{causes}{counted(len(proposal.steps), 'step')}: cost {cost:.2f} "
-        f"core-seconds, gain {gain:.2f} within {HORIZON:g} s"
-    )
+    what = f"{causes}no other placement is better"
+    if proposal.steps:
+        what = (
+            f"{causes}{counted(len(proposal.steps), 'step')}: cost {cost:.2f} "
+            f"core-seconds, gain {gain:.2f} within {HORIZON:g} s"
+        )
     acts = bool(proposal.steps) and gain > cost
     why = what if acts else f"it stays as it is: {what}"
     return Decision(acts=acts, why=why, proposal=proposal, gain=gain, cost=cost)

@@ -67,17 +67,19 @@ def start_together(
         with contextlib.suppress(RunError):  # agents out of reach get it later
             run.tell(run.placed.values())
         return False
-    run.placed |= {each.component: each for each in new}
+    placed = {each.component: each for each in new}
     try:
         run.bring(new, ACTIVE_LIMIT)
     except RunError as error:
         run.journal.note("failed", f"components did not start: {error}")
-        if not lost:
-            for name in placement:
-                del run.placed[name]
+        if lost:  # where they were, they have no lease any more
+            run.placed |= placed
+        else:
+            for name in placed:
+                run.placed.pop(name, None)
             run.tell(run.placed.values())
-        # else they stay placed here: where they were, they have no lease any more
         return False
+    run.placed |= placed
     run.journal.note("done", "they are at work", placement=run.placement())
     return True
 

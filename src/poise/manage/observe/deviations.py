@@ -91,8 +91,8 @@ def find_unjoined(
     layout: DeploymentPlan,
     statuses: Statuses,
     now: float,
-) -> Iterator[Deviation]:
-    """Yield the connectors whose source does not reach its target.
+) -> Iterator[tuple[str, Deviation]]:
+    """Yield the connectors whose source does not reach its target, by name.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def find_unjoined(
         if (name := str(connector)) in unready:
             source, target = (computers[end.component] for end in connector.between)
             what = f"connector '{name}' from '{source}' does not reach '{target}'"
-            yield Deviation(what=what, computer=source, since=now)
+            yield name, Deviation(what=what, computer=source, since=now)
 
 
 def _of_components(

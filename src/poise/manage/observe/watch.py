@@ -71,14 +71,20 @@ class Watch:
             for name, each in settled.items()
             if name not in found and each.computer in statuses
         ]
-        unjoined = find_unjoined(there, run.layout, statuses, now)
         began = time.monotonic()
-        self._unjoined = {
-            e.key: self._unjoined.get(e.key, (e, began)) for e in unjoined
+        still = {
+            name: self._unjoined[name]
+            for connector in run.layout.connectors(run.placed)
+            if (name := str(connector)) in self._unjoined
+            and any(end.component in moving for end in connector.between)
+        }
+        self._unjoined = still | {
+            name: self._unjoined.get(name, (each, began))
+            for name, each in find_unjoined(there, run.layout, statuses, now)
         }
         return found | {
-            key: each
-            for key, (each, since) in self._unjoined.items()
+            each.key: each
+            for each, since in self._unjoined.values()
             if began - since >= _JOIN_WITHIN
         }
 

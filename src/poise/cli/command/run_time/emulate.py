@@ -99,7 +99,8 @@ def cut_command(
 ) -> None:
     """Cut two computers from each other, or one from all and from the manager.
 
-    Packets vanish, and nobody is told, as when a cable is pulled.
+    Packets vanish, and nobody is told, as when a cable is pulled, until
+    `poise emulate heal`.
 
     Example: poise emulate cut main vision
     """
@@ -115,7 +116,7 @@ def slow_command(
     latency: Annotated[str | None, typer.Option(help="One way, such as 20ms.")] = None,
     robot: Robot = None,
 ) -> None:
-    """Slow the link between two computers down.
+    """Slow the link between two computers down, until `poise emulate heal`.
 
     Example: poise emulate slow main vision --bandwidth 1Mbit/s
     """
@@ -138,7 +139,7 @@ def heal_command(
 
 
 def crash_command(computer: Computer, robot: Robot = None) -> None:
-    """Kill all processes of a computer at once, and cut its cable.
+    """Kill all processes of a computer at once, and cut its cable, until `boot`.
 
     Example: poise emulate crash vision
     """
@@ -146,7 +147,7 @@ def crash_command(computer: Computer, robot: Robot = None) -> None:
 
 
 def freeze_command(computer: Computer, robot: Robot = None) -> None:
-    """Stop all processes of a computer, as when its kernel hangs.
+    """Stop all processes of a computer, as when its kernel hangs, until `boot`.
 
     Example: poise emulate freeze vision
     """

@@ -1,0 +1,48 @@
+"""What is said of a running robot, and of what is being moved."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, cast
+
+import pytest
+from msgspec.structs import replace
+
+from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.journal import Journal
+from poise.manage.observe import watch
+from poise.manage.observe.watch import Watch
+from poise.model.robot import Robot
+from poise.wire.records.status import ConnectorStatus
+from tests.manage.conftest import FakeAgents
+
+if TYPE_CHECKING:
+    from poise.manage.agent_connections.agents import Agents
+
+RAW = ConnectorStatus(
+    name="grabber.raw-filter.raw", kind="local", end="source", ready=False
+)
+
+
+def test_a_connector_is_not_said_to_be_joined_because_its_end_is_moved(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(watch, "_JOIN_WITHIN", 0.0)
+    agents, journal = FakeAgents("left", "right"), Journal(":memory:")
+    placement = {"grabber": "left", "filter": "left"}
+    run = RunningComponents(robot, placement, cast("Agents", agents), journal, "/run")
+    run.start()
+    seen = Watch(run)
+    agents.unjoined = (RAW,)
+    run.synchronise("left")
+    seen.look()
+    what = f"connector '{RAW.name}' from 'left' does not reach 'left'"
+    assert [each.what for each in seen.deviations] == [what]
+    run.tell([run.placed["grabber"], replace(run.placed["filter"], goal="stay")])
+    seen.look()
+    assert [each.what for each in seen.deviations] == [what]
+    agents.unjoined = ()
+    run.tell(run.placed.values())
+    seen.look()
+    assert not seen.deviations
+    said = [(e.kind, e.what) for e in journal.entries() if "reach" in e.what]
+    assert said == [("wrong", what), ("right", f"no more: {what}")]
