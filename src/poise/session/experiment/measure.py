@@ -64,7 +64,7 @@ def measure(
 
 
 class DeadlineCounts:
-    """DeadlineCounts deadlines over all incarnations of components that move."""
+    """Counts deadlines over all incarnations of components that move."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
