@@ -2,6 +2,7 @@
 
 from poise.emulate.computer import EmulatedComputer
 from poise.emulate.emulation import Emulation
+from poise.emulate.full_speed import full_speed
 from poise.emulate.kept.emulated_set import EmulatedSet
 from poise.emulate.kept.injected_fault import InjectedFault
 from poise.emulate.kept.kept_sets import all_sets, find_set, set_for
@@ -20,6 +21,7 @@ __all__ = [
     "Usage",
     "all_sets",
     "find_set",
+    "full_speed",
     "is_starved",
     "look",
     "set_for",

@@ -134,6 +134,9 @@ class Profile(Struct, frozen=True, kw_only=True):
         The version of Poise.
     computer
         The computer on which it was measured, and its `speed`.
+    loops
+        Work that a CPU second did on the machine that emulated it [loops/s]; 0: it was
+        a real computer.
     seconds
         How long each architecture was measured each time [s].
     agent
@@ -149,6 +152,7 @@ class Profile(Struct, frozen=True, kw_only=True):
     speed: float
     at: str
     seconds: float
+    loops: float = 0.0
     agent: float = 0.0
     components: Mapping[str, ComponentProfile] = {}
     connectors: Mapping[str, ConnectorProfile] = {}

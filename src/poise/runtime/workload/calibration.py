@@ -38,12 +38,23 @@ class EchoCall:
         raise NotImplementedError
 
 
-class Yardstick(Component):
-    """Does a fixed kind of work, and measures how much a CPU second does.
+def score(seconds: float = _PIECE) -> float:
+    """Return how much work of a fixed kind a CPU second does here [loops/s].
 
     Other processes make loops slower, by the caches and cores that they share, but
     seldom all of them: the quickest tenth counts, without the one that was lucky.
+
+    Parameters
+    ----------
+    seconds
+        CPU time that it takes [s].
     """
+    times = sorted(_loop_times(time.thread_time() + seconds))
+    return 1 / times[len(times) // 10]
+
+
+class Yardstick(Component):
+    """Measures how much work a CPU second does."""
 
     def configure(self) -> None:
         """Begin with the first series."""
@@ -51,10 +62,8 @@ class Yardstick(Component):
 
     @every(4 * _PIECE)
     def work(self) -> None:
-        """Measure the next of `SCORES` [loops per second of CPU time]."""
-        end = time.thread_time() + _PIECE
-        times = sorted(_loop_times(end))
-        self.measure(next(self._series), 1 / times[len(times) // 10])
+        """Measure the next of `SCORES` [loops/s]."""
+        self.measure(next(self._series), score())
 
 
 class Echoer(Component):

@@ -16,6 +16,7 @@ from poise.session.experiment.page import experiment_page
 from poise.session.experiment.results import TrialResult, append, read, remaining
 from poise.session.experiment.summary import ExperimentReport, summarised
 from poise.session.experiment.trials import Extent, named, schedule
+from poise.session.profiling.machine_speed import steady
 from poise.session.writable import to_write
 from poise.units import counted
 
@@ -61,7 +62,10 @@ def experiment(
         for done, trial in enumerate(todo, 1):
             arm = named(extent.arms, trial.arm)
             condition = named(extent.conditions, trial.condition)
-            result = measure(renamed, task, arm, condition, trial.seed, seconds, check)
+            with steady(robot):
+                result = measure(
+                    renamed, task, arm, condition, trial.seed, seconds, check
+                )
             append(raw, result)
             results.append(result)
             left = (time.monotonic() - began) / done * (len(todo) - done)

@@ -22,6 +22,7 @@ from poise.session.experiment.trials import (
     under,
 )
 from poise.session.placing.placement import Placement, place
+from poise.session.profiling.machine_speed import as_when_profiled
 from poise.session.reports.history import cpu_shares
 from poise.session.up import Up, up
 
@@ -51,7 +52,7 @@ def measure(
             known, task, method=arm.method.format(seed=seed), seed=seed, fewer=True
         )
         with up(
-            as_it_runs(known, arm, condition, seed),
+            as_when_profiled(as_it_runs(known, arm, condition, seed)),
             task,
             placement=placed,
             adapt=arm.adapts,

@@ -20,6 +20,7 @@ from poise.session.callbacks import Check, nothing
 from poise.session.launch.start import Sampling, started
 from poise.session.profiling.calibration_robots import pairs, yardsticks
 from poise.session.profiling.connector_costs import costs_of
+from poise.session.profiling.machine_speed import steady
 from poise.session.profiling.stored_profiles import (
     check_keepable,
     read_profile,
@@ -103,8 +104,9 @@ def calibrate(
     if chosen not in names:
         raise UsageError(f"--reference {chosen}: the computers are {', '.join(names)}")
     check_keepable(robot)
-    computers, busy = _speeds(robot, chosen, seconds, check)
-    costs, more = _costs(robot, seconds, check)
+    with steady(robot):
+        computers, busy = _speeds(robot, chosen, seconds, check)
+        costs, more = _costs(robot, seconds, check)
     doubts = dict.fromkeys(doubt for doubt in (*busy, more) if doubt)
     is_kept = force or not doubts
     if is_kept:

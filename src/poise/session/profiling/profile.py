@@ -20,6 +20,7 @@ from poise.manage.agent_connections.statuses import components_of
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.profiling.figures import Figures, Observed, disagreeing, figures
+from poise.session.profiling.machine_speed import is_emulated, loops, steady
 from poise.session.profiling.measurement import Tick, measure_alone
 from poise.session.profiling.rig import ProfilingRig, rig_of
 from poise.session.profiling.stored_profiles import (
@@ -110,13 +111,15 @@ def profile(  # noqa: PLR0913 - each is a choice of the user
         robot, computer or robot.computers[0].name, seconds, warm_up, repeat, say, check
     )
     found = []
-    for name in names:
-        total = (repeat + 1) * (seconds + warm_up)
-        with progress(name, total) as tick:
-            found.append(measuring.measure(name, tick))
+    with steady(robot):
+        for name in names:
+            total = (repeat + 1) * (seconds + warm_up)
+            with progress(name, total) as tick:
+                found.append(measuring.measure(name, tick))
+        done = loops() if is_emulated(robot) else 0.0
     silent = {n: p for each in found for n, p in each.silent.items()}
     unrecorded = [name for each in found for name in each.idle]
-    new = measuring.profile([each.figures for each in found], unrecorded)
+    new = measuring.profile([each.figures for each in found], unrecorded, done)
     kept = _kept(robot, new)
     return Profiling(
         profile=kept, file=_write(robot, kept), silent=silent, unrecorded=unrecorded
@@ -207,7 +210,9 @@ class _Measuring(Struct, frozen=True):
             or not set(ports).isdisjoint(topics.get(name, ()))
         ]
 
-    def profile(self, found: Sequence[Figures], unrecorded: Iterable[str]) -> Profile:
+    def profile(
+        self, found: Sequence[Figures], unrecorded: Iterable[str], done: float
+    ) -> Profile:
         """Return the profile of the measured components without `unrecorded`."""
         components = {n: c for each in found for n, c in each.components.items()}
         return Profile(
@@ -217,6 +222,7 @@ class _Measuring(Struct, frozen=True):
             speed=self.robot.computer(self.computer).speed,
             at=dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
             seconds=self.seconds,
+            loops=done,
             agent=max(each.agent for each in found),
             components={n: c for n, c in components.items() if n not in unrecorded},
             connectors={n: c for each in found for n, c in each.connectors.items()},
@@ -243,7 +249,7 @@ class _Measuring(Struct, frozen=True):
 
         An emulated computer of speed 0.5 runs half of the time, at full speed.
         """
-        if all(c.address is None for c in self.robot.computers):
+        if is_emulated(self.robot):
             return 1.0
         return self.robot.computer(self.computer).speed
 

@@ -18,6 +18,7 @@ from poise.manage.migration.report import MigrationReport
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, nothing
 from poise.session.placing.placement import Placement, place
+from poise.session.profiling.machine_speed import as_when_profiled
 from poise.session.render.moves import outcome_sentence
 from poise.session.render.progress import progress
 from poise.session.reports.run_report import RunReport
@@ -198,7 +199,7 @@ def _serve(
             meanwhile(run, now)
 
         report = run(
-            robot,
+            as_when_profiled(robot),
             "serve",
             seconds=DRIVE,
             placement=placed,

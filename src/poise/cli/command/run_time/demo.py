@@ -17,6 +17,7 @@ from rich.markup import escape
 
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import AsJson, print_json
+from poise.emulate import full_speed
 from poise.errors import RobotError, UsageError
 from poise.session.experiment.experiment import PAGE
 from poise.session.experiment.experiment import experiment as run_experiment
@@ -132,7 +133,7 @@ def demo_command(
         f"To watch it live, run in another terminal:\n  {poise} dashboard   # or: top",
         soft_wrap=True,
     )
-    with Interrupts() as interrupts:
+    with Interrupts() as interrupts, full_speed():
         check = interrupts.check
         shown = DemoReport(
             runs=tuple(drive_once(examples, each, console, check) for each in _TITLES),
