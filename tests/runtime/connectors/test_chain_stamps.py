@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from poise import Component, Message, Provided, Published, Required, oneway, subscribed
 from poise.clock import Elapsed
+from poise.runtime.connectors.chain_stamps import SentChains
 from poise.wire.records.deployment import ChainPart
 from poise.wire.records.status import ChainStatus
 from tests.runtime.conftest import Pair, every_kind
@@ -113,6 +114,14 @@ def test_an_answer_carries_its_stamp(pair: Pair) -> None:
     runner = pair.runners["source", 0]
     runner.ages.run(source.scans.give, [])
     assert age_of(pair, "source").age.count == 1
+
+
+@pytest.mark.parametrize("pair", ["direct"], indirect=True)
+def test_an_error_names_the_method_that_was_called(pair: Pair) -> None:
+    _, target = started(pair, "scans")
+    ages = pair.runners["target", 0].ages
+    method = SentChains(ages, ("c",), ()).direct(target.take, ages)
+    assert method.__qualname__ == "Target.take"
 
 
 @pytest.mark.parametrize("pair", ["remote"], indirect=True)

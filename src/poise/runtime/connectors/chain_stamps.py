@@ -7,6 +7,7 @@ ends know from the deployment which chains pass over a connector; others carry n
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import wraps
 from typing import Any
 
 from poise.runtime.execution.clocks import RemoteClock
@@ -83,6 +84,7 @@ class SentChains:
     ) -> Callable[..., Any]:
         """Return a method of a target in the same process, which takes stamps, too."""
 
+        @wraps(method)
         def run(*args: object, **kwargs: object) -> Any:  # noqa: ANN401, the call's own
             result = target.run(
                 lambda *_: method(*args, **kwargs), (), taken=self.stamped(None)
