@@ -81,6 +81,7 @@ PUBLIC = {
         "Usage",
         "all_sets",
         "find_set",
+        "full_speed",
         "is_starved",
         "look",
         "set_for",
