@@ -9,6 +9,7 @@ import pytest
 import poise
 from poise.session.callbacks import nothing
 from poise.session.experiment.experiment import PAGE, RAW, experiment
+from poise.session.experiment.measure import measure
 from poise.session.experiment.results import read
 from poise.session.experiment.summary import ArmSummary
 from poise.session.experiment.trials import ARMS, CONDITIONS, Extent, named
@@ -16,13 +17,20 @@ from tests.session.emulated_robot import written
 from tests.waiting import LONG
 
 WORK = """
-from poise import Component, every
+from poise import Component, Published, every
 
 
 class Worker(Component):
+    counted: Published[bool]
+
+    def configure(self) -> None:
+        self._count = 0
+
     @every(0.05, deadline=0.05)
     def tick(self) -> None:
-        pass
+        self._count += 1
+        if self._count == 20:
+            self.counted.publish(True)
 """
 WORLD = '''
 """A world that dies in seed 1 while the file `deadly` is there."""
@@ -54,6 +62,7 @@ architectures:
       b: {{implementation: "tried_work:Worker", cpu: 5%}}
 tasks:
   work: {{actions: [{{name: work, functions: [work]}}]}}
+  count: {{actions: [{{name: count, functions: [work], ends: a.counted}}]}}
 simulator: {{command: "python {folder}/world.py"}}
 """
 
@@ -99,3 +108,16 @@ def test_a_run_whose_world_died_is_made_again(tmp_path: Path) -> None:
         assert each.cpu_share.keys() == {"left", "right"}
         assert each.placement.keys() == {"a", "b"}
     assert f"{len(valid)} valid runs of 2" in (folder / PAGE).read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(LONG)
+def test_a_run_ends_with_its_task(tmp_path: Path) -> None:
+    """What a robot does not do afterwards is nobody's failure."""
+    (tmp_path / "world.py").write_text(WORLD)
+    text = ROBOT.replace("tried_work", "counted_work")
+    robot = poise.load(written(tmp_path, "counted", "counted_work", WORK, text))
+    arm, (condition, *_) = named(ARMS, "Poise"), CONDITIONS
+    result = measure(robot, "count", arm, condition, 0, LONG, nothing)
+    assert 0 < result.seconds < LONG / 2
+    assert result.functions == {"work": True}

@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from poise.errors import PoiseError, RunError
 from poise.manage.agent_connections.statuses import Statuses, components_of
 from poise.manage.observe.chains import chain_reports
+from poise.manage.tasks.progress import OVER
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, nothing
 from poise.session.experiment.results import Missed, TrialResult
@@ -21,7 +22,7 @@ from poise.session.experiment.trials import (
     as_it_runs,
     under,
 )
-from poise.session.placing.placement import Placement, place
+from poise.session.placing.placement import place
 from poise.session.profiling.machine_speed import as_when_profiled
 from poise.session.reports.history import cpu_shares
 from poise.session.up import Up, up
@@ -43,13 +44,22 @@ def measure(
     seconds: float,
     check: Check,
 ) -> TrialResult:
-    """Return what a run of some seconds showed; why it is invalid when it broke."""
+    """Return what a run showed; why it is invalid when it broke.
+
+    It is measured until its task is over, for so many seconds at most.
+    """
     known = under(robot, condition)
     trial = Trial(arm.name, condition.name, seed)
     blank = TrialResult(trial=trial, at=time.time(), host_load=os.getloadavg()[0])
     try:
         placed = place(
             known, task, method=arm.method.format(seed=seed), seed=seed, fewer=True
+        )
+        blank = replace(
+            blank,
+            placement=placed.where,
+            decision_seconds=placed.result.seconds,
+            put_aside=placed.result.aside,
         )
         with up(
             as_when_profiled(as_it_runs(known, arm, condition, seed)),
@@ -59,7 +69,7 @@ def measure(
             say=nothing,  # what a hundred runs have to tell is in their results
             check=check,
         ) as running:
-            return _watched(running, placed, blank, seconds, check)
+            return _watched(running, task, blank, seconds, check)
     except PoiseError as error:
         return replace(blank, invalid=f"the run broke: {error}")
 
@@ -108,7 +118,7 @@ def _over_epochs(counts: Mapping[tuple[str, int], Missed]) -> dict[str, Missed]:
 
 
 def _watched(
-    running: Up, placed: Placement, blank: TrialResult, seconds: float, check: Check
+    running: Up, task: str, placed: TrialResult, seconds: float, check: Check
 ) -> TrialResult:
     run, computers, world = (
         running.started.run,
@@ -130,6 +140,8 @@ def _watched(
         places = run.placement()
         moves += sum(where.get(name, at) != at for name, at in places.items())
         where = places
+        if running.tasks.show(task).state in OVER:
+            break
     waited = world.waited() - waited if world is not None else 0.0
     end = run.agents.statuses()
     counts.look(end)
@@ -138,12 +150,9 @@ def _watched(
         invalid = f"the simulated world waited {waited:.1f} s for a CPU of this machine"
     said = dict(world.result()) if world is not None else {}
     return replace(
-        blank,
+        placed,
         invalid=invalid,
         seconds=now,
-        placement=placed.where,
-        decision_seconds=placed.result.seconds,
-        put_aside=placed.result.aside,
         functions=said.get("functions", {}),
         world={name: said[name] for name in said.keys() - _BULKY},
         chains=counts.chains(),

@@ -99,7 +99,7 @@ def demo_command(
     computers, a computer loses power, or the manager is killed amid a move; or three
     tasks share functions, and one pauses another.
 
-    With --experiment, T-Rot serves 20 s at a time under each way to place and each
+    With --experiment, T-Rot serves again and again under each way to place and each
     condition: loads, a slow link, a component that overruns. Ctrl-C ends it, and the
     same command goes on. It takes about two hours, with --quick five minutes.
 
