@@ -33,7 +33,7 @@ def test_a_good_run_works() -> None:
         ({"path_error_most": 0.5}, "localisation"),
         ({"path_length": 0.2}, "localisation"),
         ({"cups_placed": 0}, "manipulation"),
-        ({"answered": 3}, "interaction"),
+        ({"answered": 2}, "interaction"),
         ({"head_error_degrees": None}, "audition"),
         ({"good_recommendations": 0.5}, "recommendation"),
         ({"recommendation_seconds": None}, "recommendation"),

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 VIEWERS, PROGRAMMES, GENRES = 600, 1200, 8
 SHARPNESS = 6.0
-US = 0
-"""The viewer whom the robot recommends to."""
+US = 3
+"""The viewer whom the robot recommends to: has a taste that soon shows."""
 
 Floats = NDArray[np.float64]
 

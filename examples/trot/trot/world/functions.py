@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-ANSWERED = 0.75
+ANSWERED = 0.6
 """The share of sentences that want a right answer in time."""
 
 LOST = 0.3
