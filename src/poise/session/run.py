@@ -150,8 +150,10 @@ def _measure(
     """Let it run until its end; a computer that is lost ends it by an error."""
     run, looks = up.run, up.run.check
     up.computers.begin()
-    begin, began, at = run.agents.statuses(), time.monotonic(), time.time()
     history, last_seen = History(run.robot, up.computers.faster), LastSeen()
+    run.agents.on_status = last_seen.take
+    begin, began, at = run.agents.statuses(), time.monotonic(), time.time()
+    last_seen.look(begin)
     interrupted = False
 
     def look_around() -> None:
@@ -162,7 +164,6 @@ def _measure(
 
     def look(_: float) -> None:
         now, statuses = time.monotonic(), run.agents.statuses()
-        last_seen.look(statuses)
         history.look(statuses, time.time(), now)
         manager.work(0.0)
         meanwhile(run, now - began)

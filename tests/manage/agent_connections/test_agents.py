@@ -33,7 +33,7 @@ def reports() -> AgentReports:
 def test_why_a_record_is_refused_is_told_once_and_the_next_one_taken(
     reports: AgentReports, caplog: pytest.LogCaptureFixture
 ) -> None:
-    hear: Any = reading(AgentStatus, reports.on_status, reports.on_refused)
+    hear: Any = reading(AgentStatus, reports.take_status, reports.on_refused)
     for _ in range(3):
         hear(Payload(b"\xc1 nonsense"))
     assert caplog.text == ""  # whoever logs may have to wait for what shows it

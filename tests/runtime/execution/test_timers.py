@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from poise.runtime.component.ports import Timer
-from poise.runtime.execution.timers import Releases
+from poise.runtime.execution.timers import Releases, Timers
 from poise.wire.records.status import TimerStatus
 
 START = 10.0
@@ -78,3 +78,21 @@ def test_what_should_have_begun_counts_while_a_run_goes_on(schedule: Releases) -
     told = status(schedule, 0.95)  # still running; 0.2 to 0.8 passed wholly
     assert told.releases == 8
     assert told.missed == 7
+
+
+def test_counts_stay_over_a_pause_and_the_pause_is_not_counted() -> None:
+    timers = Timers({"tick": Timer("tick", 0.1, 0.05)})
+    timers.start(START)
+    (tick,) = timers
+    for k, ends in ((1, 0.12), (2, 0.28)):
+        release = tick.begin(START + 0.1 * k + 0.01)
+        tick.end(release, START + 0.1 * k + 0.01, START + ends)
+    timers.stop(START + 0.29)
+    timers.start(START + 5.0)
+    (told,) = timers.status(START + 5.05)
+    assert (told.releases, told.missed) == (2, 1)
+    release = tick.begin(START + 5.1)
+    tick.end(release, START + 5.1, START + 5.11)
+    (told,) = timers.status(START + 5.12)
+    assert (told.releases, told.missed, told.duration.count) == (3, 1, 3)
+    assert timers.next_due() == pytest.approx(START + 5.2)

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from msgspec.structs import replace
+
 from poise.manage.agent_connections.statuses import Statuses, connectors_of, located
 from poise.session.reports.last_seen import LastSeen
 from poise.wire.records.status import (
     AgentStatus,
+    ChainStatus,
     ComponentStatus,
     ConnectorStatus,
     ContainerStatus,
+    ErrorCount,
+    Summary,
+    TimerStatus,
 )
 
 
@@ -79,3 +85,66 @@ def test_what_comes_back_from_elsewhere_has_its_count_with_it() -> None:
     seen.look(on("left") | on("right", "eye", ends=[("eye.x-hand.x", 4)]))
     seen.look(on("left", "eye", ends=[("eye.x-hand.x", 5)], pid=2) | on("right"))
     assert not seen.ended
+
+
+def counted(
+    epoch: int, releases: int, missed: int, errors: tuple[ErrorCount, ...] = ()
+) -> ComponentStatus:
+    ran = Summary(count=releases, mean=float(epoch), maximum=epoch)
+    timer = TimerStatus(
+        name="tick",
+        period=0.1,
+        deadline=0.1,
+        releases=releases,
+        missed=missed,
+        lateness=ran,
+        duration=ran,
+    )
+    return ComponentStatus(
+        name="hand",
+        state="active",
+        epoch=epoch,
+        cpu=float(releases),
+        errors=len(errors),
+        error_counts=errors,
+        timers=(timer,),
+        chains=(ChainStatus(name="c", deadline=1.0, missed=missed, age=ran),),
+        measures={"grip": ran},
+    )
+
+
+def running(computer: str, *components: ComponentStatus, pid: int = 1) -> AgentStatus:
+    container = ContainerStatus(name="arm", pid=pid, components=components)
+    return agent(computer, container)
+
+
+def test_adds_up_what_was_counted_in_each_place() -> None:
+    """A report of a run with a move would else be silent on what was before."""
+    seen = LastSeen()
+    error = ErrorCount(where="tick", text="oops", first=3.0, count=1)
+    left, right = running("left"), running("right")
+    seen.look({"left": running("left", counted(1, 5, 4)), "right": right})
+    first = counted(1, 10, 9, errors=(error,))
+    prepared = running("right", counted(2, 0, 0))
+    seen.look({"left": running("left", first), "right": prepared})
+    seen.look({"left": left, "right": running("right", counted(2, 20, 0, (error,)))})
+    again = running("right", counted(2, 10, 1), pid=2)
+    ((computer, found),) = located(seen.merged({"left": left, "right": again}))
+    assert computer == "right"
+    assert (found.epoch, found.cpu, found.errors) == (2, 40.0, 2)
+    assert found.error_counts == (replace(error, count=2),)
+    (timer,) = found.timers
+    assert (timer.releases, timer.missed) == (40, 10)
+    assert timer.duration == found.measures["grip"] == found.chains[0].age
+    assert timer.duration == Summary(count=40, mean=1.75, maximum=2.0)
+    assert found.chains[0].missed == 10
+    assert [at for at, each in seen.stays() if each.errors] == ["left", "right"]
+
+
+def test_many_stays_count_all_the_same() -> None:
+    seen = LastSeen()
+    for pid in range(1, 201):
+        seen.look({"left": running("left", counted(1, 3, 2), pid=pid)})
+    assert len(list(seen.stays())) < 60
+    ((_, found),) = located(seen.merged({"left": agent("left")}))
+    assert (found.timers[0].releases, found.timers[0].missed) == (600, 400)

@@ -87,7 +87,7 @@ def test_errors_come_in_the_order_in_which_they_first_came() -> None:
     late = ErrorCount(where="tick", text="late", first=9.0, count=1)
     early = ErrorCount(where="tock", text="early", first=3.0, count=7)
     brain = ComponentStatus(name="brain", state="active", error_counts=(late, early))
-    found = component_errors(statuses(brain))
+    found = component_errors([("left", brain)])
     assert [(e.component, e.computer, e.text, e.count) for e in found] == [
         ("brain", "left", "early", 7),
         ("brain", "left", "late", 1),

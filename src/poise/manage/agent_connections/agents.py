@@ -95,7 +95,7 @@ class Agents(AgentReports):
         self._declared = [
             self._session.declare_subscriber(
                 f"{prefix}/status/*",
-                reading(AgentStatus, self.on_status, self.on_refused),
+                reading(AgentStatus, self.take_status, self.on_refused),
             ),
             self._session.declare_subscriber(
                 f"{prefix}/checkpoint/*",

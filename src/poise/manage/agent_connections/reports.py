@@ -34,6 +34,11 @@ class AgentReports:
         The robot's name.
     endpoints
         Computer -> zenoh endpoint of its agent.
+
+    Attributes
+    ----------
+    on_status
+        Called with every status on zenoh's threads, and must not block.
     """
 
     def __init__(self, robot: str, endpoints: Mapping[str, str], clock: Clock) -> None:
@@ -49,6 +54,7 @@ class AgentReports:
         self._silent: dict[str, float] = {}
         self._refused: list[str] = []
         self._num_taken = 0
+        self.on_status: Callable[[AgentStatus], object] = lambda _: None
 
     def statuses(self) -> dict[str, AgentStatus]:
         """Return what each agent reported last, by computer."""
@@ -120,12 +126,14 @@ class AgentReports:
                 self._refused.append(sentence)
                 self._note_news()
 
-    def on_status(self, status: AgentStatus) -> None:
+    def take_status(self, status: AgentStatus) -> None:
         """Store what an agent reported."""
+        if status.computer not in self._endpoints:
+            return
+        self.on_status(status)
         with self._changed:
-            if status.computer in self._endpoints:
-                self._statuses[status.computer] = status
-                self._note_news()
+            self._statuses[status.computer] = status
+            self._note_news()
 
     def on_identity(self, sample: zenoh.Sample) -> None:
         """Store which agent is at an address."""

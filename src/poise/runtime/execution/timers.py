@@ -24,9 +24,15 @@ class Releases:
         self.timer = timer
         self.start = start
         self._next = 1
+        self._earlier = 0
         self._missed = 0
         self._lateness = Histogram()
         self._duration = Histogram()
+
+    def restart(self, start: float, stopped: float) -> None:
+        """Go on from another `start` after a pause since `stopped`; counts stay [s]."""
+        self._earlier, self._missed = self._count(stopped), self.missed(stopped)
+        self.start, self._next = start, 1
 
     @property
     def due(self) -> float:
@@ -62,13 +68,16 @@ class Releases:
         """Return how many have begun, or should have by `now` [s]."""
         return max(self._next - 1, int((now - self.start) / self.timer.period) - 1)
 
+    def _count(self, now: float) -> int:
+        return self._earlier + self._passed(now)
+
     def status(self, now: float) -> TimerStatus:
         """Return what was counted; releases that should have begun by now are in."""
         return TimerStatus(
             name=self.timer.name,
             period=self.timer.period,
             deadline=self.timer.deadline,
-            releases=self._passed(now),
+            releases=self._count(now),
             missed=self.missed(now),
             lateness=self._lateness.summary(),
             duration=self._duration.summary(),
@@ -92,11 +101,14 @@ class Timers:
         self._first = first
 
     def start(self, now: float) -> list[tuple[float, float]]:
-        """Start at `now` [s]; return the start and the period of each [s]."""
-        self._stopped_at = None
+        """Start or go on at `now` [s]; return the start and the period of each [s]."""
+        stopped, self._stopped_at = self._until(now), None
         for name, timer in self._declared.items():
-            first = self._first.get(name, now + timer.period)
-            self._releases[name] = Releases(timer, first - timer.period)
+            start = self._first.get(name, now + timer.period) - timer.period
+            if name in self._releases:
+                self._releases[name].restart(start, stopped)
+            else:
+                self._releases[name] = Releases(timer, start)
         return [(each.start, each.timer.period) for each in self]
 
     def stop(self, now: float) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping
 
 from msgspec.structs import replace
 
@@ -25,6 +24,7 @@ from poise.session.experiment.trials import (
 from poise.session.placing.placement import place
 from poise.session.profiling.machine_speed import as_when_profiled
 from poise.session.reports.history import cpu_shares
+from poise.session.reports.last_seen import LastSeen
 from poise.session.up import Up, up
 
 _LOOK_EVERY = 0.2
@@ -74,49 +74,6 @@ def measure(
         return replace(blank, invalid=f"the run broke: {error}")
 
 
-class DeadlineCounts:
-    """Counts deadlines over all incarnations of components that move."""
-
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
-        self._chains: dict[tuple[str, int], Missed] = {}
-        self._timers: dict[tuple[str, int], Missed] = {}
-
-    def look(self, statuses: Statuses) -> None:
-        """Take the counts so far."""
-        for chain in chain_reports(self._robot, statuses):
-            if chain.age.count:
-                self._chains[chain.name, chain.hops[-1].epoch] = Missed(
-                    of=chain.age.count,
-                    missed=chain.missed,
-                    median=chain.age.median,
-                    p99=chain.age.p99,
-                )
-        for component in components_of(statuses):
-            for timer in component.timers:
-                if timer.deadline is not None:
-                    key = f"{component.name}.{timer.name}", component.epoch
-                    self._timers[key] = Missed(of=timer.releases, missed=timer.missed)
-
-    def chains(self) -> dict[str, Missed]:
-        """Return chain -> its counts; ages are those of the longest stay."""
-        return _over_epochs(self._chains)
-
-    def timers(self) -> dict[str, Missed]:
-        """Return ``component.timer`` -> its counts."""
-        return _over_epochs(self._timers)
-
-
-def _over_epochs(counts: Mapping[tuple[str, int], Missed]) -> dict[str, Missed]:
-    found: dict[str, Missed] = {}
-    for (name, _), each in sorted(counts.items(), key=lambda item: item[1].of):
-        before = found.get(name, Missed(of=0, missed=0))
-        found[name] = replace(
-            each, of=before.of + each.of, missed=before.missed + each.missed
-        )
-    return found
-
-
 def _watched(
     running: Up, task: str, placed: TrialResult, seconds: float, check: Check
 ) -> TrialResult:
@@ -125,10 +82,12 @@ def _watched(
         running.started.computers,
         running.started.world,
     )
-    counts, moves, where = DeadlineCounts(run.robot), 0, run.placement()
+    seen, moves, where = LastSeen(), 0, run.placement()
     computers.begin()
     waited = world.waited() if world is not None else 0.0
+    run.agents.on_status = seen.take
     begin, began = run.agents.statuses(), time.monotonic()
+    seen.look(begin)
     while (now := time.monotonic() - began) < seconds:
         check()
         if running.wait(min(_LOOK_EVERY, seconds - now)):
@@ -136,15 +95,15 @@ def _watched(
         if world is not None and world.has_ended():
             raise RunError(f"the simulated world ended after {now:.1f} s")
         computers.look()
-        counts.look(run.agents.statuses())
         places = run.placement()
         moves += sum(where.get(name, at) != at for name, at in places.items())
         where = places
         if running.tasks.show(task).state in OVER:
             break
+    now = time.monotonic() - began
     waited = world.waited() - waited if world is not None else 0.0
     end = run.agents.statuses()
-    counts.look(end)
+    final = seen.merged(end)
     invalid = computers.end()
     if not invalid and waited > _TOLERATED * now:
         invalid = f"the simulated world waited {waited:.1f} s for a CPU of this machine"
@@ -155,9 +114,31 @@ def _watched(
         seconds=now,
         functions=said.get("functions", {}),
         world={name: said[name] for name in said.keys() - _BULKY},
-        chains=counts.chains(),
-        timers=counts.timers(),
+        chains=_chains(run.robot, final),
+        timers=_timers(final),
         cpu_share=cpu_shares(run.robot, begin, end, computers.faster),
         moves=moves,
         world_waited=waited,
     )
+
+
+def _chains(robot: Robot, statuses: Statuses) -> dict[str, Missed]:
+    return {
+        each.name: Missed(
+            of=each.age.count,
+            missed=each.missed,
+            median=each.age.median,
+            p99=each.age.p99,
+        )
+        for each in chain_reports(robot, statuses)
+        if each.age.count
+    }
+
+
+def _timers(statuses: Statuses) -> dict[str, Missed]:
+    return {
+        f"{component.name}.{timer.name}": Missed(of=timer.releases, missed=timer.missed)
+        for component in components_of(statuses)
+        for timer in component.timers
+        if timer.deadline is not None
+    }

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from itertools import groupby
 
 from msgspec.structs import replace
 
 from poise.manage.agent_connections.statuses import Statuses
+from poise.session.reports.stays import whole
 from poise.wire.records.status import (
+    AgentStatus,
     ComponentStatus,
     ConnectorStatus,
     ContainerStatus,
@@ -17,12 +20,17 @@ from poise.wire.records.status import (
 
 Place = tuple[str, str]
 """Computer and container."""
+_Stay = tuple[Place, int, int]
+"""Where, in which process, and as which incarnation."""
+_MOST = 50
+"""So many stays of a component are told apart."""
 
 
 class LastSeen:
     """Keeps what is gone: components of actions that are over, and their connectors.
 
-    Where something was in several places, only the latest counts.
+    What a component counted is added up over the places where it ran; of a connector's
+    ends that were in several places only the latest count.
 
     Attributes
     ----------
@@ -32,29 +40,46 @@ class LastSeen:
     """
 
     def __init__(self) -> None:
+        self._lock = threading.Lock()
         self._containers: dict[Place, ContainerStatus] = {}
         self.ended: list[ConnectorStatus] = []
-        self._components: dict[str, tuple[Place, ComponentStatus]] = {}
+        self._places: dict[str, Place] = {}
+        self._stays: dict[str, dict[_Stay, ComponentStatus]] = {}
         self._ends: dict[tuple[str, Side], tuple[Place, list[ConnectorStatus]]] = {}
 
     def look(self, statuses: Statuses) -> None:
-        """Take what the agents say now; call it a few times a second."""
-        for computer, status in sorted(statuses.items()):
+        """Take what the agents say now."""
+        for _, status in sorted(statuses.items()):
+            self.take(status)
+
+    def take(self, status: AgentStatus) -> None:
+        """Take what an agent says; any thread may."""
+        with self._lock:
             for container in status.containers:
-                place = computer, container.name
-                before = self._containers.get(place, container)
-                if before.pid != container.pid:
-                    self.ended += self._ends_at(place)
-                self._containers[place] = container
-                for each in container.components:
-                    self._components[each.name] = place, each
-                ends = sorted(container.connectors, key=_key)
-                for key, same in groupby(ends, _key):  # of a source with two paths
-                    self._ends[key] = place, list(same)
+                self._take(status.computer, container)
+
+    def _take(self, computer: str, container: ContainerStatus) -> None:
+        place = computer, container.name
+        before = self._containers.get(place, container)
+        if before.pid != container.pid:
+            self.ended += self._ends_at(place)
+        self._containers[place] = container
+        for each in container.components:
+            self._places[each.name] = place
+            stays = self._stays.setdefault(each.name, {})
+            stays[place, container.pid, each.epoch] = each
+            _fold(stays)
+        ends = sorted(container.connectors, key=_key)
+        for key, same in groupby(ends, _key):  # of a source with two paths
+            self._ends[key] = place, list(same)
 
     def merged(self, statuses: Statuses) -> Statuses:
         """Return the statuses, with what was there before and is gone."""
         self.look(statuses)
+        with self._lock:
+            return self._merged(statuses)
+
+    def _merged(self, statuses: Statuses) -> Statuses:
         return {
             computer: replace(
                 status,
@@ -67,15 +92,30 @@ class LastSeen:
             for computer, status in statuses.items()
         }
 
+    def stays(self) -> Iterator[tuple[str, ComponentStatus]]:
+        """Yield each component's last status in each place, with its computer."""
+        for stays in self._stays.values():
+            for ((computer, _), _, _), status in stays.items():
+                yield computer, status
+
     def _latest(self, place: Place, container: ContainerStatus) -> ContainerStatus:
-        components = (each for at, each in self._components.values() if at == place)
+        here = (name for name, at in self._places.items() if at == place)
+        components = tuple(whole(list(self._stays[name].values())) for name in here)
         ends = tuple(self._ends_at(place))
-        return replace(container, components=tuple(components), connectors=ends)
+        return replace(container, components=components, connectors=ends)
 
     def _ends_at(self, place: Place) -> Iterator[ConnectorStatus]:
         for at, same in self._ends.values():
             if at == place:
                 yield from same
+
+
+def _fold(stays: dict[_Stay, ComponentStatus]) -> None:
+    """Let the two first stays count as one when there are too many."""
+    if len(stays) > _MOST:
+        (one, first), (two, second) = list(stays.items())[:2]
+        stays |= {two: whole([first, second])}
+        del stays[one]
 
 
 def _key(end: ConnectorStatus) -> tuple[str, Side]:

@@ -14,7 +14,7 @@ from poise.manage.agent_connections.statuses import (
     located,
 )
 from poise.model.robot import Connector, Robot
-from poise.wire.records.status import ErrorCount
+from poise.wire.records.status import ComponentStatus, ErrorCount
 
 
 class ComponentError(ErrorCount, frozen=True, kw_only=True):
@@ -36,8 +36,16 @@ class HungHandler(Struct, frozen=True, kw_only=True):
     seconds: float
 
 
-def component_errors(statuses: Statuses) -> tuple[ComponentError, ...]:
-    """Return all that components raised, in the order in which it first came."""
+def component_errors(
+    located: Iterable[tuple[str, ComponentStatus]],
+) -> tuple[ComponentError, ...]:
+    """Return all that components raised, in the order in which it first came.
+
+    Parameters
+    ----------
+    located
+        Computers and what their components said last.
+    """
     found = [
         ComponentError(
             component=component.name,
@@ -47,7 +55,7 @@ def component_errors(statuses: Statuses) -> tuple[ComponentError, ...]:
             first=error.first,
             count=error.count,
         )
-        for computer, component in located(statuses)
+        for computer, component in located
         for error in component.error_counts
     ]
     return tuple(sorted(found, key=lambda error: error.first))

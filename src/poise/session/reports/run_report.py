@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -41,7 +42,6 @@ from poise.session.reports.run_errors import (
 from poise.wire.records.clocks import ClockStatus
 from poise.wire.records.status import (
     AgentStatus,
-    ComponentStatus,
     ConnectorStatus,
     Fault,
     Summary,
@@ -56,6 +56,9 @@ Table = Literal["components", "timers", "connectors", "chains"]
 
 class ComponentReport(Struct, frozen=True, kw_only=True):
     """How a component did, from its activation to the end of the run.
+
+    Its counts are those of all places where it ran; medians and 99th percentiles are of
+    the longest stay.
 
     `cpu` is the CPU time of its own thread per second of the run [cores].
     """
@@ -262,7 +265,7 @@ def reported(
         journal=journal,
         chains=chain_reports(robot, final),
         put_aside=placed.result.aside,
-        errors=component_errors(final),
+        errors=component_errors(seen.last_seen.stays()),
         hung=hung_handlers(final),
         refused=refused_messages(final),
         lost=unprocessed(up.run, placed.where.keys(), seen.last_seen.ended),
@@ -278,35 +281,26 @@ def reported(
 
 def component_reports(begin: Statuses, end: Statuses) -> tuple[ComponentReport, ...]:
     """Return a report for every component in the last statuses."""
+    before = {each.name: each.cpu for each in components_of(begin)}
     return tuple(
-        _component(component, computer, end[computer], begin.get(computer))
+        ComponentReport(
+            name=component.name,
+            computer=computer,
+            cpu=max(0.0, component.cpu - before.get(component.name, 0.0))
+            / _seconds(begin.get(computer), end[computer]),
+            errors=component.errors,
+            timers=component.timers,
+            measures=component.measures,
+        )
         for computer, component in located(end)
     )
+
+
+def _seconds(first: AgentStatus | None, last: AgentStatus) -> float:
+    """Return the time between two statuses of a computer [s]."""
+    return last.uptime - (first.uptime if first else 0.0) or math.inf
 
 
 def clocks_of(statuses: Statuses) -> dict[str, Mapping[str, ClockStatus]]:
     """Return what each computer knows of the others' clocks, by name."""
     return {name: status.clocks for name, status in sorted(statuses.items())}
-
-
-def _component(
-    component: ComponentStatus,
-    computer: str,
-    last: AgentStatus,
-    first: AgentStatus | None,
-) -> ComponentReport:
-    before = _cpu_before(component.name, first)
-    seconds = last.uptime - (first.uptime if first else 0.0)
-    return ComponentReport(
-        name=component.name,
-        computer=computer,
-        cpu=max(0.0, component.cpu - before) / seconds if seconds > 0 else 0.0,
-        errors=component.errors,
-        timers=component.timers,
-        measures=component.measures,
-    )
-
-
-def _cpu_before(name: str, first: AgentStatus | None) -> float:
-    there = components_of({first.computer: first}) if first else ()
-    return next((each.cpu for each in there if each.name == name), 0.0)

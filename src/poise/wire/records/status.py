@@ -39,7 +39,7 @@ class TimerStatus(Struct, frozen=True, kw_only=True):
     Parameters
     ----------
     releases
-        How often it was due since activation.
+        How often it was due while the component was active there.
     missed
         How many of these ended after their deadline, or never began.
     lateness, duration
