@@ -1,4 +1,4 @@
-"""Journals each deviation and fault of a running robot, as it begins and as it ends."""
+"""Journals deviations, faults and errors of a running robot, as they begin and end."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Kind
 from poise.manage.observe.deviations import Deviation, find_deviations, find_unjoined
 from poise.manage.observe.faults import FaultFilter
+from poise.manage.observe.raised_errors import RaisedErrors
 
 _JOIN_WITHIN = 2.0
 """A connector that is not joined for so long is a deviation [s]."""
@@ -24,6 +25,7 @@ class Watch:
         self._run = run
         self._unjoined: dict[str, tuple[Deviation, float]] = {}
         self._faults = FaultFilter(run.faults_before)
+        self._raised = RaisedErrors(run.journal.note)
 
     @property
     def num_faults(self) -> int:
@@ -31,7 +33,7 @@ class Watch:
         return self._faults.count
 
     def look(self) -> None:
-        """Journal each deviation and fault when it begins, and when it ends.
+        """Journal each deviation, fault and error when it begins, and when it ends.
 
         The entry of a container's fault covers the deviation that it caused. A move
         judges the components that it moves.
@@ -52,6 +54,7 @@ class Watch:
             if not before[key].container:
                 run.journal.note("right", before[key].end())
         self.deviations = tuple(found.values())
+        self._raised.look(statuses, time.monotonic())
         self._note_recoveries(statuses)
 
     def _found(

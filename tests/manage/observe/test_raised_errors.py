@@ -1,0 +1,70 @@
+"""Errors of components' code are journalled once while they go on."""
+
+from __future__ import annotations
+
+from poise.manage.observe.raised_errors import QUIET, RaisedErrors
+from poise.wire.records.status import (
+    AgentStatus,
+    ComponentStatus,
+    ContainerStatus,
+    ErrorCount,
+    State,
+)
+
+TEXT = 'Traceback:\n  File "hand.py", line 3\nValueError: too wide\n'
+WHAT = "'tick' of component 'hand' on 'left' raised ValueError: too wide"
+
+
+def statuses(
+    count: int, state: State = "active", pid: int = 1
+) -> dict[str, AgentStatus]:
+    error = ErrorCount(where="tick", text=TEXT, first=1.0, count=count)
+    hand = ComponentStatus(
+        name="hand", state=state, error_counts=(error,) * bool(count)
+    )
+    container = ContainerStatus(name="arm", pid=pid, components=(hand,))
+    status = AgentStatus(
+        computer="left", generation=1, cpu=0.0, uptime=1.0, containers=(container,)
+    )
+    return {"left": status}
+
+
+def test_says_once_that_errors_come_and_once_that_they_are_over() -> None:
+    said = list[tuple[str, str]]()
+    raised = RaisedErrors(lambda kind, what: said.append((kind, what)))
+    raised.look(statuses(0), 0.0)
+    assert not said
+    for now in range(1, 6):
+        raised.look(statuses(3 * now), float(now))
+    assert said == [("wrong", f"{WHAT}; `poise log hand` shows where")]
+    raised.look(statuses(15), 5.0 + 0.9 * QUIET)
+    assert len(said) == 1
+    raised.look(statuses(15), 5.0 + QUIET)
+    raised.look(statuses(15), 6.0 + QUIET)
+    assert said[1:] == [("right", f"no more: {WHAT} (15 times)")]
+
+
+def test_what_a_restarted_component_raises_is_new() -> None:
+    said = list[tuple[str, str]]()
+    raised = RaisedErrors(lambda kind, what: said.append((kind, what)))
+    raised.look(statuses(5), 0.0)
+    for now in (1.0, 2.0, 2 * QUIET):
+        raised.look(statuses(2, pid=2), now)
+    assert [kind for kind, _ in said] == ["wrong", "right"]
+    assert said[1][1].endswith("(7 times)")
+
+
+def test_what_is_out_of_reach_for_a_while_raised_nothing_new() -> None:
+    said = list[tuple[str, str]]()
+    raised = RaisedErrors(lambda kind, what: said.append((kind, what)))
+    raised.look(statuses(5), 0.0)
+    raised.look({}, QUIET)
+    raised.look(statuses(5), QUIET + 1)
+    assert [kind for kind, _ in said] == ["wrong", "right"]
+
+
+def test_a_component_that_failed_is_told_of_as_a_deviation() -> None:
+    said = list[tuple[str, str]]()
+    raised = RaisedErrors(lambda kind, what: said.append((kind, what)))
+    raised.look(statuses(1, "failed"), 0.0)
+    assert not said
