@@ -16,6 +16,8 @@ from typing import NoReturn
 
 import pytest
 
+from poise.errors import PoiseError
+
 TOLERATED = 0.5
 """The share of the machine's CPUs that others may use beside a test."""
 MOST_SKIPPED = 0.02
@@ -43,11 +45,11 @@ class CpuOfOthers:
 
 @contextmanager
 def needs_quiet_machine() -> Iterator[None]:
-    """Skip the running test if an assertion fails here while others use the machine."""
+    """Skip the running test if what is here fails while others use the machine."""
     others, cpus = CpuOfOthers(), os.cpu_count() or 1
     try:
         yield
-    except AssertionError as error:
+    except (AssertionError, PoiseError) as error:
         if (used := others.cpus()) > TOLERATED * cpus:
             skip_as_busy(f"others used {used:.1f} of its {cpus} CPUs; {error}")
         raise

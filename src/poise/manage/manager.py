@@ -155,6 +155,7 @@ class Manager:
                 *self._troubles.deviations(),
                 *self._lost.deviations(),
                 *self._watch.deviations,
+                *self._watch.code_errors.deviations(),
                 *self._adaptation.deviations,
                 *self._put_aside.deviations(),
             ),

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Kind
+from poise.manage.observe.code_errors import CodeErrors
 from poise.manage.observe.deviations import Deviation, find_deviations, find_unjoined
 from poise.manage.observe.faults import FaultFilter
-from poise.manage.observe.raised_errors import RaisedErrors
 
 _JOIN_WITHIN = 2.0
 """A connector that is not joined for so long is a deviation [s]."""
@@ -25,7 +25,7 @@ class Watch:
         self._run = run
         self._unjoined: dict[str, tuple[Deviation, float]] = {}
         self._faults = FaultFilter(run.faults_before)
-        self._raised = RaisedErrors(run.journal.note)
+        self.code_errors = CodeErrors(run.journal.note)
 
     @property
     def num_faults(self) -> int:
@@ -54,7 +54,7 @@ class Watch:
             if not before[key].container:
                 run.journal.note("right", before[key].end())
         self.deviations = tuple(found.values())
-        self._raised.look(statuses, time.monotonic())
+        self.code_errors.look(statuses, time.monotonic())
         self._note_recoveries(statuses)
 
     def _found(

@@ -13,6 +13,7 @@ from poise.manage.agent_connections.statuses import (
     connectors_of,
     located,
 )
+from poise.manage.observe.code_errors import refused
 from poise.model.robot import Connector, Robot
 from poise.wire.records.status import ComponentStatus, ErrorCount
 
@@ -80,14 +81,7 @@ def refused_messages(statuses: Statuses) -> dict[str, int]:
     found: Counter[str] = Counter()
     for status in statuses.values():
         for container in status.containers:
-            topics = tuple(
-                f"-{component.name}.{port}"
-                for component in container.components
-                for port in component.subscribes
-            )
-            for end in container.connectors:
-                if end.end != "source" and end.errors and end.name.endswith(topics):
-                    found[end.name] += end.errors
+            found += Counter(dict(refused(container)))
     return dict(found)
 
 

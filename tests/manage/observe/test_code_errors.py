@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
-from poise.manage.observe.raised_errors import QUIET, RaisedErrors
+from poise.manage.observe.code_errors import QUIET, CodeErrors
 from poise.wire.records.status import (
     AgentStatus,
     ComponentStatus,
+    ConnectorStatus,
     ContainerStatus,
     ErrorCount,
     State,
 )
 
 TEXT = 'Traceback:\n  File "hand.py", line 3\nValueError: too wide\n'
-WHAT = "'tick' of component 'hand' on 'left' raised ValueError: too wide"
+WHAT = (
+    "'tick' of component 'hand' on 'left' raised ValueError: too wide; "
+    "`poise log hand` says more"
+)
 
 
 def statuses(
-    count: int, state: State = "active", pid: int = 1
+    count: int, state: State = "active", pid: int = 1, *, refused: int = 0
 ) -> dict[str, AgentStatus]:
     error = ErrorCount(where="tick", text=TEXT, first=1.0, count=count)
+    errors = (error,) if count else ()
     hand = ComponentStatus(
-        name="hand", state=state, error_counts=(error,) * bool(count)
+        name="hand", state=state, error_counts=errors, subscribes=("size",)
     )
-    container = ContainerStatus(name="arm", pid=pid, components=(hand,))
+    name = "eye.size-hand.size"
+    end = ConnectorStatus(
+        name=name, kind="local", end="target", ready=True, errors=refused
+    )
+    container = ContainerStatus(
+        name="arm", pid=pid, components=(hand,), connectors=(end,)
+    )
     status = AgentStatus(
         computer="left", generation=1, cpu=0.0, uptime=1.0, containers=(container,)
     )
@@ -31,12 +42,12 @@ def statuses(
 
 def test_says_once_that_errors_come_and_once_that_they_are_over() -> None:
     said = list[tuple[str, str]]()
-    raised = RaisedErrors(lambda kind, what: said.append((kind, what)))
+    raised = CodeErrors(lambda kind, what: said.append((kind, what)))
     raised.look(statuses(0), 0.0)
     assert not said
     for now in range(1, 6):
         raised.look(statuses(3 * now), float(now))
-    assert said == [("wrong", f"{WHAT}; `poise log hand` shows where")]
+    assert said == [("wrong", WHAT)]
     raised.look(statuses(15), 5.0 + 0.9 * QUIET)
     assert len(said) == 1
     raised.look(statuses(15), 5.0 + QUIET)
@@ -46,7 +57,7 @@ def test_says_once_that_errors_come_and_once_that_they_are_over() -> None:
 
 def test_what_a_restarted_component_raises_is_new() -> None:
     said = list[tuple[str, str]]()
-    raised = RaisedErrors(lambda kind, what: said.append((kind, what)))
+    raised = CodeErrors(lambda kind, what: said.append((kind, what)))
     raised.look(statuses(5), 0.0)
     for now in (1.0, 2.0, 2 * QUIET):
         raised.look(statuses(2, pid=2), now)
@@ -56,7 +67,7 @@ def test_what_a_restarted_component_raises_is_new() -> None:
 
 def test_what_is_out_of_reach_for_a_while_raised_nothing_new() -> None:
     said = list[tuple[str, str]]()
-    raised = RaisedErrors(lambda kind, what: said.append((kind, what)))
+    raised = CodeErrors(lambda kind, what: said.append((kind, what)))
     raised.look(statuses(5), 0.0)
     raised.look({}, QUIET)
     raised.look(statuses(5), QUIET + 1)
@@ -65,6 +76,22 @@ def test_what_is_out_of_reach_for_a_while_raised_nothing_new() -> None:
 
 def test_a_component_that_failed_is_told_of_as_a_deviation() -> None:
     said = list[tuple[str, str]]()
-    raised = RaisedErrors(lambda kind, what: said.append((kind, what)))
+    raised = CodeErrors(lambda kind, what: said.append((kind, what)))
     raised.look(statuses(1, "failed"), 0.0)
     assert not said
+
+
+def test_messages_that_are_refused_are_told_of() -> None:
+    said = list[tuple[str, str]]()
+    errors = CodeErrors(lambda kind, what: said.append((kind, what)))
+    for now, count in enumerate((0, 3, 4, 2)):
+        errors.look(statuses(0, refused=count), float(now))
+    errors.look(statuses(0, refused=2), 3.0 + QUIET)
+    what = (
+        "connector 'eye.size-hand.size' refused messages on 'left': "
+        "not of the port's type; `poise log` says more"
+    )
+    assert said == [
+        ("wrong", what),
+        ("right", f"no more: {what} (6 times)"),
+    ]
