@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from poise.emulate import registry, sweep
 from poise.emulate.cgroup.groups import Groups
-from poise.emulate.layout import lay_out
+from poise.emulate.layout import EmulationLayout, lay_out
 from poise.emulate.probe import Probe
 from poise.errors import RunError
 from poise.model.robot import Robot
@@ -32,10 +34,36 @@ def test_another_process_reads_what_was_registered(
         tools=frozenset({"ip", "tc", "nsenter"}),
         may_make_namespaces=True,
     )
-    layout = lay_out(two_computers, tmp_path, host, 0)
-    registry.register(layout)
+    layout = registry.register(lambda _: lay_out(two_computers, tmp_path, host, 0))
     assert list(registry.registered()) == [layout]
     assert sweep() == []  # this process, its owner, lives
+
+
+@pytest.mark.parametrize("may_make_namespaces", [True, False])
+def test_two_that_are_laid_out_at_once_get_addresses_of_their_own(
+    two_computers: Robot, tmp_path: Path, *, may_make_namespaces: bool
+) -> None:
+    """Nothing of the first one is there yet, and both would begin at one number."""
+    host = Probe(
+        cpus=(0, 1),
+        groups=Groups(),
+        tools=frozenset({"ip", "tc", "nsenter"}),
+        may_make_namespaces=may_make_namespaces,
+    )
+
+    def laid_out(run: str) -> EmulationLayout:
+        def lay(others: Collection[str]) -> EmulationLayout:
+            made = lay_out(two_computers, tmp_path, host, 0, taken=others)
+            return replace(made, run=run)
+
+        return registry.register(lay)
+
+    one, other = laid_out("one"), laid_out("other")
+    addresses = {c.address for each in (one, other) for c in each.computers}
+    assert len(addresses) == 4
+    begins = 3 if may_make_namespaces else 2
+    nets = {tuple(address.split(".")[:begins]) for address in addresses}
+    assert len(nets) == 2
 
 
 def test_an_entry_of_another_version_is_an_error_that_names_it(folder: Path) -> None:

@@ -20,7 +20,7 @@ from poise.emulate.limits import shortages
 from poise.emulate.network import namespaces
 from poise.emulate.network.plan import NetworkPlan
 from poise.emulate.probe import Probe, look
-from poise.emulate.registry import register, remove, sweep
+from poise.emulate.registry import addresses, register, remove, sweep
 from poise.errors import RunError
 from poise.model.robot import Robot
 
@@ -78,20 +78,22 @@ class Emulation:
         sweep()
         host, number = probe or look(), next(_numbers)
         kept = KeptSet.of(robot) if keep else None
-        self._layout = lay_out(robot, folder, host, number, kept)
+        self._layout = register(
+            lambda taken: lay_out(robot, folder, host, number, kept, taken)
+        )
         self.computers = {}
-        register(self._layout)
         try:
             groups, refused = _prepared(host.groups, self._layout.run)
             if refused:
                 host, aside = replace(host, groups=groups), self._layout.aside
-                again = lay_out(robot, folder, host, number, kept)
+                taken = addresses(but=self._layout.run)
+                again = lay_out(robot, folder, host, number, kept, taken)
                 self._layout = replace(again, aside=aside)
             self._make(self._layout, groups, host, refused)
             if kept is not None:
                 kept = replace(kept, since=time.time(), without=self.without)
                 self._layout = replace(self._layout, kept=kept)
-            register(self._layout)
+            register(lambda _: self._layout)
         except BaseException as error:
             self.close()
             if isinstance(error, OSError):

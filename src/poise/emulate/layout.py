@@ -5,7 +5,7 @@ The registry keeps it on disk, so that another process can find or remove it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from msgspec import Struct
@@ -114,6 +114,7 @@ def lay_out(
     host: Probe,
     number: int,
     kept: KeptSet | None = None,
+    taken: Collection[str] = (),
 ) -> EmulationLayout:
     """Return the layout of the computers of `robot` on `host`.
 
@@ -123,6 +124,8 @@ def lay_out(
         The run's folder.
     number
         Distinguishes the emulations of one process.
+    taken
+        IP addresses of other emulations.
 
     Raises
     ------
@@ -135,9 +138,10 @@ def lay_out(
     run = f"{owner}-{number}"
     names = [computer.name for computer in robot.computers]
     limits = share_out(robot.computers, host.cpus)
-    network = (
-        plan_network(owner, number, names, robot.links) if host.has_namespaces else None
-    )
+    network = None
+    if host.has_namespaces:
+        network = plan_network(owner, number, names, robot.links, taken)
+    loopback = _loopback(owner.pid + number, taken)
     computers = []
     for index, name in enumerate(names):
         mark = f"{run}-{index}"
@@ -147,9 +151,7 @@ def lay_out(
             ComputerLayout(
                 name=name,
                 mark=mark,
-                address=cable.address
-                if cable
-                else _loopback(owner.pid + number, index),
+                address=cable.address if cable else f"{loopback}{index}.1",
                 folder=_private(folder, name),
                 limits=limits[index],
                 homes={which: str(home) for which, home in homes.items()},
@@ -176,6 +178,8 @@ def _private(folder: Path, name: str) -> str:
     return str(private)
 
 
-def _loopback(run: int, index: int) -> str:
-    """Return an address in 127.0.0.0/8; concurrent runs get different ones."""
-    return f"127.{1 + run % 254}.{index}.1"
+def _loopback(start: int, taken: Collection[str]) -> str:
+    """Return how free addresses in 127.0.0.0/8 begin, such as ``127.7.``."""
+    begins = [f"127.{1 + (start + step) % 254}." for step in range(254)]
+    free = (each for each in begins if not any(t.startswith(each) for t in taken))
+    return next(free, begins[0])

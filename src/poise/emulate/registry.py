@@ -10,7 +10,7 @@ import fcntl
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -97,8 +97,13 @@ def locked() -> Iterator[None]:
         os.close(handle)
 
 
-def register(layout: EmulationLayout) -> None:
-    """Write an emulation down, so that `sweep` can find it.
+def register(lay_out: Callable[[Collection[str]], EmulationLayout]) -> EmulationLayout:
+    """Lay an emulation out, and write it down, so that `sweep` can find it.
+
+    Parameters
+    ----------
+    lay_out
+        Is given the IP addresses of all other emulations: no two get the same ones.
 
     Raises
     ------
@@ -106,9 +111,17 @@ def register(layout: EmulationLayout) -> None:
         It is to be kept, and another one is for a robot of this name.
     """
     with locked():
+        layout = lay_out(addresses())
         if layout.kept is not None:
             _raise_if_kept(layout.kept.robot, layout.run)
         write(layout)
+    return layout
+
+
+def addresses(but: str = "") -> list[str]:
+    """Return the IP addresses of all emulations but one of this name."""
+    others = (each for each in registered() if each.run != but)
+    return [computer.address for each in others for computer in each.computers]
 
 
 def read(run: str) -> EmulationLayout | None:

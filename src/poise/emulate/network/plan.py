@@ -10,7 +10,7 @@ import ipaddress
 import math
 import socket
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from msgspec import Struct
@@ -68,11 +68,20 @@ class NetworkPlan(Struct, frozen=True, kw_only=True):
 
 
 def plan_network(
-    owner: Owner, number: int, computers: Sequence[str], links: Sequence[Link]
+    owner: Owner,
+    number: int,
+    computers: Sequence[str],
+    links: Sequence[Link],
+    taken: Iterable[str] = (),
 ) -> NetworkPlan:
     """Return the network for `computers` joined by `links`.
 
-    `number` distinguishes the emulations of one owner.
+    Parameters
+    ----------
+    number
+        Distinguishes the emulations of one owner.
+    taken
+        IP addresses of others, which may not be there yet.
 
     Raises
     ------
@@ -82,7 +91,7 @@ def plan_network(
     if len(computers) > _MOST:
         message = f"{len(computers)} computers cannot be emulated; at most {_MOST} can"
         raise RobotError(message)
-    hosts = [str(host) for host in _free_subnet(owner.pid + number).hosts()]
+    hosts = [str(host) for host in _free_subnet(owner.pid + number, taken).hosts()]
     cables = [
         Cable(namespace=f"{owner}-{number}-{index}", address=hosts[index])
         for index in range(len(computers))
@@ -107,16 +116,17 @@ def _shape(link: Link) -> Shape:
     return Shape(bandwidth=bandwidth, latency=link.latency)
 
 
-def _free_subnet(start: int) -> ipaddress.IPv4Network:
-    """Return a subnet of 10.0.0.0/8 that this host has no route to.
+def _free_subnet(start: int, taken: Iterable[str] = ()) -> ipaddress.IPv4Network:
+    """Return a subnet of 10.0.0.0/8 without `taken`, and to which there is no route.
 
-    Each owner starts its search elsewhere, so two that start at once do not collide.
+    Each owner starts its search elsewhere: those of two users, who do not know each
+    other's, hardly collide.
     """
-    taken = _routes()
+    others = [*_routes(), *map(ipaddress.IPv4Network, taken)]
     for step in range(256):
         number = (start + step) % 65536
         subnet = ipaddress.IPv4Network((0x0A000000 + (number << 8), 24))
-        if not any(subnet.overlaps(route) for route in taken):
+        if not any(subnet.overlaps(other) for other in others):
             return subnet
     message = "no free subnet in 10.0.0.0/8 for the emulated network"
     raise RunError(message)
