@@ -114,7 +114,8 @@ def test_it_runs_on_the_other_computer_and_is_put_aside_when_it_crashes_there(
         shaky.wait_more()
 
         shaky.crash("everywhere")
-        wait_long(lambda: "shaky" not in robot.status().placement)
+        wait_long(lambda: any("put aside" in d.what for d in robot.status().deviations))
+        assert "shaky" not in robot.status().placement
         done = run_poise("status", "--robot", emulated.robot)
         assert done.returncode == 1
         said = " ".join(done.stdout.split())
