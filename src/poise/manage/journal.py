@@ -18,13 +18,15 @@ from poise.errors import RunError, UsageError
 
 log = logging.getLogger(__name__)
 
-Kind = Literal["seen", "decided", "done", "failed", "wrong", "right"]
+Kind = Literal["seen", "decided", "desired", "done", "failed", "wrong", "right"]
 """What an entry is about.
 
 seen
     Something was noticed that needs no action.
 decided
     The manager decided what to do next.
+desired
+    What should run is different from now on; not printed.
 done, failed
     It did that, or could not.
 wrong, right
@@ -115,7 +117,7 @@ class Journal:
         """Add an entry: `what` for people, `facts` for machines."""
         entry = JournalEntry(time.time(), kind, what, facts)
         self._recent.append(JournalEntry(entry.at, kind, what, None))
-        if self._show is not None:
+        if self._show is not None and kind != "desired":
             self._show(entry)
         try:
             self._write(entry)

@@ -160,7 +160,8 @@ def _measure(
         check()
         looks()
         up.computers.raise_if_ended()
-        run.excused -= manager.lost()
+        if lost := manager.lost():
+            raise RunError(run.unreached()[min(lost)])
 
     def look(_: float) -> None:
         now, statuses = time.monotonic(), run.agents.statuses()

@@ -170,7 +170,8 @@ def test_a_component_learns_once_that_its_action_begins() -> None:
 def test_one_that_was_restarted_by_others_learns_its_action_again() -> None:
     rig = Rig(robot_with(task("t", act("a", "see"))), "t")
     placed = rig.run.placed["seeer"]
-    rig.run.placed["seeer"] = replace(placed, epoch=9, turn=0, action="")
+    again = replace(placed, epoch=9, turn=0, action="")
+    rig.run.commit(rig.run.desired.placing([again]), "it was restarted")
     rig.manager.look()
     assert rig.run.placed["seeer"].turn == placed.turn
 
@@ -270,9 +271,10 @@ def test_components_start_tasks_and_refusals_are_journalled() -> None:
 
 def test_what_is_on_a_lost_computer_holds_no_switch_up() -> None:
     rig = Rig(robot_with(task("t", act("a", "see"), act("b", "go"))), "t")
-    rig.run.placed["seeer"] = replace(rig.run.placed["seeer"], computer="spare")
+    away = replace(rig.run.placed["seeer"], computer="spare")
     rig.agents.gone.add("spare")
-    rig.run.excused.add("spare")
+    rig.run.goes_on_without_lost = True
+    rig.run.commit(rig.run.desired.placing([away]), "it was there")
     (each,) = rig.manager.tasks.tries(rig.manager.tasks.find("t"))
     rig.manager.tasks.end(each.number, 0.0, "told", done=True)
     rig.manager.look()
@@ -285,7 +287,9 @@ def test_the_next_manager_goes_on_where_this_one_was() -> None:
     )
     rig = Rig(robot, "t")
     rig.end("seeer")
-    assert {told.tasks for _, told in rig.agents.deployed[-2:]} == {rig.run.tasks}
+    assert {told.tasks for _, told in rig.agents.deployed[-2:]} == {
+        rig.run.desired.tasks
+    }
     asked = Tasks(robot)
     asked.start("t", 0.0)
     asked.start("u", 0.0)

@@ -61,8 +61,8 @@ class Watch:
         self, statuses: Statuses, before: Mapping[str, Deviation]
     ) -> dict[str, Deviation]:
         """Return what deviates now, by key; of what is being moved, what did before."""
-        run, now, wanted = self._run, time.time(), set(self._run.wanted)
-        settled = {n: each for n, each in run.placed.items() if each in wanted}
+        run, now = self._run, time.time()
+        wanted, settled = run.desired.incarnations(), run.desired.settled()
         moving = run.placed.keys() - settled.keys()
         found = {key: before[key] for key in before.keys() & moving}
         deviations = find_deviations(

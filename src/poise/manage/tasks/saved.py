@@ -22,11 +22,11 @@ def goes_on_with(run: RunningComponents, asked: Tasks, journal: Journal) -> Save
     asked
         What this manager was to start; what runs already goes on where it was.
     """
-    if not run.tasks:
+    if not run.desired.tasks:
         return asked.saved
     note = journal.note
     try:
-        saved = msgspec.msgpack.decode(run.tasks, type=Saved)
+        saved = msgspec.msgpack.decode(run.desired.tasks, type=Saved)
     except msgspec.DecodeError as error:
         note("failed", f"the tasks of the manager before are given up: {error}")
         return asked.saved

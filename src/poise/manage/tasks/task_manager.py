@@ -16,6 +16,8 @@ from msgspec.structs import replace
 from poise.errors import PoiseError, RunError, UsageError
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.policy.subjects import values_of
+from poise.manage.deploy.desired import Desired
+from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.transition_run import transit
 from poise.manage.prefetch.resting import Resting
@@ -210,18 +212,23 @@ class TaskManager:
                 self._note_switch(record, each, is_hit=is_hit)
         return False
 
-    def _give_turns(self) -> None:
-        """Let components know which actions begin, also those that start again."""
-        run = self._run
+    def _with_turns(self) -> Desired:
+        """Return what should run, when components know which actions begin.
+
+        Also those that start again.
+        """
+        run, begins = self._run, list[Incarnation]()
         for _, each in self._turns():
             end = each.action.ends
             if end is None or each.progress.since is None:
                 continue
             placed = run.placed.get(end.component)
             if placed is not None and placed.turn < each.number:
-                run.placed[end.component] = replace(
-                    placed, turn=each.number, action=each.action.name
+                begins.append(
+                    replace(placed, turn=each.number, action=each.action.name)
                 )
+        placed_now = {**run.placed, **{each.component: each for each in begins}}
+        return replace(run.desired, placed=placed_now)
 
     def _make_room(
         self, room: Room, begins: Mapping[str, str], stops: list[str]
@@ -248,11 +255,8 @@ class TaskManager:
             names = ", ".join(gone)
             run.journal.note("decided", f"there is no memory to let {names} rest")
         gone += [n for n in stops if run.placed[n].computer in away]
-        for name in gone:
-            run.prepared.pop(name, None)
-            run.placed.pop(name, None)
         if gone:
-            run.tell(run.placed.values())
+            run.commit(run.desired.without(gone), "there is no memory to keep it idle")
         return [name for name in stops if name not in gone]
 
     def _fail(self, new: list[Turn], begins: Iterable[str], why: str) -> None:
@@ -351,15 +355,10 @@ class TaskManager:
     def _save(self) -> None:
         """Let components and the next manager know what they need, if that is new."""
         self.reports = self._reported()
-        run, before = self._run, (self._run.tasks, *self._run.placed.values())
-        run.tasks = msgspec.msgpack.encode(self.tasks.saved)
-        self._give_turns()
-        if before == (run.tasks, *run.placed.values()):
-            return
-        try:
-            run.tell(run.placed.values())
-        except RunError as error:  # an agent that is lost is told when it is back
-            run.journal.note("failed", f"not all agents know the tasks: {error}")
+        run, saved = self._run, msgspec.msgpack.encode(self.tasks.saved)
+        desired = replace(self._with_turns(), tasks=saved)
+        if desired != run.desired:
+            run.commit(desired, "tasks go on")
 
     def _reported(self) -> tuple[TaskReport, ...]:
         def serving(each: Try) -> tuple[str, ...]:

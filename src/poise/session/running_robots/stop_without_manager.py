@@ -37,7 +37,7 @@ def stop_without_manager(robot: Robot) -> None:
         reached = agents.reached()
         agents.claim(reached)
         journal = Journal(":memory:")
-        RunningComponents(robot, {}, agents, journal, "").end_all(reached)
+        RunningComponents(robot, {}, agents, journal, "").end_all("asked to stop it")
         journal.close()
     missing = ", ".join(sorted(ends.keys() - reached))
     if missing:

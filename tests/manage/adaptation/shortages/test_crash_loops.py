@@ -29,7 +29,7 @@ class Crashing(Robbed):
             computers=tuple(Computer(name=n, capacity=SPECS) for n in names),
             architectures=free,
         )
-        super().__init__(robot, computers=names)
+        super().__init__(robot)
         self.crashing: set[str] = {"left"}
         self.faults: dict[str, tuple[Fault, ...]] = {}
         self.now = 0.0
