@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import time
 
+from poise.clock import wall_time
 from poise.errors import RunError
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.observe.deviations import Deviation
@@ -32,6 +33,7 @@ class LostComputers:
         self._retry_at: dict[str, float] = {}
         self._refusals: dict[str, Deviation] = {}
         self._lost_at: dict[str, float] = {}
+        self._lost_since: dict[str, float] = {}
         self._restarting: dict[str, float] = {}
         self._pids = _pids(run)
 
@@ -49,7 +51,8 @@ class LostComputers:
         for computer in self._reached - obeying:
             self._reached.discard(computer)
             run.excused.add(computer)
-            self._lost_at[computer] = time.time()
+            self._lost_at[computer] = time.monotonic()
+            self._lost_since[computer] = wall_time()
             back = f"computer '{computer}' was cut off, or its agent was restarted"
             what = run.unreached().get(computer, back)
             if what != back and run.agents.has_computer(computer):
@@ -80,7 +83,7 @@ class LostComputers:
             Deviation(
                 what=f"computer '{computer}' is back, but not yet managed again",
                 computer=computer,
-                since=self._lost_at[computer],
+                since=self._lost_since[computer],
             )
             for computer in sorted(returning)
         ]
@@ -101,7 +104,7 @@ class LostComputers:
 
     def settle(self) -> None:
         """Wait for computers that were cut off for a moment: a command is to come."""
-        run, now = self._run, time.time()
+        run, now = self._run, time.monotonic()
         self.note()
         lost = {n for n, at in self._lost_at.items() if now - at < _MOMENT}
         lost -= self._reached
@@ -125,7 +128,7 @@ class LostComputers:
             before = self._refusals.get(computer)
             if before is None or before.what != what:
                 self._refusals[computer] = Deviation(
-                    what=what, computer=computer, since=time.time()
+                    what=what, computer=computer, since=wall_time()
                 )
                 run.journal.note("failed", what)
             return
