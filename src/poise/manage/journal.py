@@ -14,6 +14,7 @@ from typing import Any, Literal, get_args
 import msgspec
 from msgspec import Struct
 
+from poise.clock import wall_time
 from poise.errors import RunError, UsageError
 
 log = logging.getLogger(__name__)
@@ -115,7 +116,7 @@ class Journal:
 
     def note(self, kind: Kind, what: str, **facts: object) -> None:
         """Add an entry: `what` for people, `facts` for machines."""
-        entry = JournalEntry(time.time(), kind, what, facts)
+        entry = JournalEntry(wall_time(), kind, what, facts)
         self._recent.append(JournalEntry(entry.at, kind, what, None))
         if self._show is not None and kind != "desired":
             self._show(entry)

@@ -6,11 +6,10 @@ again. Only that part backs off. No bug of Poise ends a robot.
 
 from __future__ import annotations
 
-import time
 import traceback
 from collections.abc import Callable
 
-from poise.clock import Clock
+from poise.clock import Clock, wall_time
 from poise.errors import PoiseError, TakenOver
 from poise.manage.journal import Journal
 from poise.manage.observe.deviations import Deviation
@@ -97,7 +96,7 @@ class SupervisedTick:
         said = f"{type(error).__name__}: {error}" if is_bug else str(error)
         why = "a bug of Poise, please report it" if is_bug else "it is tried again"
         what = f"the manager cannot {part} ({said}): {why}; all else goes on"
-        since = before.since if before else time.time()
+        since = before.since if before else wall_time()
         again_at = self._clock.now() + pause
         self._failures[part] = _Failure(what, pause, again_at, since)
         text = f"{what}; the next try is in {pause:g} s"

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 
 from msgspec import Struct
 from msgspec.structs import replace
 
+from poise.clock import wall_time
 from poise.errors import PoiseError
 from poise.session.running_robots.running import JournalEntry, Running, Status
 
@@ -62,7 +62,7 @@ class LiveReader:
             after = self._entries[-1].number if self._entries else 0
             self._entries.extend(self.running.journal(after))
         except PoiseError as error:
-            since = before.since if before.trouble else time.time()
+            since = before.since if before.trouble else wall_time()
             self._look = replace(before, trouble=str(error), since=since)
         else:
             self._look = Look(status=status, entries=tuple(self._entries))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import cast
 
@@ -9,6 +10,7 @@ import msgspec
 import pytest
 from msgspec.structs import replace
 
+from poise.clock import boot_id
 from poise.errors import UsageError
 from poise.estimate.success.learning import beliefs_about
 from poise.manage.adaptation.facts import Facts
@@ -299,6 +301,39 @@ def test_the_next_manager_goes_on_where_this_one_was() -> None:
     assert states == [("t", "going"), ("u", "going")]
     again = Rig(robot, saved=msgspec.convert(msgspec.to_builtins(saved), Saved))
     assert again.active() == {"goer", "sayer"}
+
+
+def test_the_limit_of_an_action_holds_though_the_time_of_day_steps_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    limited = replace(act("a", "see"), limit=60.0)
+    rig = Rig(robot_with(task("t", limited)), "t")
+    then = time.time()
+    monkeypatch.setattr(time, "time", lambda: then - 10 * 365 * 86400.0)
+    (each,) = rig.manager.tasks.tries(rig.manager.tasks.records[0])
+    assert each.progress.since is not None
+    each.progress.since -= 61
+    rig.manager.look()
+    assert rig.states()["t"][0] == "failed"
+
+
+@pytest.mark.parametrize("boot", ["this", "another"])
+def test_the_limit_of_an_action_goes_on_under_the_next_manager(boot: str) -> None:
+    limited = replace(act("a", "see"), limit=60.0)
+    rig = Rig(robot_with(task("t", limited)), "t")
+    (each,) = rig.manager.tasks.tries(rig.manager.tasks.records[0])
+    assert each.progress.since is not None
+    each.progress.since -= 50
+    rig.manager.tasks.saved.boot = boot_id() if boot == "this" else boot
+    kept = msgspec.msgpack.encode(rig.manager.tasks.saved)
+    rig.run.commit(replace(rig.run.desired, tasks=kept), "kept")
+    saved = goes_on_with(rig.run, Tasks(rig.robot), rig.journal)
+    tasks = Tasks(rig.robot, saved=saved)
+    (again,) = tasks.tries(tasks.records[0])
+    left = 60 - tasks.worked(again, each.progress.since + 50)
+    assert left == pytest.approx(10 if boot == "this" else 60, abs=5)
+    said = [what for what in rig.said() if "has its limit of 60 s from now on" in what]
+    assert len(said) == (boot == "another")
 
 
 def test_a_choice_that_is_ahead_is_said_only_when_it_is_made() -> None:

@@ -7,14 +7,13 @@ manager's own threads wait for it here.
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import TypeVar
 
 import msgspec
 import zenoh
 
-from poise.clock import Clock
+from poise.clock import Clock, wall_time
 from poise.errors import RunError
 from poise.wire.control_session import parse_identity
 from poise.wire.records.status import AgentStatus
@@ -160,13 +159,13 @@ class AgentReports:
                     self._on_new_agent(computer)
             elif computer in self._alive:
                 self._alive.discard(computer)
-                self._lost[computer] = time.time()
+                self._lost[computer] = wall_time()
             self._note_news()
 
     def on_silent(self, computers: Iterable[str]) -> None:
         """Store whose heartbeats do not come."""
         with self._changed:
-            now = time.time()
+            now = wall_time()
             self._silent = {c: self._silent.get(c, now) for c in computers}
             self._note_news()
 
@@ -174,7 +173,7 @@ class AgentReports:
         """Count agents that are not there as lost."""
         with self._changed:
             missing = self._endpoints.keys() - self._alive
-            self._lost |= dict.fromkeys(missing, time.time())
+            self._lost |= dict.fromkeys(missing, wall_time())
             self._note_news()
 
     def _note_news(self) -> None:

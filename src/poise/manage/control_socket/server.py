@@ -17,6 +17,7 @@ from concurrent.futures import CancelledError, Future, wait
 from pathlib import Path
 from typing import Self
 
+from poise.clock import wall_time
 from poise.errors import RunError, UsageError
 from poise.manage.control_socket.location import is_alive, path_of
 from poise.manage.control_socket.records import Command, Refusal, Result, StatusCommand
@@ -58,7 +59,7 @@ class ControlServer:
         self._acceptor = threading.Thread(
             target=self._accept, name="control", daemon=True
         )
-        self._since = time.time()
+        self._since = wall_time()
         self._submit: Submit | None = None
         self._is_up = threading.Event()
         try:

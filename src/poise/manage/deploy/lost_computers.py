@@ -7,8 +7,8 @@ them what should run.
 from __future__ import annotations
 
 import contextlib
-import time
 
+from poise.clock import wall_time
 from poise.errors import RunError
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.observe.deviations import Deviation
@@ -27,7 +27,7 @@ class LostComputers:
         self._lost_at: dict[str, float] = {}
         self._lost_moments: dict[str, float] = {}
         for computer in {c.name for c in run.robot.computers} - self._obeying:
-            self._lost_at[computer] = time.time()
+            self._lost_at[computer] = wall_time()
             self._lost_moments[computer] = run.clock.now()
         self._was_cut_off: set[str] = set()
         self._refused: dict[str, Deviation] = {}
@@ -104,7 +104,7 @@ class LostComputers:
     def _note_lost(self, computer: str) -> None:
         run = self._run
         self._obeying.discard(computer)
-        self._lost_at[computer] = time.time()
+        self._lost_at[computer] = wall_time()
         self._lost_moments[computer] = run.clock.now()
         back = f"computer '{computer}' was cut off, or its agent was restarted"
         run.journal.note("wrong", run.unreached().get(computer, back))
@@ -136,7 +136,7 @@ class LostComputers:
             before = self._refused.get(computer)
             if before is None or before.what != what:
                 self._refused[computer] = Deviation(
-                    what=what, computer=computer, since=time.time()
+                    what=what, computer=computer, since=wall_time()
                 )
                 run.journal.note("failed", what)
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import zenoh
 
+from poise.clock import wall_time
 from poise.wire.records.requests import Claim, ManagerId, Refused
 
 
@@ -73,7 +73,7 @@ class Fence:
             if self._present is not None:
                 self._say(f"managed by {self._present}")
         if self.is_cut_off and not self.cut_off:
-            self.cut_off = time.time()
+            self.cut_off = wall_time()
             # the present manager is refused, too, until it claims the agent again
             self.token += 1
             self._is_expired = True

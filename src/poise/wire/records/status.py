@@ -252,7 +252,9 @@ class Fault(Struct, frozen=True, kw_only=True):
     number
         Counts the faults of one agent, from 1.
     at
-        When [s since the epoch], by that computer's clock.
+        When [s since the epoch], by that computer's clock; for people.
+    uptime
+        For how long its agent had run then [s].
     restarts
         How often the container was started again before.
     is_over
@@ -263,6 +265,7 @@ class Fault(Struct, frozen=True, kw_only=True):
     message: str
     number: int = 0
     at: float = 0.0
+    uptime: float = 0.0
     restarts: int = 0
     is_over: bool = False
 
