@@ -16,7 +16,7 @@ import zenoh
 
 from poise.clock import Clock
 from poise.errors import RunError
-from poise.wire.control_session import parse_identity
+from poise.wire.control_session import IDENTITIES, parse_identity
 from poise.wire.records.status import AgentStatus
 
 S = TypeVar("S")
@@ -55,6 +55,20 @@ class AgentReports:
         self._refused: list[str] = []
         self._num_taken = 0
         self.on_status: Callable[[AgentStatus], object] = lambda _: None
+
+    def subscribe(self, session: zenoh.Session) -> list[object]:
+        """Store from now on what agents report; return what must be kept for that."""
+        prefix, liveliness = f"poise/{self._robot}", session.liveliness()
+        return [
+            session.declare_subscriber(
+                f"{prefix}/status/*",
+                reading(AgentStatus, self.take_status, self.on_refused),
+            ),
+            liveliness.declare_subscriber(
+                f"{prefix}/alive/*", self.on_alive, history=True
+            ),
+            liveliness.declare_subscriber(IDENTITIES, self.on_identity, history=True),
+        ]
 
     def statuses(self) -> dict[str, AgentStatus]:
         """Return what each agent reported last, by computer."""

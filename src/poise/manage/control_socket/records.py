@@ -148,6 +148,10 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
         Computer -> its CPU use over the last second, where it was seen.
     traffic
         Connector -> what goes over it now.
+    by_agents
+        Whether agents said this, since no manager answers; the first deviation says
+        why. Then `manager` is the last one, `placement` where components are, and what
+        only a manager knows is empty: tasks, demands, capacities, decisions.
     """
 
     robot: str
@@ -166,6 +170,7 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
     prefetch: PrefetchReport = PrefetchReport()
     loads: Mapping[str, Load] = {}
     traffic: Mapping[str, ConnectorProfile] = {}
+    by_agents: bool = False
 
 
 class StopReport(Struct, frozen=True, tag=True):

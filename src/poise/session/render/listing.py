@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from rich.console import RenderableType
+from rich.text import Text
 
 from poise.manage.agent_connections.statuses import components_of, connectors_of
 from poise.session.render.shared_tables.columns import NamedRows, table
@@ -19,7 +20,10 @@ def listing(robots: Robots) -> Iterator[RenderableType]:
         if status is None:
             yield f"robot '{name}' gives no status: it may be starting"
             continue
-        yield f"robot '{name}', task '{status.task}'"
+        if status.by_agents:
+            yield Text(status.deviations[0].what, style="red")
+        else:
+            yield f"robot '{name}', task '{status.task}'"
         states = {c.name: c.state for c in components_of(status.computers)}
         rows = table("component", "computer", "state")
         for component, computer in sorted(status.placement.items()):

@@ -28,7 +28,7 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
     yield from task_lines(status.tasks)
     if switches := str(status.prefetch):
         yield f"switches from action to action: {switches}"
-    yield f"managed by {status.manager}"
+    yield f"{'last ' if status.by_agents else ''}managed by {status.manager}"
     for computer, report in sorted(status.computers.items()):
         if report.manager is not None and report.manager != status.manager:
             yield f"[yellow]the agent of '{computer}' obeys {report.manager}[/]"
