@@ -13,7 +13,7 @@ import msgspec
 from msgspec import Struct
 
 from poise.errors import RunError
-from poise.manage.control_socket.location import folder, make_folder
+from poise.manage.control_socket.location import folder, is_alive, make_folder, path_of
 
 
 class AgentAddresses(Struct, frozen=True):
@@ -45,8 +45,13 @@ def note(addresses: AgentAddresses) -> None:
 
 
 def forget(robot: str) -> None:
-    """Forget the agents of a robot that has stopped; harmless when repeated."""
+    """Forget the agents of a robot that has stopped; harmless when repeated.
+
+    The control socket of a killed manager goes, too.
+    """
     _path(robot).unlink(missing_ok=True)
+    if not is_alive(path_of(robot)):
+        path_of(robot).unlink(missing_ok=True)
 
 
 def noted() -> Iterator[AgentAddresses]:
