@@ -149,9 +149,11 @@ class Manager:
 
     def status(self) -> RobotStatus:
         """Return the last known state; from any thread, at once."""
+        known = status_of(self._run, self.tasks.reports, self._estimates)
         return structs.replace(
-            status_of(self._run, self.tasks.reports, self._estimates),
+            known,
             deviations=(
+                *known.deviations,
                 *self._troubles.deviations(),
                 *self._lost.deviations(),
                 *self._watch.deviations,

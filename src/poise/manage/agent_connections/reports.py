@@ -49,6 +49,7 @@ class AgentReports:
         self._changed = threading.Condition()
         self._version = 0
         self._statuses: dict[str, AgentStatus] = {}
+        self._heard: dict[str, float] = {}
         self._alive: set[str] = set()
         self._lost: dict[str, float] = {}
         self._silent: dict[str, float] = {}
@@ -74,6 +75,12 @@ class AgentReports:
         """Return what each agent reported last, by computer."""
         with self._changed:
             return dict(self._statuses)
+
+    def ages(self) -> dict[str, float]:
+        """Return how long ago each agent reported last [s], by computer."""
+        now = self._clock.now()
+        with self._changed:
+            return {name: now - self._heard[name] for name in self._statuses}
 
     def out_of_reach(self) -> dict[str, float]:
         """Return since when [s since 1970] agents that were there are not reached."""
@@ -147,6 +154,7 @@ class AgentReports:
         self.on_status(status)
         with self._changed:
             self._statuses[status.computer] = status
+            self._heard[status.computer] = self._clock.now()
             self._note_news()
 
     def on_identity(self, sample: zenoh.Sample) -> None:

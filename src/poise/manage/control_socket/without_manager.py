@@ -11,6 +11,8 @@ import time
 from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 
+from msgspec.structs import replace
+
 from poise.clock import SystemClock
 from poise.errors import RunError
 from poise.manage.agent_connections.reports import AgentReports
@@ -92,7 +94,8 @@ def ask_agents(addresses: AgentAddresses, why: str = "") -> RobotStatus | None:
         del kept
     finally:
         session.close()  # type: ignore[no-untyped-call]
-    return status_by_agents(addresses, reports.statuses(), time.time(), why)
+    found = status_by_agents(addresses, reports.statuses(), time.time(), why)
+    return found and replace(found, ages=reports.ages())
 
 
 def status_by_agents(

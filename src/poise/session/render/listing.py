@@ -26,8 +26,12 @@ def listing(robots: Robots) -> Iterator[RenderableType]:
             yield f"robot '{name}', task '{status.task}'"
         states = {c.name: c.state for c in components_of(status.computers)}
         rows = table("component", "computer", "state")
+        unknown = status.not_known()
         for component, computer in sorted(status.placement.items()):
-            rows.add_row(component, computer, states.get(component, "not there"))
+            state = states.get(component, "not there")
+            rows.add_row(
+                component, computer, "unknown" if computer in unknown else state
+            )
         yield rows
         kinds = {end.name: end.kind for end in connectors_of(status.computers)}
         joined = NamedRows("connector", "kind")
