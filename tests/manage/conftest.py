@@ -136,6 +136,9 @@ class FakeAgents:
     def statuses(self) -> dict[str, AgentStatus]:
         return dict(self._statuses)
 
+    def ages(self) -> dict[str, float]:
+        return dict.fromkeys(self.statuses(), 0.0)
+
     def out_of_reach(self) -> dict[str, float]:
         return dict.fromkeys(self.gone, 0.0)
 

@@ -155,10 +155,12 @@ class Manager:
 
     def status(self) -> RobotStatus:
         """Return the last known state; from any thread, at once."""
+        known = status_of(self._run, self.tasks.reports, self._estimates)
         return structs.replace(
-            status_of(self._run, self.tasks.reports, self._estimates),
+            known,
             deviations=(
                 *self._tick.deviations(),
+                *known.deviations,
                 *self._troubles.deviations(),
                 *self._lost.deviations(),
                 *self._watch.deviations,

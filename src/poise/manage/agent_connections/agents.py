@@ -23,7 +23,7 @@ from poise.manage.agent_connections.requests import (
     nothing,
 )
 from poise.priority import ahead
-from poise.wire.control_session import IDENTITIES, LEASE, open_session
+from poise.wire.control_session import LEASE, open_session
 from poise.wire.records.checkpoints import CheckpointCopy
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.migration import (
@@ -42,7 +42,6 @@ from poise.wire.records.requests import (
     Request,
 )
 from poise.wire.records.samples import AgentSample
-from poise.wire.records.status import AgentStatus
 
 _LATE = LEASE + 1.0
 """An agent that was cut off knows within this time that its manager ended [s]."""
@@ -95,19 +94,10 @@ class Agents(AgentReports):
         prefix = f"poise/{robot}"
         self._requests = AgentRequests(self._session, prefix, self, clock, self._tokens)
         self._declared = [
-            self._session.declare_subscriber(
-                f"{prefix}/status/*",
-                reading(AgentStatus, self.take_status, self.on_refused),
-            ),
+            *self.subscribe(self._session),
             self._session.declare_subscriber(
                 f"{prefix}/checkpoint/*",
                 reading(CheckpointCopy, self.checkpoints.note, self.on_refused),
-            ),
-            self._session.liveliness().declare_subscriber(
-                f"{prefix}/alive/*", self.on_alive, history=True
-            ),
-            self._session.liveliness().declare_subscriber(
-                IDENTITIES, self.on_identity, history=True
             ),
         ]
         if on_sample is not None:

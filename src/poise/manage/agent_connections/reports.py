@@ -15,7 +15,7 @@ import zenoh
 
 from poise.clock import Clock, wall_time
 from poise.errors import RunError
-from poise.wire.control_session import parse_identity
+from poise.wire.control_session import IDENTITIES, parse_identity
 from poise.wire.records.status import AgentStatus
 
 S = TypeVar("S")
@@ -48,6 +48,7 @@ class AgentReports:
         self._changed = threading.Condition()
         self._version = 0
         self._statuses: dict[str, AgentStatus] = {}
+        self._heard: dict[str, float] = {}
         self._alive: set[str] = set()
         self._lost: dict[str, float] = {}
         self._silent: dict[str, float] = {}
@@ -55,10 +56,30 @@ class AgentReports:
         self._num_taken = 0
         self.on_status: Callable[[AgentStatus], object] = lambda _: None
 
+    def subscribe(self, session: zenoh.Session) -> list[object]:
+        """Store from now on what agents report; return what must be kept for that."""
+        prefix, liveliness = f"poise/{self._robot}", session.liveliness()
+        return [
+            session.declare_subscriber(
+                f"{prefix}/status/*",
+                reading(AgentStatus, self.take_status, self.on_refused),
+            ),
+            liveliness.declare_subscriber(
+                f"{prefix}/alive/*", self.on_alive, history=True
+            ),
+            liveliness.declare_subscriber(IDENTITIES, self.on_identity, history=True),
+        ]
+
     def statuses(self) -> dict[str, AgentStatus]:
         """Return what each agent reported last, by computer."""
         with self._changed:
             return dict(self._statuses)
+
+    def ages(self) -> dict[str, float]:
+        """Return how long ago each agent reported last [s], by computer."""
+        now = self._clock.now()
+        with self._changed:
+            return {name: now - self._heard[name] for name in self._statuses}
 
     def out_of_reach(self) -> dict[str, float]:
         """Return since when [s since 1970] agents that were there are not reached."""
@@ -132,6 +153,7 @@ class AgentReports:
         self.on_status(status)
         with self._changed:
             self._statuses[status.computer] = status
+            self._heard[status.computer] = self._clock.now()
             self._note_news()
 
     def on_identity(self, sample: zenoh.Sample) -> None:

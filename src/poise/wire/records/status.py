@@ -336,6 +336,9 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
     cut_off
         Since when its leased components are inactive, because its lease has ended
         [s since 1970]; 0: they are not.
+    unmanaged
+        Since when it knows of no manager that is there: that one went, or the agent
+        started [s since 1970]; 0: one is there.
     links
         How the ways to other computers are, by name.
     """
@@ -359,4 +362,5 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
     health: tuple[ContainerHealth, ...] = ()
     clocks: Mapping[str, ClockStatus] = {}
     cut_off: float = 0.0
+    unmanaged: float = 0.0
     links: Mapping[str, LinkQuality] = {}
