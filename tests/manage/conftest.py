@@ -99,6 +99,7 @@ class FakeAgents:
         self.is_forced = False
         self.later: ManagerId | None = None
         self.strangers: set[str] = set()
+        self.left_with: dict[str, Deployment] = {}
         self.refusing: set[str] = set()
         self.deaf: set[str] = set()
         self.refused: list[str] = []
@@ -147,6 +148,7 @@ class FakeAgents:
     ) -> dict[str, Deployment]:
         self.claimed += sorted(computers)
         self.is_forced = take_over
+        assert self.gone.isdisjoint(computers)
         return {c: d for c, d in self.deployed if c in computers}
 
     def successor(self) -> ManagerId | None:
@@ -187,7 +189,7 @@ class FakeAgents:
             reply.take(Refused("not today"))
         else:
             self.strangers.discard(computer)
-            reply.take(Claimed())
+            reply.take(Claimed(self.left_with.get(computer)))
         return reply
 
     def end_claim(self, computer: str, reply: Reply) -> None:

@@ -319,7 +319,11 @@ class Manager:
         return Facts(
             robot=structs.replace(run.robot, tasks=(now,)),
             task=now.name,
-            placement=run.placement(),
+            placement={
+                name: at
+                for name, at in run.placement().items()
+                if name not in run.desired.held
+            },
             lost=self._lost.computers(),
             loads=self._estimates.loads.loads(),
             misses=self._misses.look(run.current(), time.monotonic()),
