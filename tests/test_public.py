@@ -44,7 +44,7 @@ PUBLIC = {
         "RunReport",
         "Running",
         "Seen",
-        "Situation",
+        "Conditions",
         "Stamp",
         "TakenOver",
         "Timeout",

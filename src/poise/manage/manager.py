@@ -19,9 +19,9 @@ from msgspec import structs
 
 from poise.errors import PoiseError, RunError, TakenOver
 from poise.manage.adaptation.bad_links import check_links
-from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.shortages.put_aside import PutAside
+from poise.manage.adaptation.situation import Situation
 from poise.manage.adaptation.what_if import check_move
 from poise.manage.control_socket.read_commands import look, status_of
 from poise.manage.control_socket.records import (
@@ -113,14 +113,14 @@ class Manager:
         self._lost = LostComputers(run)
         self._misses = DeadlineMisses()
         self._ages = ChainAges()
-        self.tasks = TaskManager(run, tasks, self._facts)
+        self.tasks = TaskManager(run, tasks, self._situation)
         self._put_aside = PutAside(run, self.tasks.now, aside)
         if aside:
             self._put_aside.look()
         self._prefetch = Prefetcher(run)
         keep = recording.add_seen if recording else None
         self._adaptation = Adaptation(
-            run, self._facts, self._put_aside, acts=adapts, keep=keep
+            run, self._situation, self._put_aside, self._tick, acts=adapts, keep=keep
         )
         run.check = self._look  # moves wait long: what breaks meanwhile is said at once
 
@@ -297,10 +297,10 @@ class Manager:
             case MoveCommand(component, computer, dry=True):
                 return self._adaptation.what_if(component, computer)
             case MoveCommand(component, computer, force):
-                facts = self._facts()
-                check_links(facts, component, computer)
+                situation = self._situation()
+                check_links(situation, component, computer)
                 if not force:
-                    check_move(facts, component, computer)
+                    check_move(situation, component, computer)
                 self._adaptation.note_asked(component, computer)
                 return move(run, component, computer, force=force)
             case ReplaceCommand(component, by, adapt, fresh) if ":" in by:
@@ -314,9 +314,9 @@ class Manager:
                 return Rebalanced(*self._adaptation.balance(cost, dry=dry))
         raise AssertionError(command)
 
-    def _facts(self) -> Facts:
+    def _situation(self) -> Situation:
         run, now = self._run, self.tasks.now()
-        return Facts(
+        return Situation(
             robot=structs.replace(run.robot, tasks=(now,)),
             task=now.name,
             placement={

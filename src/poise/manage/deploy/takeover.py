@@ -11,8 +11,8 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from msgspec import structs
 
 from poise.errors import PoiseError, RobotError, RunError
-from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.shortages.free_room import placed_beside
+from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.adoption import Adoption, Found, adopt, found_in, is_half_done
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.other_side import components_to_hold, where_held
@@ -143,11 +143,11 @@ def _at_work(run: RunningComponents, found: Sequence[Found]) -> dict[str, str]:
                 homes[name] = (planned[name],)
             else:
                 homes[name] = tuple(sorted(may))
-    facts = Facts(robot=run.robot, task="", placement=planned)
+    situation = Situation(robot=run.robot, task="", placement=planned)
     with contextlib.suppress(RobotError):  # all is as full as it was
         return {
             **{name: may[0] for name, may in homes.items()},
-            **placed_beside(facts, homes).placement,
+            **placed_beside(situation, homes).placement,
         }
     return {name: may[0] for name, may in homes.items()}
 
