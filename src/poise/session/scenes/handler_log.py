@@ -65,11 +65,12 @@ class Overlap(Struct, frozen=True, kw_only=True):
 
     def __str__(self) -> str:
         older, newer = self.processes
+        went_on = f" and went on with one for {self.went_on:.3f} s"
         return (
             f"'{self.component}' worked twice from {self.since:.3f} s to "
             f"{self.until:.3f} s (CLOCK_MONOTONIC): process {older} began {self.begun} "
-            f"handlers and went on with one for {self.went_on:.3f} s beside its "
-            f"successor, process {newer}"
+            f"handlers{went_on if self.went_on else ''} beside its successor, process "
+            f"{newer}"
         )
 
 
