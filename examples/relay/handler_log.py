@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,7 +25,10 @@ class HandlerLog:
     """
 
     def __init__(self, component: str) -> None:
-        self._file = FOLDER / f"{component}.{os.getpid()}.{secrets.token_hex(4)}"
+        # each emulated computer has a folder of its own for temporary files
+        computer = Path(tempfile.gettempdir()).name
+        name = f"{component}.{computer}.{os.getpid()}.{secrets.token_hex(4)}"
+        self._file = FOLDER / name
 
     @contextmanager
     def run(self) -> Iterator[None]:

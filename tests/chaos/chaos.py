@@ -92,7 +92,8 @@ class Chaos:
                 self._heal()
                 if trouble := self._managers.end():
                     self.report.trouble.append(trouble)
-                self._faults.wait_for_moves(SETTLE_LIMIT)
+                self._faults.end_moves(SETTLE_LIMIT)
+                self.report.trouble += self._faults.trouble
 
     def go(self, seconds: float) -> None:
         """Break the robot again and again for a time [s], or until it stays broken."""

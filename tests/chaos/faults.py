@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from msgspec import Struct
 
 from poise.emulate import EmulatedSet
-from poise.errors import UsageError
+from poise.errors import RunError, UsageError
 from poise.session.running_robots.running import Status
 from poise.wire.records.status import ContainerStatus
 from tests.chaos.managers import TAKEN_OVER, Managers
@@ -70,6 +70,8 @@ class Faults:
     ----------
     history
         All faults, oldest first.
+    trouble
+        What could not be injected or mended, and what hung.
     """
 
     def __init__(
@@ -91,6 +93,7 @@ class Faults:
         self._manager_due = 0.0
         self._moves: list[subprocess.Popen[bytes]] = []
         self.history: list[Fault] = []
+        self.trouble: list[str] = []
 
     def inject(self) -> None:
         """Break something; nothing happens when what is chosen is not possible."""
@@ -115,7 +118,7 @@ class Faults:
         ]
         free = len(self._lasting) < AT_ONCE
         event = self._chance.choice([*momentary, *lasting] if free else momentary)
-        with contextlib.suppress(UsageError):  # such as two faults of one link
+        with self._noted():
             fault = event()
             self.history.append(fault)
             self._say(str(fault))
@@ -133,7 +136,7 @@ class Faults:
         for fault, end in [each for each in self._lasting if each[0].until <= now]:
             if self._may_end(fault):
                 self._lasting.remove((fault, end))
-                with contextlib.suppress(UsageError):  # a crash has ended it already
+                with self._noted():
                     end()
                 fault.until = time.monotonic()
                 self._say(f"  no more: {fault}")
@@ -142,10 +145,28 @@ class Faults:
         """Return whether anything is broken, or still to be started again."""
         return bool(self._lasting or self._manager_due)
 
-    def wait_for_moves(self, limit: float) -> None:
-        """Wait until no command to move is under way."""
+    def end_moves(self, limit: float) -> None:
+        """Wait until no command to move is under way [at most so many s]."""
         for process in self._moves:
-            process.wait(limit)
+            try:
+                process.wait(limit)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait(limit)
+                self.trouble.append(f"`poise move` gave no answer for {limit:g} s")
+
+    @contextlib.contextmanager
+    def _noted(self) -> Iterator[None]:
+        """Note what fails; what is refused is not possible now.
+
+        Such as a second fault of a link, or to heal a cut that a crash has ended.
+        """
+        try:
+            yield
+        except UsageError:
+            pass
+        except RunError as error:
+            self.trouble.append(str(error))
 
     def _may_end(self, fault: Fault) -> bool:
         """Cables are mended only where no computer is crashed."""

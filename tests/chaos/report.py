@@ -17,8 +17,9 @@ its agent, which ends it, is stopped or has ended [s]."""
 MESSAGES = ("received", "lost", "doubled", "reordered", "beside")
 _BEFORE = 2.0
 """A fault may have caused what happens up to this time after it [s]: leases end."""
-_SETTLES = 20.0
-"""A robot that somebody took over by force is one again within this time [s]."""
+_SETTLES = 5.0
+"""A computer that somebody took over by force is as the first manager wants it within
+this time [s]."""
 
 
 class ChaosReport(Struct, kw_only=True):
@@ -82,13 +83,14 @@ class ChaosReport(Struct, kw_only=True):
         faults = list(faults)
         for overlap in overlaps:
             near = [f for f in faults if _is_near(f, overlap, _BEFORE)]
-            if any(f.forced and _is_near(f, overlap, _SETTLES) for f in faults):
+            if any(_forces(fault, overlap) for fault in faults):
                 self.forced += 1
                 continue
             self.overlaps += 1
             self.unfinished += not overlap.begun
-            is_ended = overlap.went_on <= GRACE or any(f.stops_agent for f in near)
-            if overlap.begun or not is_ended:
+            older = overlap.computers[0]
+            has_agent = not any(f.stops_agent and f.on == older for f in near)
+            if overlap.begun or (has_agent and overlap.went_on > GRACE):
                 causes = "; ".join(map(str, near)) or "nothing"
                 at = overlap.since - began
                 self.trouble.append(f"{at:.1f} s: {overlap}; in force: {causes}")
@@ -114,5 +116,12 @@ class ChaosReport(Struct, kw_only=True):
         return "\n".join(lines)
 
 
+def _forces(fault: Fault, overlap: Overlap) -> bool:
+    """Return whether a person let a manager run there what runs elsewhere."""
+    is_there = fault.forced and fault.on in overlap.computers
+    return is_there and _is_near(fault, overlap, _SETTLES)
+
+
 def _is_near(fault: Fault, overlap: Overlap, seconds: float) -> bool:
-    return fault.since <= overlap.until and overlap.since <= fault.until + seconds
+    """Return whether a fault was in force when an overlap began, or little before."""
+    return fault.since <= overlap.since <= fault.until + seconds

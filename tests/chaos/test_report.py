@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 
+from msgspec.structs import replace
+
 from poise.session.scenes.handler_log import Overlap
 from tests.chaos.faults import Fault
 from tests.chaos.report import ChaosReport
@@ -18,9 +20,10 @@ def judged(overlap: Overlap, *faults: Fault) -> ChaosReport:
 
 
 def overlap(*, begun: int = 0, went_on: float = 0.0) -> Overlap:
-    """Return one from 110 s to 112 s."""
+    """Return one from 110 s to 112 s, of which the older incarnation is on 'a'."""
     return Overlap(
         component="relay",
+        computers=("a", "b"),
         processes=(7, 8),
         since=110,
         until=112,
@@ -57,11 +60,13 @@ def test_nobody_ends_a_handler_while_its_agent_is_stopped() -> None:
     )
     assert not judged(overlap(went_on=2.0), stopped).trouble
     assert judged(overlap(begun=1), stopped).trouble
+    elsewhere = replace(stopped, on="b")
+    assert judged(overlap(went_on=2.0), elsewhere).trouble
 
 
 def test_what_a_person_forced_breaks_no_promise() -> None:
     split = Fault(kind="second manager", on="a", since=103, until=109, forced=True)
     report = judged(overlap(begun=3), split)
     assert (counts(report), report.trouble) == ((0, 0, 1), [])
-    earlier = Fault(kind="second manager", on="a", since=60, until=70, forced=True)
-    assert judged(overlap(begun=3), earlier).trouble
+    for other in ({"on": "c"}, {"since": 60, "until": 70}):
+        assert judged(overlap(begun=3), replace(split, **other)).trouble

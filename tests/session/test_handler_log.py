@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import runpy
 import shutil
+import tempfile
 from pathlib import Path
 
 from poise.session.scenes.handler_log import Overlap, overlaps, read_handler_log
@@ -13,7 +14,10 @@ WRITER = Path(__file__).parents[2] / "examples/relay/handler_log.py"
 
 
 def found(folder: Path, **logs: str) -> list[Overlap]:
-    """Return the overlaps; a log has runs of a handler as "begin-on-...-end"."""
+    """Return the overlaps; a log has runs of a handler as "begin-on-...-end".
+
+    The even processes are on 'a', the others on 'b'.
+    """
     for name, runs in logs.items():
         component, process = name.split("_")
         lines = []
@@ -23,7 +27,8 @@ def found(folder: Path, **logs: str) -> list[Overlap]:
             lines += [f"begin {begin}", *(f"on {m}" for m in on)]
             lines += [f"end {m}" for m in end]
         text = "".join(f"{line}\n" for line in lines)
-        (folder / f"{component}.{process}.any").write_text(text)
+        computer = "ab"[int(process) % 2]
+        (folder / f"{component}.{computer}.{process}.any").write_text(text)
     return overlaps(read_handler_log(folder))
 
 
@@ -38,6 +43,7 @@ def test_handlers_that_the_older_one_begins_beside_the_newer_one(
     (overlap,) = found(tmp_path, relay_8="4-4.5 8-9", relay_7="1-2 5-6 7-7.5")
     assert overlap == Overlap(
         component="relay",
+        computers=("b", "a"),
         processes=(7, 8),
         since=5,
         until=7.5,
@@ -74,15 +80,15 @@ def test_each_pair_counts(tmp_path: Path) -> None:
 
 
 def test_incarnations_in_one_process_are_two(tmp_path: Path) -> None:
-    (tmp_path / "relay.7.first").write_text("begin 1\nend 4\n")
-    (tmp_path / "relay.7.second").write_text("begin 2\nend 3\nbegin 5\nend 6\n")
+    (tmp_path / "relay.a.7.first").write_text("begin 1\nend 4\n")
+    (tmp_path / "relay.a.7.second").write_text("begin 2\nend 3\nbegin 5\nend 6\n")
     (overlap,) = overlaps(read_handler_log(tmp_path))
     assert overlap.processes == (7, 7)
 
 
 def test_what_a_killed_process_had_not_finished_does_not_count(tmp_path: Path) -> None:
-    (tmp_path / "relay.7.any").write_text("begin 1\nend 2\nbeg")
-    (tmp_path / "relay.8.any").write_text("")
+    (tmp_path / "relay.a.7.any").write_text("begin 1\nend 2\nbeg")
+    (tmp_path / "relay.a.8.any").write_text("")
     (log,) = read_handler_log(tmp_path)
     assert [run.moments for run in log.runs] == [(1, 2)]
 
@@ -97,6 +103,7 @@ def test_reads_what_components_write(tmp_path: Path) -> None:
         pass
     (log,) = read_handler_log(tmp_path / "handler-log")
     assert (log.component, log.process) == ("relay", os.getpid())
+    assert log.computer == Path(tempfile.gettempdir()).name
     assert [len(run.moments) for run in log.runs] == [3, 2]
     assert log.runs[0].begin <= log.runs[0].end <= log.runs[1].begin
 

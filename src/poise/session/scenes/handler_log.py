@@ -36,6 +36,7 @@ class IncarnationLog(Struct, frozen=True, kw_only=True):
     """The handlers that one incarnation of a component ran, in order; at least one."""
 
     component: str
+    computer: str
     process: int
     runs: tuple[HandlerRun, ...]
 
@@ -45,7 +46,7 @@ class Overlap(Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
-    processes
+    computers, processes
         Of the older incarnation and of the newer one.
     since, until
         The older one was at work then, after the newer one had begun and before it
@@ -57,6 +58,7 @@ class Overlap(Struct, frozen=True, kw_only=True):
     """
 
     component: str
+    computers: tuple[str, str]
     processes: tuple[int, int]
     since: float
     until: float
@@ -64,29 +66,36 @@ class Overlap(Struct, frozen=True, kw_only=True):
     went_on: float
 
     def __str__(self) -> str:
-        older, newer = self.processes
+        older, newer = (
+            f"process {process} on '{computer}'"
+            for process, computer in zip(self.processes, self.computers, strict=True)
+        )
         went_on = f" and went on with one for {self.went_on:.3f} s"
         return (
             f"'{self.component}' worked twice from {self.since:.3f} s to "
-            f"{self.until:.3f} s (CLOCK_MONOTONIC): process {older} began {self.begun} "
-            f"handlers{went_on if self.went_on else ''} beside its successor, process "
-            f"{newer}"
+            f"{self.until:.3f} s (CLOCK_MONOTONIC): {older} began {self.begun} "
+            f"handlers{went_on if self.went_on else ''} beside its successor, {newer}"
         )
 
 
 def read_handler_log(folder: Path) -> list[IncarnationLog]:
     """Return what the components of a robot logged in a folder so far.
 
-    Each file, ``component.process.any``, is of one incarnation. Its lines are
+    Each file, ``component.computer.process.any``, is of one incarnation. Its lines are
     ``begin``, ``on`` or ``end`` with a time [s]. A last line that is cut short does not
     count.
     """
     logs = []
     for file in sorted(folder.iterdir()):
-        component, process, _ = file.name.split(".")
+        component, computer, process, _ = file.name.split(".")
         if runs := _runs(file.read_text().split("\n")[:-1]):
             logs.append(
-                IncarnationLog(component=component, process=int(process), runs=runs)
+                IncarnationLog(
+                    component=component,
+                    computer=computer,
+                    process=int(process),
+                    runs=runs,
+                )
             )
     return logs
 
@@ -121,7 +130,7 @@ def _first_begin(log: IncarnationLog) -> float:
 def _overlap(older: IncarnationLog, newer: IncarnationLog) -> Overlap | None:
     """Return what the older one did between the newer one's first and last moment."""
     first, last = newer.runs[0].begin, newer.runs[-1].end
-    split = bisect_right([run.begin for run in older.runs], first)
+    split = bisect_right(older.runs, first, key=lambda run: run.begin)
     before = older.runs[split - 1]
     beside = [m for m in before.moments if first < m <= last]
     begun = [run for run in older.runs[split:] if run.begin <= last]
@@ -130,6 +139,7 @@ def _overlap(older: IncarnationLog, newer: IncarnationLog) -> Overlap | None:
         return None
     return Overlap(
         component=older.component,
+        computers=(older.computer, newer.computer),
         processes=(older.process, newer.process),
         since=moments[0],
         until=min(moments[-1], last),
