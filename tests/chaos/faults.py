@@ -90,6 +90,15 @@ class Faults:
         self._chance = chance
         self._say = say
         self._lasting: list[tuple[Fault, Callable[[], object]]] = []
+        self._momentary = (
+            self._kill_container,
+            self._kill_agent,
+            self._kill_all,
+            self._kill_manager,
+            self._move,
+            self._move,
+        )
+        self._deck: list[Callable[[], Fault]] = []
         self._manager_due = 0.0
         self._moves: list[subprocess.Popen[bytes]] = []
         self.history: list[Fault] = []
@@ -97,31 +106,39 @@ class Faults:
 
     def inject(self) -> None:
         """Break something; nothing happens when what is chosen is not possible."""
-        momentary = [
-            self._kill_container,
-            self._kill_agent,
-            self._kill_all,
-            self._kill_manager,
-            self._move,
-            self._move,
-        ]
-        lasting = [
-            self._cut,
-            self._cut_off,
-            self._slow,
-            self._crash,
-            self._freeze,
-            self._freeze_agent,
-            self._freeze_container,
-            self._load,
-            self._split,
-        ]
-        free = len(self._lasting) < AT_ONCE
-        event = self._chance.choice([*momentary, *lasting] if free else momentary)
+        event = self._draw()
+        if event is None:
+            return
         with self._noted():
             fault = event()
             self.history.append(fault)
             self._say(str(fault))
+
+    def _draw(self) -> Callable[[], Fault] | None:
+        """Return what to do next: each kind comes once before any comes again.
+
+        None: all that is left lasts, and enough is in force.
+        """
+        if not self._deck:
+            self._deck = [
+                *self._momentary,
+                self._cut,
+                self._cut_off,
+                self._slow,
+                self._crash,
+                self._freeze,
+                self._freeze_agent,
+                self._freeze_container,
+                self._load,
+                self._split,
+            ]
+            self._chance.shuffle(self._deck)
+        is_free = len(self._lasting) < AT_ONCE
+        for event in self._deck:
+            if is_free or event in self._momentary:
+                self._deck.remove(event)
+                return event
+        return None
 
     def end_due(self) -> None:
         """End the faults whose time has come."""
