@@ -147,6 +147,9 @@ class AgentReports:
     def _on_new_agent(self, computer: str) -> None:
         """Know nothing of the agent of a computer that is back."""
 
+    def _on_ended_agent(self, computer: str) -> None:
+        """Note that an agent is gone now, so far as is known."""
+
     def on_alive(self, sample: zenoh.Sample) -> None:
         """Store that an agent came or went."""
         computer = str(sample.key_expr).rpartition("/")[2]
@@ -161,6 +164,7 @@ class AgentReports:
             elif computer in self._alive:
                 self._alive.discard(computer)
                 self._lost[computer] = time.time()
+                self._on_ended_agent(computer)
             self._note_news()
 
     def on_silent(self, computers: Iterable[str]) -> None:
@@ -175,6 +179,8 @@ class AgentReports:
         with self._changed:
             missing = self._endpoints.keys() - self._alive
             self._lost |= dict.fromkeys(missing, time.time())
+            for computer in missing:
+                self._on_ended_agent(computer)
             self._note_news()
 
     def _note_news(self) -> None:

@@ -1,8 +1,4 @@
-"""Computers that are out of reach, or whose agents were restarted; brings them back.
-
-A computer whose agent was killed still answers: its containers go on, and the next
-agent adopts them. So nothing restarts elsewhere while that agent may come.
-"""
+"""Computers that are out of reach, or whose agents were restarted; brings them back."""
 
 from __future__ import annotations
 
@@ -13,14 +9,11 @@ from poise.errors import RunError
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.observe.deviations import Deviation
 from poise.units import counted
-from poise.wire.records.container import RESTART_LIMIT
 
 _MOMENT = 1.0
 """A command waits so long for a computer that has just been cut off [s]."""
 _RETRY_AFTER = 1.0
 """A computer that came back, but refuses, is asked again after this time [s]."""
-_RESTART_LIMIT = RESTART_LIMIT + 1.0
-"""Nothing restarts elsewhere before what went on there without an agent was ended."""
 
 
 class LostComputers:
@@ -32,7 +25,6 @@ class LostComputers:
         self._retry_at: dict[str, float] = {}
         self._refusals: dict[str, Deviation] = {}
         self._lost_at: dict[str, float] = {}
-        self._restarting: dict[str, float] = {}
         self._pids = _pids(run)
 
     def note(self) -> None:
@@ -51,23 +43,20 @@ class LostComputers:
             run.excused.add(computer)
             self._lost_at[computer] = time.time()
             back = f"computer '{computer}' was cut off, or its agent was restarted"
-            what = run.unreached().get(computer, back)
-            if what != back and run.agents.has_computer(computer):
-                self._restarting[computer] = time.monotonic() + _RESTART_LIMIT
-                what = f"the agent of '{computer}' ended; its containers go on"
-            run.journal.note("wrong", what)
-
-    def restarting(self) -> frozenset[str]:
-        """Return the computers whose agent ended, and may yet be started again."""
-        now = time.monotonic()
-        return frozenset(c for c, until in self._restarting.items() if now < until)
+            run.journal.note("wrong", run.unreached().get(computer, back))
 
     def computers(self) -> frozenset[str]:
-        """Return those that nobody hears: what ran there may be started elsewhere."""
+        """Return those that nobody hears: what ran there may be started elsewhere.
+
+        Their leases have ended, or end within a second.
+        """
         agents = self._run.agents
         away = self._run.excused & agents.out_of_reach().keys()
-        away -= self.restarting()
-        return frozenset(name for name in away if not agents.heard_by(name))
+        return frozenset(
+            name
+            for name in away
+            if not agents.heard_by(name) and agents.ends_soon(name)
+        )
 
     def deviations(self) -> list[Deviation]:
         """Return what is known of each; from any thread."""
@@ -131,7 +120,6 @@ class LostComputers:
             return
         self._refusals.pop(computer, None)
         self._reached.add(computer)
-        self._restarting.pop(computer, None)
         run.excused.discard(computer)
         status = run.agents.statuses()[computer]
         pid_before, self._pids[computer] = self._pids.get(computer), status.pid

@@ -15,7 +15,7 @@ from msgspec import Struct
 
 from poise.clock import Clock
 from poise.errors import Timeout, Unavailable
-from poise.runtime._calls import PageSampler
+from poise.runtime._calls import LeaseEnd, PageSampler
 from poise.runtime.agent.sampling.watchdog import Silence
 from poise.wire import record_channel
 from poise.wire.codec import WireError
@@ -40,7 +40,8 @@ class ContainerProcess:
 
     `pid` is 0 until the zygote has reported it; from then on `counted` reads the
     container's stats page. `kill_at` is when it has had time enough to end [s].
-    `silence` says why it does not respond; None: it does.
+    `silence` says why it does not respond; None: it does. `lease` is until when its
+    leased components may act.
 
     Parameters
     ----------
@@ -66,6 +67,7 @@ class ContainerProcess:
         self.pid = 0
         self.counted: PageSampler | None = None
         self._stats_page = stats_page
+        self.lease = LeaseEnd(stats_page)
         self.status: ContainerStatus | None = None
         self.silence: Silence | None = None
         self.silent_since = 0.0
@@ -158,6 +160,15 @@ class ContainerProcess:
             self._why_ended = what.reason
             return None
         return what
+
+    def leased_at_work(self) -> list[str]:
+        """Return the leased components that are active, so far as it has said."""
+        leased = {(c.name, c.epoch) for c in self.spec.components if c.leased}
+        return sorted(
+            c.name
+            for c in self._components()
+            if c.state == "active" and (c.name, c.epoch) in leased
+        )
 
     def keep_limits(self, now: float) -> None:
         """Kill it when it takes too long to end, or to respond."""
