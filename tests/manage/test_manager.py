@@ -153,20 +153,12 @@ def test_a_lost_computer_is_told_once(managed: Managed) -> None:
     assert len(said) == 1
 
 
-def test_nothing_restarts_elsewhere_while_an_agent_may_come_back(
-    managed: Managed,
-) -> None:
+def test_nothing_restarts_elsewhere_while_a_lease_lasts(managed: Managed) -> None:
     managed.agents.gone.add("right")
-    managed.agents.answering.add("right")
+    managed.agents.lasting.add("right")
     managed.manager.work(0.0)
-    said = [entry.what for entry in managed.journal.entries()]
-    assert "the agent of 'right' ended; its containers go on" in said
     assert not managed.manager._facts().lost
-    managed.agents.gone.clear()
-    managed.manager.work(0.0)
-    managed.agents.gone.add("right")
-    managed.agents.answering.clear()
-    managed.manager.work(0.0)
+    managed.agents.lasting.clear()
     assert managed.manager._facts().lost == {"right"}
 
 

@@ -13,7 +13,6 @@ def test_an_agent_that_was_back_before_anybody_looked_is_told_of() -> None:
     agents = SimpleNamespace(
         obey=lambda _: True,
         statuses=lambda: {"right": right},
-        has_computer=lambda _: True,
         is_cut_off=lambda _: False,
     )
     run = SimpleNamespace(

@@ -249,7 +249,7 @@ class Agents(AgentReports):
         return not self._is_leased or self._heartbeats.holds_lease(computer)
 
     def ends_soon(self, computer: str) -> bool:
-        """Return whether the lease of a lost computer has ended, or does in a moment."""
+        """Return whether the lease of a lost computer has ended, or does soon."""
         return self._is_leased or self._heartbeats.have_leases_ended({computer})
 
     def is_cut_off(self, computer: str) -> bool:

@@ -9,12 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import NamedTuple
 
-from poise.wire.failure_detector import (
-    ASK_AFTER,
-    DETECTED,
-    EVERY,
-    Contacts,
-)
+from poise.wire.failure_detector import ASK_AFTER, DETECTED, EVERY, Contacts
 
 _STALLED = 1.5 * EVERY
 """Between two looks no more than this counts [s]."""

@@ -39,9 +39,8 @@ class ContainerProcess:
     """A running container, from the agent's side.
 
     `pid` is 0 until the zygote has reported it; from then on `counted` reads the
-    container's stats page. `kill_at` is when it has had time enough to end [s].
-    `silence` says why it does not respond; None: it does. `lease` is until when its
-    leased components may act.
+    container's stats page, and `lease` is until when its leased components may act. `kill_at` is when it has had time enough to end [s].
+    `silence` says why it does not respond; None: it does.
 
     Parameters
     ----------
@@ -67,7 +66,7 @@ class ContainerProcess:
         self.pid = 0
         self.counted: PageSampler | None = None
         self._stats_page = stats_page
-        self.lease = LeaseEnd(stats_page)
+        self.lease: LeaseEnd | None = None
         self.status: ContainerStatus | None = None
         self.silence: Silence | None = None
         self.silent_since = 0.0
@@ -85,6 +84,7 @@ class ContainerProcess:
         """Take note of its process id."""
         self.pid = pid
         self.counted = PageSampler(self._stats_page, pid)
+        self.lease = LeaseEnd(self._stats_page)
         if self.is_deaf:
             self.kill()
 

@@ -100,7 +100,8 @@ class Supervisor:
         """Let leased components act until then [s, CLOCK_BOOTTIME]; on any thread."""
         self.lease_end = until
         for process in list(self.processes.values()):
-            process.lease.at = until
+            if process.lease is not None:
+                process.lease.at = until
 
     def take(self, wanted: Deployment) -> None:
         """Work towards a deployment from now on."""
@@ -168,6 +169,7 @@ class Supervisor:
             try:
                 self._settle(process.spec, event.pid)
                 process.note_born(event.pid)
+                self.extend_lease(self.lease_end)
             except (OSError, RuntimeError) as error:  # no memory is free
                 process.give_up(f"its counters cannot be read: {error}")
 
@@ -199,7 +201,8 @@ class Supervisor:
             self.cpu_weights.nice_of(specs[name])
             self.cpu_weights.settle(specs[name], pid)
         self.health.enter(name, "running")
-        self._enter(process)
+        self.processes[name] = process
+        self.extend_lease(self.lease_end)
         return True
 
     def note_silence(self, silence: Silence) -> None:
@@ -285,11 +288,7 @@ class Supervisor:
                 return
             undo.pop_all()
         self.health.note_start(spec.name)
-        self._enter(ContainerProcess(spec, connection, memory))
-
-    def _enter(self, process: ContainerProcess) -> None:
-        self.processes[process.name] = process
-        process.lease.at = self.lease_end
+        self.processes[spec.name] = ContainerProcess(spec, connection, memory)
 
     def _forget(
         self, process: ContainerProcess, how: ProcessEnd | str = "ended"
