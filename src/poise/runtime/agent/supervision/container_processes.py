@@ -39,8 +39,9 @@ class ContainerProcess:
     """A running container, from the agent's side.
 
     `pid` is 0 until the zygote has reported it; from then on `counted` reads the
-    container's stats page, and `lease` is until when its leased components may act. `kill_at` is when it has had time enough to end [s].
-    `silence` says why it does not respond; None: it does.
+    container's stats page, and `lease` is until when its leased components may act.
+    `kill_at` is when it has had time enough to end [s]. `silence` says why it does not
+    respond; None: it does.
 
     Parameters
     ----------
