@@ -134,14 +134,18 @@ class Watched:
         self.wait_ticks(self.processes()[-1])
         return self.processes()[-1]
 
-    def overlaps(self) -> list[tuple[int, int, float]]:
-        """Return which began a handler while a later one worked, and for how long."""
+    def overlaps(self) -> list[tuple[int, list[str]]]:
+        """Return which worked beside a later one, and what they noted meanwhile.
+
+        A process may be stopped just after it looked at its lease: so one note, of a
+        handler that had begun or of a message that had gone out, may come late.
+        """
         found, pids = [], self.processes()
         for one, other in pairwise(pids):
-            last = max(at for at, what in self.notes(one) if what in {"tick", "sent"})
             began = self.notes(other)[0][0]
-            if last > began:
-                found.append((one, other, last - began))
+            late = [what for at, what in self.notes(one) if at > began]
+            if [what for what in late[1:] if not what.startswith("refused")]:
+                found.append((one, late))
         return found
 
 
