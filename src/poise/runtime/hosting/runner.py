@@ -32,10 +32,10 @@ from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.execution_gate import ExecutionGate
 from poise.runtime.hosting.life_cycle import ENDED, LifeCycle
 from poise.runtime.hosting.output import write_as
-from poise.runtime.hosting.wishes import Wishes
+from poise.runtime.hosting.task_news import TaskNews
 from poise.wire.codec import codec
 from poise.wire.records.deployment import Aim, ComponentSpec
-from poise.wire.records.status import ActionEnd, ComponentStatus, State
+from poise.wire.records.status import ComponentStatus, State
 
 log = logging.getLogger(__name__)
 
@@ -77,7 +77,7 @@ class Runner:
         self.spec = spec
         self.exclusion = Exclusion(spec.name)
         self.ports = ports_of(implementation)
-        self._wishes = Wishes(on_change)
+        self._news = TaskNews(on_change)
         self.component = create(
             implementation,
             Context(
@@ -88,7 +88,7 @@ class Runner:
                 measure=self._measure,
                 count_process=self._count_process,
                 give_up=self._give_up,
-                wish=self._wishes.add,
+                wish=self._news.wish,
             ),
         )
         self.counters = ComponentCounters()
@@ -100,7 +100,7 @@ class Runner:
             self.exclusion,
             self.counters,
             self.ages,
-            {port: partial(self._note_end, port) for port in spec.ends},
+            {port: partial(self._news.note_end, port) for port in spec.ends},
         )
         self.life_cycle = LifeCycle()
         self.gate = ExecutionGate(
@@ -119,7 +119,6 @@ class Runner:
         # one that comes to take over from another goes on with its action
         is_new = spec.goal == "active" or spec.fresh
         self._turn_taken = 0 if is_new else spec.turn
-        self._ends: dict[str, ActionEnd] = {}
         self._thread = threading.Thread(
             target=self._main, name=spec.name[:15], daemon=True
         )
@@ -207,8 +206,8 @@ class Runner:
             subscribes=self._ports_that("subscribes"),
             timers=self.timers.status(now),
             chains=self.ages.status(),
-            ends=tuple(self._ends.copy().values()),
-            wishes=self._wishes.latest(),
+            ends=self._news.ends(),
+            wishes=self._news.wishes(),
             measures={n: h.summary() for n, h in list(self._measures.items())},
         )
 
@@ -226,12 +225,6 @@ class Runner:
 
     def _give_up(self, reason: str) -> None:
         self.reason_to_end = f"component '{self.spec.name}': {reason}"
-        self._on_change()
-
-    def _note_end(self, port: str, done: object) -> None:
-        before = self._ends.get(port)
-        count = before.count + 1 if before else 1
-        self._ends[port] = ActionEnd(port=port, count=count, done=bool(done))
         self._on_change()
 
     def _main(self) -> None:

@@ -162,8 +162,17 @@ class ContainerProcess:
             return None
         return what
 
-    def leased_at_work(self) -> list[str]:
-        """Return the leased components that are active, so far as it has said."""
+    def leased_at_work(self, since: float) -> list[str]:
+        """Return the leased components that it says are active, if it said so lately.
+
+        Parameters
+        ----------
+        since
+            Of what it said before, or does not say because it is starved or stopped,
+            nothing is known [s].
+        """
+        if self.status is None or self.status.at < since:
+            return []
         leased = {(c.name, c.epoch) for c in self.spec.components if c.leased}
         return sorted(
             c.name

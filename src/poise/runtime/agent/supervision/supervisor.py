@@ -74,7 +74,7 @@ class Supervisor:
         self.trouble = ""
         self.lease_end = -inf
         self._is_cut_off = False
-        self._fence_at = inf
+        self._cut_off_at = inf
         self._zygote = zygote_socket
         self._computer = computer
         self._folder = folder
@@ -93,7 +93,7 @@ class Supervisor:
     @is_cut_off.setter
     def is_cut_off(self, is_cut_off: bool) -> None:
         if is_cut_off != self._is_cut_off:
-            self._fence_at = self._clock.now() + FENCE_GRACE if is_cut_off else inf
+            self._cut_off_at = self._clock.now() if is_cut_off else inf
         self._is_cut_off = is_cut_off
 
     def extend_lease(self, until: float) -> None:
@@ -141,8 +141,8 @@ class Supervisor:
                 yield self._backoffs[name].again_at
         for process in self.processes.values():
             yield min(process.kill_at, process.hung_at)
-            if process.leased_at_work() and not process.is_deaf:
-                yield self._fence_at
+            if not process.is_deaf and process.leased_at_work(self._cut_off_at):
+                yield self._cut_off_at + FENCE_GRACE
 
     def hear(self, process: ContainerProcess) -> Outcome | None:
         """Take in what a container says; return the outcome of a step, if it is one."""
@@ -255,8 +255,9 @@ class Supervisor:
 
     def _fence(self, process: ContainerProcess, now: float) -> None:
         """Kill a container whose code goes on though it has no lease any more."""
-        at_work = process.leased_at_work() if now >= self._fence_at else []
-        if at_work and not process.is_deaf:
+        if now < self._cut_off_at + FENCE_GRACE or process.is_deaf:
+            return
+        if at_work := process.leased_at_work(self._cut_off_at):
             names = ", ".join(f"'{name}'" for name in at_work)
             process.give_up(
                 f"{names} still ran {FENCE_GRACE:g} s after the computer's lease ended"
