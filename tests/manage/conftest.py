@@ -91,7 +91,7 @@ class FakeAgents:
         self.manager = ManagerId(key="k", user="ann", host="desk", pid=7, since=0.0)
         self.checkpoints = CheckpointCopies()
         self.gone: set[str] = set()
-        self.answering: set[str] = set()
+        self.lasting: set[str] = set()
         self.hearers: dict[str, str] = {}
         self.revoked: list[str] = []
         self.returns = False
@@ -158,8 +158,8 @@ class FakeAgents:
         refused, self.refused = self.refused, []
         return refused
 
-    def has_computer(self, computer: str) -> bool:
-        return computer in self.answering
+    def ends_soon(self, computer: str) -> bool:
+        return computer not in self.lasting
 
     def obey(self, computer: str) -> bool:
         return computer not in self.strangers

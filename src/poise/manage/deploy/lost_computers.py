@@ -59,10 +59,17 @@ class LostComputers:
         self._note_refusals()
 
     def computers(self) -> frozenset[str]:
-        """Return those that nobody hears: what ran there may be started elsewhere."""
+        """Return those that nobody hears: what ran there may be started elsewhere.
+
+        Their leases have ended, or end within a second.
+        """
         agents = self._run.agents
         away = self._lost_at.keys() & agents.out_of_reach().keys() & self._run.claimed
-        return frozenset(name for name in away if not agents.heard_by(name))
+        return frozenset(
+            name
+            for name in away
+            if not agents.heard_by(name) and agents.ends_soon(name)
+        )
 
     def deviations(self) -> list[Deviation]:
         """Return what is known of each; from any thread."""
