@@ -58,10 +58,16 @@ def poise(tmp_path: Path) -> Poise:
 def _leaves_nothing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Hold that no process, file or emulated computer outlives all tests."""
     tmp_path_factory.getbasetemp()  # pytest keeps its own, elsewhere
-    with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory() as name:
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        tempfile.TemporaryDirectory() as name,
+        tempfile.TemporaryDirectory() as state,
+    ):
         place = Path(name)
         place.chmod(0o755)  # some tests are another user
+        Path(state).chmod(0o777)
         patch.setenv("TMPDIR", name)
+        patch.setenv("XDG_STATE_HOME", state)
         patch.setattr(tempfile, "tempdir", None)
         yield
         with contextlib.suppress(AssertionError):  # what follows names them

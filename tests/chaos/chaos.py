@@ -397,7 +397,7 @@ class Chaos:
             return subprocess.Popen(
                 [
                     *(sys.executable, "-m", "poise", "up", str(ROBOT)),
-                    *("--journal", str(self._folder / "journal.sqlite")),
+                    *("--journal", str(self._folder / "journal.jsonl")),
                 ],
                 stdout=log,
                 stderr=log,

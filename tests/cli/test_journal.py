@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    path = tmp_path / "journal.sqlite"
+    path = tmp_path / "journal.jsonl"
     book = Journal(path)
     book.note("wrong", "computer 'left' is overloaded", load=0.5)
     book.note("decided", "1 move", gain=3.0)

@@ -159,7 +159,7 @@ def test_a_run_ends_with_a_report_and_prints_nothing_else(tmp_path: Path) -> Non
     assert told["placement"].keys() == {"counter", "printer"}
     assert {c["name"] for c in told["components"]} == {"counter", "printer"}
     assert told["faults"] == []
-    assert (report / "journal.sqlite").exists()
+    assert (report / "journal.jsonl").exists()
     assert "everything runs" in [entry["what"] for entry in told["journal"]]
     assert "everything runs" in (report / "report.html").read_text()
     if not told["invalid"]:

@@ -48,7 +48,7 @@ from poise.manage.observe.chains import ChainAges, chain_reports
 from poise.manage.observe.deadline_misses import DeadlineMisses
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.manager_troubles import ManagerTroubles
-from poise.manage.observe.recording import Recording
+from poise.manage.observe.recording import Recorder, Recording
 from poise.manage.observe.watch import Watch
 from poise.manage.prefetch.prefetch import Prefetcher
 from poise.manage.tasks.progress import Saved
@@ -89,7 +89,7 @@ class Manager:
         *,
         adapts: bool = False,
         aside: str = "",
-        recording: Recording | None = None,
+        recording: Recorder | None = None,
     ) -> None:
         self._run = run
         self._estimates = estimates
@@ -103,7 +103,9 @@ class Manager:
         self._stopping = threading.Event()
         self._has_successor = False
         self._watch = Watch(run)
-        self._troubles = ManagerTroubles(run.journal)
+        self._troubles = ManagerTroubles(
+            run.journal, others=(samples, *([recording.file] if recording else []))
+        )
         self._lost = LostComputers(run)
         self._misses = DeadlineMisses()
         self._ages = ChainAges()

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 from poise.errors import UsageError
 from poise.manage.observe.estimates import DemandEstimate, Estimates
-from poise.manage.observe.recording import load
 from poise.model.robot import Robot
 from poise.session.callbacks import Say, log
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.recordings.export import Which, export, rows
+from poise.wire.recording_file import load
 
 if TYPE_CHECKING:
     import pandas as pd
