@@ -66,6 +66,7 @@ def test_memory_holds_the_last_entries_only() -> None:
     for _ in range(MOST_KEPT + 1):
         journal.note("seen", "x")
     assert [journal.entries()[0].number, len(journal.entries())] == [2, MOST_KEPT]
+    assert journal.forgotten == 1
 
 
 def test_its_files_rotate_and_are_bounded(

@@ -81,6 +81,8 @@ class Journal:
     ----------
     file
         None: it is only in memory.
+    forgotten
+        How many entries memory holds no more.
     """
 
     def __init__(
@@ -90,6 +92,7 @@ class Journal:
         self._lock = threading.RLock()
         self._kept: deque[bytes] = deque()
         self._kept_size = 0
+        self.forgotten = 0
         self._recent: deque[JournalEntry] = deque(maxlen=_MOST_RECENT)
         self._refused = ""
         self.file: BackgroundFile | None = None
@@ -157,6 +160,7 @@ class Journal:
         self._kept_size += len(line)
         while len(self._kept) > MOST_KEPT or self._kept_size > _MOST_KEPT_SIZE:
             self._kept_size -= len(self._kept.popleft())
+            self.forgotten += 1
 
     def _say(self, entry: JournalEntry) -> None:
         if self._show is not None:

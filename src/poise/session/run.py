@@ -29,6 +29,7 @@ from poise.session.reports.last_seen import LastSeen
 from poise.session.reports.run_report import MeasuredRun, RunReport, reported
 from poise.session.robot_file import task_of
 from poise.session.state_folder import make_journal
+from poise.units import counted
 
 Meanwhile = Callable[[RunningComponents, float], object]
 """Called a few times a second with the run and its time so far [s]; may move
@@ -130,6 +131,9 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         seen = _measure(up, seconds, manager, check, meanwhile)
         drain(up.run)
         entries = tuple(book.entries())
+        if book.forgotten:
+            lacks = counted(book.forgotten, "earlier line")
+            say(f"the report lacks {lacks} of the journal; `poise journal` has more")
         return reported(up, placed, manager.tasks.reports, seen, entries)
 
 

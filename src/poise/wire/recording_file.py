@@ -45,29 +45,30 @@ def append(part: Recorded, path: Path) -> None:
 
 
 def parts_of(path: Path) -> Iterator[Recorded]:
-    """Yield the parts of a recording, in order.
+    """Yield the parts of a recording, in order; each is read when it is asked for.
 
     A last one that is not whole is left out, with a warning.
 
     Raises
     ------
     UsageError
-        It is no recording.
-    OSError
-        It cannot be read.
+        It cannot be read, or is no recording.
     """
     count = 0
-    with path.open("rb") as file:
-        while head := file.read(_LENGTH):
-            length = int.from_bytes(head, "little")
-            data = file.read(length) if length <= path.stat().st_size else b""
-            if len(head) < _LENGTH or len(data) < length:
-                break
-            try:
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            while head := file.read(_LENGTH):
+                length = int.from_bytes(head, "little")
+                data = file.read(min(length, size))
+                if len(head) < _LENGTH or len(data) < length:
+                    break
                 yield _decode(data)
-            except msgspec.DecodeError as error:
-                raise UsageError(f"{path} is no recording: {error}") from error
-            count += 1
+                count += 1
+    except OSError as error:
+        raise UsageError(f"recording {path} cannot be read: {error}") from error
+    except msgspec.DecodeError as error:
+        raise UsageError(f"{path} is no recording: {error}") from error
     if not count:
         raise UsageError(f"{path} is no recording, or one of an earlier version")
     if head:
@@ -75,17 +76,8 @@ def parts_of(path: Path) -> Iterator[Recorded]:
 
 
 def load(path: Path) -> Recorded:
-    """Return the whole recording in a file.
-
-    Raises
-    ------
-    UsageError
-        It cannot be read, or is no recording.
-    """
-    try:
-        first, *others = parts_of(path)
-    except OSError as error:
-        raise UsageError(f"recording {path} cannot be read: {error}") from error
+    """Return the whole recording in a file; raises as `parts_of` does."""
+    first, *others = parts_of(path)
     for part in others:
         first.samples.extend(part.samples)
         first.inputs.extend(part.inputs)
