@@ -13,7 +13,7 @@ import pytest
 from poise.manage import background_file
 from poise.manage.background_file import BackgroundFile
 from poise.manage.journal import Journal, read_journal
-from poise.manage.observe.recording import Recorder
+from poise.manage.observe.recording import RecordingFile
 from poise.wire.recording_file import load
 from tests.manage.observe.test_recording import sample
 from tests.waiting import wait_until
@@ -91,7 +91,7 @@ def test_a_full_disk_costs_lines_and_not_the_robot(disk: Path) -> None:
 def test_a_recording_on_a_full_disk_keeps_what_it_has_and_counts_the_rest(
     disk: Path,
 ) -> None:
-    recorder = Recorder(disk / "it", "r")
+    recorder = RecordingFile(disk / "it", "r")
     for number in range(20_000):
         recorder.add(sample(number))
     wait_until(lambda: "No space left on device" in str(recorder))

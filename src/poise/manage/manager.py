@@ -48,7 +48,7 @@ from poise.manage.observe.chains import ChainAges, chain_reports
 from poise.manage.observe.deadline_misses import DeadlineMisses
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.manager_troubles import ManagerTroubles
-from poise.manage.observe.recording import Recorder, Recording
+from poise.manage.observe.recording import Recording, RecordingFile
 from poise.manage.observe.watch import Watch
 from poise.manage.prefetch.prefetch import Prefetcher
 from poise.manage.tasks.progress import Saved
@@ -89,7 +89,7 @@ class Manager:
         *,
         adapts: bool = False,
         aside: str = "",
-        recording: Recorder | None = None,
+        recording: RecordingFile | None = None,
     ) -> None:
         self._run = run
         self._estimates = estimates

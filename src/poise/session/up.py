@@ -18,7 +18,7 @@ from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal, check_journal
 from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.recording import Recorder, Recording
+from poise.manage.observe.recording import Recording, RecordingFile
 from poise.manage.tasks.saved import goes_on_with
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
@@ -180,7 +180,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         note_architectures(book, robot, placed)
         emulated = all(computer.address is None for computer in robot.computers)
         estimates = Estimates(robot, read_profile(robot), emulated=emulated)
-        recorder = Recorder(record, robot.name) if record else None
+        recorder = RecordingFile(record, robot.name) if record else None
         if recorder is not None:
             stack.callback(lambda: say(str(recorder)))
             stack.callback(recorder.close)

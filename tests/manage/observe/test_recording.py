@@ -14,7 +14,7 @@ import pytest
 
 from poise.errors import RunError
 from poise.manage.observe import recording
-from poise.manage.observe.recording import Recorder, Recording
+from poise.manage.observe.recording import Recording, RecordingFile
 from poise.wire.recording_file import append, load
 from poise.wire.records.recorded import Recorded
 from poise.wire.records.samples import AgentSample, ComponentSample, ContainerSample
@@ -27,7 +27,7 @@ def sample(at: float) -> AgentSample:
 
 
 def test_what_came_is_in_the_file(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "it", "r")
+    recorder = RecordingFile(tmp_path / "it", "r")
     for number in range(3):
         recorder.add(sample(number))
     recorder.close()
@@ -39,7 +39,7 @@ def test_what_came_is_in_the_file(tmp_path: Path) -> None:
 
 def test_a_recording_that_was_there_is_replaced(tmp_path: Path) -> None:
     for robot in ("one", "two"):
-        Recorder(tmp_path / "it", robot).close()
+        RecordingFile(tmp_path / "it", robot).close()
     assert load(tmp_path / "it").robot == "two"
 
 
@@ -47,7 +47,7 @@ def test_a_recording_that_was_there_is_replaced(tmp_path: Path) -> None:
 def test_200_000_samples_take_no_memory_and_each_is_written_or_counted(
     tmp_path: Path,
 ) -> None:
-    recorder = Recorder(tmp_path / "it", "r")
+    recorder = RecordingFile(tmp_path / "it", "r")
     recorder.add(sample(0))
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     for number in range(1, 200_000):
@@ -62,9 +62,9 @@ def test_200_000_samples_take_no_memory_and_each_is_written_or_counted(
 _KILLED = """
 import sys
 from pathlib import Path
-from poise.manage.observe.recording import Recorder
+from poise.manage.observe.recording import RecordingFile
 from tests.manage.observe.test_recording import sample
-recorder = Recorder(Path(sys.argv[1]), "r")
+recorder = RecordingFile(Path(sys.argv[1]), "r")
 number = 0
 while True:
     recorder.add(sample(number))
@@ -103,7 +103,7 @@ def test_where_none_can_be_written_is_an_error_before_the_robot_starts(
     tmp_path: Path,
 ) -> None:
     with pytest.raises(RunError, match="cannot be written: No such file"):
-        Recorder(tmp_path / "nowhere" / "it", "r")
+        RecordingFile(tmp_path / "nowhere" / "it", "r")
 
 
 def test_of_too_many_samples_the_last_wait_and_it_is_said(

@@ -10,7 +10,7 @@ import pytest
 import poise
 from poise.cli.command.design_time.policy import policy_command
 from poise.errors import UsageError
-from poise.manage.observe.recording import Recorder
+from poise.manage.observe.recording import RecordingFile
 from poise.model.policy.policy import Policy
 from poise.model.policy.seen import Seen
 from poise.model.policy.values import SUBJECTS, ComputerValues, LinkValues
@@ -36,7 +36,7 @@ ROBOT = Robot(
 
 def record(path: Path, *used: float) -> None:
     """Write a recording with the use of a computer, five times a second."""
-    recorder = Recorder(path, "r")
+    recorder = RecordingFile(path, "r")
     for number, cores in enumerate(used):
         values = ComputerValues(name="left", used=cores)
         link = LinkValues(name="left-right", bandwidth=float("inf"))

@@ -55,7 +55,7 @@ class Recording:
         return taken
 
 
-class Recorder:
+class RecordingFile:
     """Writes a recording while it is made. Its methods may be called from any thread.
 
     They neither raise nor wait for the disk: what it does not take is dropped and

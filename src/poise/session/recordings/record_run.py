@@ -8,7 +8,7 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from poise.manage.observe.recording import Recorder
+from poise.manage.observe.recording import RecordingFile
 from poise.model.robot import Robot
 from poise.runtime.connectors.recorded_inputs import read_inputs
 from poise.session.callbacks import Say
@@ -21,7 +21,7 @@ class Kept(Struct, frozen=True):
     """What is to run, and what records it; None: nothing does."""
 
     robot: Robot
-    recorder: Recorder | None = None
+    recorder: RecordingFile | None = None
 
 
 @contextlib.contextmanager
@@ -43,7 +43,7 @@ def keeping(
     inputs = file.with_name(f"{file.name}.inputs")
     inputs.unlink(missing_ok=True)
     tap = tapped(robot, placed, inputs)
-    recorder = Recorder(file, robot.name)
+    recorder = RecordingFile(file, robot.name)
     try:
         yield Kept(tap.robot, recorder)
     finally:
