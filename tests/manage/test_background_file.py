@@ -88,6 +88,22 @@ def test_a_full_disk_costs_lines_and_not_the_robot(disk: Path) -> None:
 
 @needs_root
 @pytest.mark.slow
+def test_a_journal_goes_on_when_its_disk_is_not_read_only_any_more(disk: Path) -> None:
+    remount = ["mount", "-o"]
+    subprocess.run([*remount, "remount,ro", str(disk)], check=True)
+    journal = Journal(disk / "journal.jsonl")
+    journal.note("seen", "kept in memory")
+    wait_until(lambda: "cannot be written: Read-only file system" in journal.trouble)
+    assert [each.what for each in journal.entries()] == ["kept in memory"]
+    subprocess.run([*remount, "remount,rw", str(disk)], check=True)
+    wait_until(lambda: not journal.trouble)
+    journal.close()
+    kept = [each.what for each in read_journal(disk / "journal.jsonl")]
+    assert kept == ["kept in memory"]
+
+
+@needs_root
+@pytest.mark.slow
 def test_a_recording_on_a_full_disk_keeps_what_it_has_and_counts_the_rest(
     disk: Path,
 ) -> None:
