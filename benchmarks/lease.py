@@ -1,7 +1,8 @@
 """What a leased component pays: `python -m benchmarks.lease`.
 
 It reads its lease before each handler, and before each message or call that leaves or
-enters its container. The least of interleaved rounds: what else runs only adds to it.
+enters its container. It imports internal modules: that read has no public name. The
+least of interleaved rounds: what else runs only adds to it.
 """
 
 from __future__ import annotations

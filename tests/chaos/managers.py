@@ -84,7 +84,7 @@ class Managers:
 
     def _start(self) -> subprocess.Popen[bytes]:
         with (self._folder / "manager.log").open("ab") as log:
-            argv = self._argv("journal.sqlite")
+            argv = self._argv("journal.jsonl")
             return subprocess.Popen(argv, stdout=log, stderr=log)
 
     def _argv(self, journal: str) -> list[str]:

@@ -49,7 +49,7 @@ from poise.manage.observe.chains import ChainAges, chain_reports
 from poise.manage.observe.deadline_misses import DeadlineMisses
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.manager_troubles import ManagerTroubles
-from poise.manage.observe.recording import Recording
+from poise.manage.observe.recording import Recording, RecordingFile
 from poise.manage.observe.watch import Watch
 from poise.manage.prefetch.prefetch import Prefetcher
 from poise.manage.supervised import SupervisedTick
@@ -91,7 +91,7 @@ class Manager:
         *,
         adapts: bool = False,
         aside: str = "",
-        recording: Recording | None = None,
+        recording: RecordingFile | None = None,
     ) -> None:
         self._run = run
         run.goes_on_without_lost = True
@@ -109,7 +109,9 @@ class Manager:
         self._stopping = threading.Event()
         self._has_successor = False
         self._watch = Watch(run)
-        self._troubles = ManagerTroubles(run.journal)
+        self._troubles = ManagerTroubles(
+            run.journal, others=(samples, *([recording.file] if recording else []))
+        )
         self._lost = LostComputers(run)
         self._misses = DeadlineMisses()
         self._ages = ChainAges()
