@@ -31,7 +31,7 @@ class Rig:
 
     def run(self, seconds: float = 0.0) -> object:
         self.clock.sleep(seconds)
-        return self.tick.run("count", self.work)
+        return self.tick.run("count", self.work, changes=True)
 
     def sentences(self) -> list[tuple[str, str]]:
         return [(entry.kind, entry.what) for entry in self.journal.entries()]

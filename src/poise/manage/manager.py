@@ -52,7 +52,6 @@ from poise.manage.observe.manager_troubles import ManagerTroubles
 from poise.manage.observe.recording import Recording, RecordingFile
 from poise.manage.observe.watch import Watch
 from poise.manage.prefetch.prefetch import Prefetcher
-from poise.manage.supervised import SupervisedTick
 from poise.manage.tasks.progress import Saved
 from poise.manage.tasks.task_manager import TaskManager
 
@@ -95,9 +94,7 @@ class Manager:
     ) -> None:
         self._run = run
         run.goes_on_without_lost = True
-        self._tick = SupervisedTick(
-            run.journal, run.clock, self._release, lambda: self.is_stopping
-        )
+        self._tick = run.tick
         self._estimates = estimates
         self._samples = samples
         self._recording = recording
@@ -122,7 +119,7 @@ class Manager:
         self._prefetch = Prefetcher(run)
         keep = recording.add_seen if recording else None
         self._adaptation = Adaptation(
-            run, self._situation, self._put_aside, self._tick, acts=adapts, keep=keep
+            run, self._situation, self._put_aside, acts=adapts, keep=keep
         )
         run.check = self._look  # moves wait long: what breaks meanwhile is said at once
 
@@ -198,8 +195,8 @@ class Manager:
         self._tick.run("take samples", self._take_samples)
         self._look()
         if not self.is_stopping:
-            self._tick.run("look after tasks", self._look_after_tasks)
-            self._tick.run("prepare the next action", self._prepare_next)
+            self._tick.run("look after tasks", self._look_after_tasks, changes=True)
+            self._tick.run("prepare the next action", self._prepare_next, changes=True)
             self._tick.run("adapt the placement", self._adaptation.look)
 
     def stop(self) -> None:
@@ -266,10 +263,6 @@ class Manager:
     def _prepare_next(self) -> None:
         self._prefetch.look(self.tasks.likely_next(), self._estimates.loads.loads())
 
-    def _release(self, what: str) -> None:
-        """After a bug: let what was placed go on, without any change under way."""
-        self._run.commit(self._run.desired.released(), what)
-
     def _wait_news(self, limit: float) -> bool:
         return self._run.agents.wait_news(self._has_news, limit)
 
@@ -289,7 +282,7 @@ class Manager:
         """Journal an error that nobody foresaw, and let what was placed go on."""
         what = f"{command} ended by a bug of Poise: {type(error).__name__}: {error}"
         self._run.journal.note("failed", what, traceback=traceback.format_exc())
-        self._release(what)
+        self._run.release(what)
         return Refusal(f"{what}. The robot goes on as it was placed", "RunError")
 
     def _done(self, command: Command) -> Result:
@@ -349,7 +342,7 @@ class Manager:
     def _look(self) -> None:
         self._tick.run("see who manages the robot", self._raise_on_successor)
         self._tick.run("look at itself", self._troubles.look)
-        self._tick.run("bring agents to what should run", self._run.reconcile)
+        self._run.reconcile()
         self._tick.run("see which computers are lost", self._lost.note)
         self._tick.run("watch components", self._watch.look)
 

@@ -35,7 +35,8 @@ class SupervisedTick:
     Parameters
     ----------
     on_bug
-        Called after an exception that is no `PoiseError`, with a sentence about it.
+        Called with a sentence when a part that changes what should run ended by an
+        exception that is no `PoiseError`.
     is_ending
         Whether the loop is to end: what a `PoiseError` interrupts then is no failure.
     """
@@ -53,13 +54,17 @@ class SupervisedTick:
         self._is_ending = is_ending
         self._failures: dict[str, _Failure] = {}
 
-    def run(self, part: str, work: Callable[[], object]) -> object:
+    def run(
+        self, part: str, work: Callable[[], object], *, changes: bool = False
+    ) -> object:
         """Run a part, unless it backs off; return what it returns, or None.
 
         Parameters
         ----------
         part
             Its name for people: "look after tasks".
+        changes
+            Whether it may change what should run, so that a bug leaves that half done.
 
         Raises
         ------
@@ -75,7 +80,7 @@ class SupervisedTick:
             raise
         except Exception as error:  # noqa: BLE001, no bug of Poise ends a robot
             if not (isinstance(error, PoiseError) and self._is_ending()):
-                self._note(part, error)
+                self._note(part, error, changes=changes)
             return None
         if failure is not None:
             del self._failures[part]
@@ -89,7 +94,7 @@ class SupervisedTick:
             for each in list(self._failures.values())
         ]
 
-    def _note(self, part: str, error: Exception) -> None:
+    def _note(self, part: str, error: Exception, *, changes: bool) -> None:
         before = self._failures.get(part)
         pause = min(2 * before.pause, LONGEST_PAUSE) if before else FIRST_PAUSE
         is_bug = not isinstance(error, PoiseError)
@@ -101,5 +106,5 @@ class SupervisedTick:
         self._failures[part] = _Failure(what, pause, again_at, since)
         text = f"{what}; the next try is in {pause:g} s"
         self._journal.note("failed", text, traceback=traceback.format_exc())
-        if is_bug:
+        if is_bug and changes:
             self._on_bug(what)

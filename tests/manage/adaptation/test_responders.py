@@ -8,7 +8,6 @@ from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.responder import Change, Responder
 from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.desired import Desired
-from poise.manage.supervised import SupervisedTick
 from poise.testing.clock import VirtualClock
 from tests.manage.adaptation.shortages.test_put_aside import Robbed, robot_with
 
@@ -44,12 +43,12 @@ class Rig:
 
     def __init__(self) -> None:
         self.robbed, self.clock = Robbed(robot_with()), VirtualClock()
-        self.tick = SupervisedTick(self.robbed.journal, self.clock)
+        self.tick = self.robbed.run.tick
+        self.tick._clock = self.clock
         self.loop = Adaptation(
             self.robbed.run,
             self.robbed.situation,
             self.robbed.aside,
-            self.tick,
             clock=self.clock.now,
         )
         self.asked = [Asked(each) for each in self.loop.responders]

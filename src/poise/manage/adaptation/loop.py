@@ -33,7 +33,6 @@ from poise.manage.adaptation.what_if import alternatives, what_if
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.report import TransitionReport
 from poise.manage.observe.deviations import Deviation
-from poise.manage.supervised import SupervisedTick
 from poise.model.policy.seen import Seen
 from poise.model.policy.shipped import policies_of
 from poise.units import counted
@@ -48,8 +47,6 @@ class Adaptation:
         Returns what is known now.
     put_aside
         What does not run because not all fits.
-    tick
-        Runs the responders: one that raises backs off, and the others go on.
     acts
         Whether it changes anything; else it only reports what is wrong.
     keep
@@ -68,7 +65,6 @@ class Adaptation:
         run: RunningComponents,
         read: Callable[[], Situation],
         put_aside: PutAside,
-        tick: SupervisedTick | None = None,
         *,
         acts: bool = True,
         keep: Callable[[Seen], object] | None = None,
@@ -77,7 +73,6 @@ class Adaptation:
         self._run = run
         self._read = read
         self._put_aside = put_aside
-        self._tick = tick or SupervisedTick(run.journal, run.clock)
         self._acts = acts
         self._keep = keep
         self._clock = clock
@@ -105,7 +100,7 @@ class Adaptation:
         if self._acts:
             for responder in self.responders:
                 respond = partial(self._respond, responder, situation)
-                if self._tick.run(responder.purpose, respond):
+                if self._run.tick.run(responder.purpose, respond, changes=True):
                     return
 
     def _situation(self) -> Situation:

@@ -32,6 +32,7 @@ from poise.manage.deploy.reconciler import Reconciler
 from poise.manage.journal import Journal
 from poise.manage.observe.faults import fault_sentence, faults_after, last_numbers
 from poise.manage.prefetch.report import Switches
+from poise.manage.supervised import SupervisedTick
 from poise.model.robot import Robot
 from poise.units import counted
 from poise.wire.records.deployment import Deployment, Goal
@@ -74,6 +75,7 @@ class RunningComponents:
             robot, folder, weigh=weigh, code_version=version_of
         )
         self.clock = clock or SystemClock()
+        self._is_over = threading.Event()
         self._epochs: dict[str, int] = {}
         self._last_epoch = -1
         self.desired = Desired(
@@ -85,6 +87,10 @@ class RunningComponents:
             }
         )
         """What should run; any thread may read it, and only `commit` replaces it."""
+        self.tick = SupervisedTick(
+            journal, self.clock, self.release, self._is_over.is_set
+        )
+        """What runs the parts of the manager's loop."""
         self.reconciler = Reconciler(agents, self.clock, self._note_claimed)
         self.claimed: set[str] = set()
         """The computers that this manager has claimed, and so knows what runs there."""
@@ -97,7 +103,6 @@ class RunningComponents:
         self._gateways: dict[str, str] = {}
         self._deployments: Mapping[str, Deployment] = {}
         self._deployed_for: object = None
-        self._is_cancelled = threading.Event()
         self.is_left = False
         """Whether it is left to another manager, or was stopped."""
         self.goes_on_without_lost = False
@@ -144,8 +149,14 @@ class RunningComponents:
 
     def reconcile(self) -> None:
         """Bring the agents a step nearer to what should run; never raises."""
-        if self.is_left:
-            return
+        if not self.is_left:
+            self.tick.run("bring agents to what should run", self._reconcile)
+
+    def release(self, why: str) -> None:
+        """Let what is placed go on, without any change under way: that broke."""
+        self.commit(self.desired.released(), why)
+
+    def _reconcile(self) -> None:
         now = self.desired, dict(self.gateways())
         if now != self._deployed_for:
             self._deployed_for = now
@@ -223,7 +234,7 @@ class RunningComponents:
 
     def cancel(self) -> None:
         """End what waits for agents: a change of the placement is rolled back."""
-        self._is_cancelled.set()
+        self._is_over.set()
         self.agents.notify()
 
     def end_all(self, why: str) -> None:
@@ -436,7 +447,7 @@ class RunningComponents:
         self.note_refused()
         self.check()
         self.reconcile()
-        if self._is_cancelled.is_set():
+        if self._is_over.is_set():
             raise RunError("the robot is being stopped")
         self.raise_on_lost()
 
