@@ -14,6 +14,7 @@ from math import inf
 
 from poise.clock import Clock, time_asleep
 from poise.endpoint import Endpoint
+from poise.runtime._calls import LeaseEnd
 from poise.runtime.agent.clock_offset import ClockOffset
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.lease import Lease
@@ -153,6 +154,16 @@ class HeartbeatExchange:
             self._began = self._clock.now()
             self._heartbeats.send_to(self._targets)
             self._heartbeats.start()
+
+    def note_adopted(self, lease: LeaseEnd) -> None:
+        """Note until when a container of an earlier agent could act.
+
+        What has ended while nobody was there, and no heartbeat can extend, may run
+        elsewhere by now.
+        """
+        if not self.is_leased and lease.is_past():
+            self._fence.cut()
+            self._extend(-inf)
 
     def links(self) -> Mapping[str, LinkQuality]:
         """Return how the ways to the other computers are, where that matters."""
