@@ -114,3 +114,10 @@ def test_a_computer_that_was_suspended_has_lost_its_lease(rig: Rig) -> None:
     assert rig.ends[-1] < rig.clock.now() + rig.asleep
     assert rig.beat(0.01) == -inf
     assert rig.fence.is_cut_off
+
+
+def test_the_next_agent_of_a_robot_without_others_lets_components_go_on(
+    rig: Rig,
+) -> None:
+    rig.exchange.begin_again({}, is_leased=False)
+    assert rig.ends == [inf]

@@ -109,7 +109,7 @@ class HeartbeatExchange:
     def begin_again(self, agents: Mapping[str, str], is_leased: bool) -> None:  # noqa: FBT001, as kept
         """Go on in the place of an agent that was killed."""
         manager = self._fence.manager
-        if manager is not None and agents:
+        if manager is not None:
             # nobody has heard this one yet, and there is a lease's time for that
             self._grace_until = self._clock.now() + LEASE
             began = -inf if is_leased else None
