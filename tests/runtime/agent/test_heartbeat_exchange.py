@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from math import inf
+from unittest.mock import Mock
 
 import pytest
 
@@ -80,6 +81,18 @@ def test_the_next_agent_extends_nothing_before_it_is_heard(rig: Rig) -> None:
     assert rig.fence.is_cut_off
 
 
+@pytest.mark.parametrize("is_leased", [True, False])
+def test_what_ended_while_no_agent_was_there_is_not_extended_by_the_next_one_alone(
+    rig: Rig,
+    is_leased: bool,  # noqa: FBT001, a parameter
+) -> None:
+    rig.exchange.begin_again(AGENTS, is_leased=is_leased)
+    rig.exchange.note_adopted(Mock(is_past=lambda: False))
+    assert not rig.fence.is_cut_off
+    rig.exchange.note_adopted(Mock(is_past=lambda: True))
+    assert rig.ends[-1] == rig.beat(0.1) == -inf
+
+
 def test_an_agent_goes_on_by_itself_only_while_it_runs_and_no_manager_may_be_there(
     rig: Rig,
 ) -> None:
@@ -101,3 +114,10 @@ def test_a_computer_that_was_suspended_has_lost_its_lease(rig: Rig) -> None:
     assert rig.ends[-1] < rig.clock.now() + rig.asleep
     assert rig.beat(0.01) == -inf
     assert rig.fence.is_cut_off
+
+
+def test_the_next_agent_of_a_robot_without_others_lets_components_go_on(
+    rig: Rig,
+) -> None:
+    rig.exchange.begin_again({}, is_leased=False)
+    assert rig.ends == [inf]

@@ -26,7 +26,7 @@ from poise.clock import SystemClock
 from poise.endpoint import Endpoint
 from poise.errors import RunError, UsageError
 from poise.priority import ahead, go_first
-from poise.runtime._calls import PageSampler
+from poise.runtime._calls import LeaseEnd, PageSampler
 from poise.runtime.agent.agent_setup import AgentSetup
 from poise.runtime.agent.checkpoint_files import CheckpointFiles
 from poise.runtime.agent.fence import Fence
@@ -348,6 +348,7 @@ class Agent:
             self._supervisor.note_ended(pid, "ended (an earlier agent had started it)")
         for orphan, connection, stats_page in self._adoption.orphans(ready):
             name, pid = orphan.container, orphan.pid
+            self._heartbeats.note_adopted(LeaseEnd(stats_page))
             if not self._supervisor.adopt(name, pid, connection, stats_page):
                 log.warning("container '%s' (process %d) is not adopted", name, pid)
                 kill_all({pid})

@@ -14,6 +14,7 @@ from math import inf
 
 from poise.clock import Clock, time_asleep
 from poise.endpoint import Endpoint
+from poise.runtime._calls import LeaseEnd
 from poise.runtime.agent.clock_offset import ClockOffset
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.lease import Lease
@@ -108,7 +109,7 @@ class HeartbeatExchange:
     def begin_again(self, agents: Mapping[str, str], is_leased: bool) -> None:  # noqa: FBT001, as kept
         """Go on in the place of an agent that was killed."""
         manager = self._fence.manager
-        if manager is not None and agents:
+        if manager is not None:
             # nobody has heard this one yet, and there is a lease's time for that
             self._grace_until = self._clock.now() + LEASE
             began = -inf if is_leased else None
@@ -153,6 +154,16 @@ class HeartbeatExchange:
             self._began = self._clock.now()
             self._heartbeats.send_to(self._targets)
             self._heartbeats.start()
+
+    def note_adopted(self, lease: LeaseEnd) -> None:
+        """Note until when a container of an earlier agent could act.
+
+        What has ended while nobody was there, and no heartbeat can extend, may run
+        elsewhere by now.
+        """
+        if not self.is_leased and lease.is_past():
+            self._fence.cut()
+            self._extend(-inf)
 
     def links(self) -> Mapping[str, LinkQuality]:
         """Return how the ways to the other computers are, where that matters."""
