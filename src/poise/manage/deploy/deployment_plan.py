@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from itertools import pairwise
 from pathlib import PurePath
 
@@ -159,6 +159,16 @@ class DeploymentPlan:
             connector
             for connector in self._joinable
             if there.issuperset(end.component for end in connector.between)
+        ]
+
+    def connectors_at(
+        self, components: Collection[str], placed: Iterable[str]
+    ) -> list[Connector]:
+        """Return those of `connectors` that begin or end at some components."""
+        return [
+            connector
+            for connector in self.connectors(placed)
+            if any(end.component in components for end in connector.between)
         ]
 
     def slot_of(self, connector: Connector) -> str:

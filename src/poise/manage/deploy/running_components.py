@@ -16,6 +16,7 @@ from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import (
     components_of,
     containers_left,
+    cut_links,
     gateways,
     located,
     missing,
@@ -264,7 +265,9 @@ class RunningComponents:
         limit: float,
         trouble: Callable[[], bool] | None = None,
     ) -> None:
-        """Wait until `wanted` are at their goals and all their connectors are joined.
+        """Wait until `wanted` are at their goals and their connectors are joined.
+
+        Those whose ends do not reach each other are joined later.
 
         Parameters
         ----------
@@ -282,10 +285,10 @@ class RunningComponents:
         def is_reached() -> bool:
             look()
             self.raise_on_unreached(wanted)
-            return not self._missing(wanted)
+            return not self.missing(wanted)
 
         if not self.agents.wait_news(is_reached, limit):
-            missing = "; ".join(self._missing(wanted))
+            missing = "; ".join(self.missing(wanted))
             raise RunError(f"not there within {limit:g} s: {missing}")
 
     def current(self) -> dict[str, AgentStatus]:
@@ -345,27 +348,44 @@ class RunningComponents:
             if place in known
         ]
 
-    def _missing(self, wanted: tuple[Incarnation, ...]) -> list[str]:
-        """Return what there is still to wait for, in words."""
+    def missing(self, wanted: Collection[Incarnation]) -> list[str]:
+        """Return what `wait` still waits for, in words."""
         statuses = self.current()
         silent = self._told.keys() - statuses.keys() - self.excused
-        found = missing(wanted, statuses, silent, self._unreached_connectors())
+        new = {each.component: each for each in wanted}
+        placed = {**self.placed, **new}
+        joins = set(map(str, self.layout.connectors_at(new, placed)))
+        joins -= self.unreached_connectors(placed).keys()
+        found = missing(wanted, statuses, silent, joins)
         found += self.unresponsive(wanted) if found else []
         faults = faults_after(self._faults_before_tell, statuses) if found else ()
         return found + [fault_sentence(computer, fault) for computer, fault in faults]
 
+    def unreached_connectors(self, placed: Mapping[str, Incarnation]) -> dict[str, str]:
+        """Return the connectors whose ends do not reach each other, and why.
+
+        Parameters
+        ----------
+        placed
+            By component.
+        """
+        cut = cut_links(self.agents.statuses())
+        away = self.agents.out_of_reach().keys() | self.excused
+        found = {}
+        for connector in self.layout.connectors(placed):
+            ends = [placed[end.component] for end in connector.between]
+            between = sorted({each.computer for each in ends})
+            if lost := away.intersection(between):
+                found[str(connector)] = f"computer '{min(lost)}' is out of reach"
+            elif frozenset(between) in cut:
+                found[str(connector)] = f"link '{'-'.join(between)}' is cut"
+            elif frozen := self.unresponsive(ends):
+                found[str(connector)] = "; ".join(frozen)
+        return found
+
     def _running(self, computers: set[str]) -> list[str]:
         """Return the containers that still run there, for all that is known."""
         return containers_left(self.current(), computers & self.computers())
-
-    def _unreached_connectors(self) -> set[str]:
-        """Return the connectors that have an end on an excused computer."""
-        away = {n for n, each in self.placed.items() if each.computer in self.excused}
-        return {
-            str(connector)
-            for connector in self.layout.connectors(self.placed)
-            if not away.isdisjoint(end.component for end in connector.between)
-        }
 
     def note_refused(self) -> None:
         """Journal why records of agents were refused."""

@@ -21,8 +21,10 @@ from poise.errors import RunError
 from poise.manage.agent_connections.statuses import calling_ports, components_of
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.migration.late_connectors import late_connectors, raise_on_cut_state
 from poise.manage.migration.plan import MigrationPlan, PlacedStep
 from poise.manage.migration.report import MigrationReport
+from poise.manage.migration.stall import STALL_LIMIT, Stall
 from poise.manage.observe.deviations import explain
 from poise.priority import first
 from poise.wire.address import LOST_AFTER
@@ -78,15 +80,7 @@ class Migration:
         gone = {each.component for each in sources}
         self._others = {n: each for n, each in run.placed.items() if n not in gone}
         self._away = run.agents.out_of_reach().keys()
-        statuses = run.agents.statuses()
-        self._plan = MigrationPlan(
-            run.layout,
-            sources,
-            targets,
-            self._others,
-            calling_ports(statuses),
-            run.gateways(),
-        )
+        self._dropped: dict[str, str] = {}
         self._number = 0
         self._phases = MigrationPhases("manager", f"migration of {report.name}")
         self._taken: list[StepTaken] = []
@@ -97,14 +91,15 @@ class Migration:
         downtime, reason = 0.0, ""
         self._phases.enter("prepare")
         try:
-            self._prepare()
+            plan = self._planned()
+            self._prepare(plan)
         except RunError as error:
             reason = str(error)
             self._phases.enter("roll back")
         else:
             with first():
                 paused = time.monotonic()
-                reason = self._switch(paused + DOWNTIME_LIMIT)
+                reason = self._switch(plan, paused + DOWNTIME_LIMIT)
                 downtime = time.monotonic() - paused
         phases = self._phases.seconds()
         if not reason:
@@ -119,30 +114,55 @@ class Migration:
             downtime=downtime,
             phases=phases,
             steps=tuple(self._taken),
+            late={} if reason else self._dropped,
         )
 
-    def _prepare(self) -> None:
+    def _planned(self) -> MigrationPlan:
+        """Return the steps; raise RunError when they could not all be taken."""
         self._raise_on_failed()
-        if stuck := self._run.unresponsive(self._targets):
-            raise RunError("; ".join(stuck))
+        run = self._run
+        raise_on_cut_state(run, self._sources, self._targets)
+        late = late_connectors(run, self._sources, self._others)
+        self._dropped = {name: each.why for name, each in late.items()}
+        return MigrationPlan(
+            run.layout,
+            self._sources,
+            self._targets,
+            self._others,
+            calling_ports(run.agents.statuses()),
+            run.gateways(),
+            late={name: each.keep for name, each in late.items()},
+            away=self._away,
+        )
+
+    def _prepare(self, plan: MigrationPlan) -> None:
         staying = [source.with_goal("stay") for source in self._sources]
         self._run.tell([*self._others.values(), *staying, *self._targets])
         # higher than that of any earlier migration, whatever the clock says
         self._number = self._run.generation
-        self._run.wait(self._targets, PREPARE_LIMIT, self._raise_on_failed)
-        for steps in self._plan.prepare():
-            self._take(steps, PREPARE_LIMIT, self._raise_on_failed)
+        stall = Stall(self._run, self._targets)
 
-    def _switch(self, deadline: float) -> str:
+        def trouble() -> bool:
+            stall.look()
+            return self._raise_on_failed()
+
+        self._run.wait(self._targets, PREPARE_LIMIT, trouble)
+        for steps in plan.prepare():
+            # a large state takes its time
+            is_large = any(step.name == "pre-copy" for _, step in steps)
+            limit = PREPARE_LIMIT if is_large else STALL_LIMIT
+            self._take(steps, limit, self._raise_on_failed)
+
+    def _switch(self, plan: MigrationPlan, deadline: float) -> str:
         """Pause, and let the targets go on, or the sources again; return why those."""
         self._phases.enter("quiesce")
         try:
-            for steps in self._plan.transfer():
+            for steps in plan.transfer():
                 began = time.monotonic()
                 quiesced = began + self._take(steps, _left(deadline))
         except RunError as error:
             self._phases.enter("roll back")
-            self._resume(self._plan.roll_back())
+            self._resume(plan.roll_back())
             return str(error)
         self._phases.enter("transfer", quiesced)
         self._phases.enter("commit")
@@ -153,7 +173,7 @@ class Migration:
         for target in self._targets:
             placed[target.component] = target.with_goal("active")
         self._phases.enter("resume")
-        self._resume(self._plan.resume())
+        self._resume(plan.resume())
         return ""
 
     def _linger(self) -> None:
@@ -270,7 +290,10 @@ class Migration:
     def _raise_on_failed(self) -> bool:
         run = self._run
         run.look()
-        run.raise_on_unreached([*self._sources, *self._targets])
+        ends = [*self._sources, *self._targets]
+        run.raise_on_unreached(ends)
+        if stuck := run.unresponsive(ends):
+            raise RunError("; ".join(stuck))
         targets = {(t.component, t.epoch): t for t in self._targets}
         sources = {(s.component, s.epoch): s for s in self._sources}
         for component in components_of(run.current()):

@@ -37,6 +37,8 @@ class MigrationReport(Struct, frozen=True, tag=True, kw_only=True):
         How long each phase took [s].
     steps
         What containers did, by container in the order of their answers.
+    late
+        Connectors over which messages under way were dropped, and why.
     """
 
     what: str
@@ -49,6 +51,7 @@ class MigrationReport(Struct, frozen=True, tag=True, kw_only=True):
     downtime: float = 0.0
     phases: Mapping[str, float] = {}
     steps: tuple[StepTaken, ...] = ()
+    late: Mapping[str, str] = {}
 
     @property
     def prepared(self) -> float:
@@ -70,11 +73,17 @@ class MigrationReport(Struct, frozen=True, tag=True, kw_only=True):
         if self.committed:
             how = " by a cold move" if self.cold else ""
             verb = "replaced" if self.by else "moved"
-            text = f"{verb} {way}{how}; {self._times()}"
+            text = f"{verb} {way}{how}; {self._times()}{self._losses()}"
             journal.note("done", text, migration=self)
         else:
             text = f"did not {'replace' if self.by else 'move'} {way}: {self.reason}"
             journal.note("failed", text, migration=self)
+
+    def _losses(self) -> str:
+        return "".join(
+            f"; messages under way over '{connector}' were dropped: {why}"
+            for connector, why in self.late.items()
+        )
 
     def _times(self) -> str:
         if self.cold:

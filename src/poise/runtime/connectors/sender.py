@@ -41,6 +41,10 @@ _ASK_FIRST, _ASK_LAST = 0.005, 0.1
 """A sender without room asks for it after this time, and then ever less often [s]."""
 
 
+_Waiting = tuple[Method | None, object, float]
+"""A one-way call's method, the value, and since when it waits [s, monotonic]."""
+
+
 class Sender:
     """The source's end of one connector. Any thread may use it.
 
@@ -80,7 +84,7 @@ class Sender:
         self._exclusion = exclusion
         self._routes: dict[str, Route] = {}
         self._current: Route | None = None
-        self._buffer: deque[tuple[Method | None, object, float]] | None = None
+        self._buffer: deque[_Waiting] | None = None
         self._source_is_inactive = self._target_moves = False
         self._is_claimed = self._is_draining = False
         self._lock = threading.Lock()
@@ -144,8 +148,14 @@ class Sender:
         else:
             stepping_out(self._exclusion, self._send)(value, method)
 
-    def buffer_for_move(self) -> None:
+    def buffer_for_move(self, keep: int | None = None) -> None:
         """Buffer messages from now on: the target moves. Harmless when repeated.
+
+        Parameters
+        ----------
+        keep
+            The target is cut off and keeps so many messages: only the newest are
+            buffered, and the others counted as dropped.
 
         Raises
         ------
@@ -157,6 +167,17 @@ class Sender:
                 raise RunError(f"connector {self.name}: its target does not move")
             self._target_moves = True
             self._begin_to_buffer()
+            if keep is not None and self._buffer is not None:
+                self.counts.drops += max(0, len(self._buffer) - keep)
+                self._buffer = deque(self._buffer, keep)
+
+    def give_up(self, key: str) -> None:
+        """Wait no more over a route to a computer that is cut off.
+
+        A message that is being sent there is dropped and counted.
+        """
+        if route := self.routes().get(key):
+            route.give_up()
 
     def buffer_until_active(self) -> None:
         """Buffer messages until `send_buffered`: the source is not active yet."""
@@ -248,7 +269,7 @@ class Sender:
             is_free = self._is_free()
             if is_free:
                 if self._buffer is not None:
-                    self._buffer.append((method, value, began))
+                    self._hold(self._buffer, (method, value, began))
                     return
                 route = self._claim()
         if is_free:
@@ -264,7 +285,7 @@ class Sender:
             with self._lock:
                 if self._wait(self._is_free, min(pause, left)):
                     if self._buffer is not None:
-                        self._buffer.append((method, value, began))
+                        self._hold(self._buffer, (method, value, began))
                         return
                     route = self._claim()
                     break
@@ -324,6 +345,10 @@ class Sender:
         if more is not None:
             text = "connector %s: no room for %g s, a message is dropped%s"
             log.warning(text, self.name, self._limit, more)
+
+    def _hold(self, buffer: deque[_Waiting], waiting: _Waiting) -> None:
+        self.counts.drops += len(buffer) == buffer.maxlen
+        buffer.append(waiting)
 
     def _begin_to_buffer(self) -> None:
         if self._buffer is None:

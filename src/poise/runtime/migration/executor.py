@@ -109,6 +109,10 @@ class MigrationExecutor:
                     sender = self._wiring.sender(name)
                     sender.buffer_for_move()
                     sender.send_marker(migration)
+                for key, keep in step.late.items():
+                    sender = self._wiring.sender(key)
+                    sender.buffer_for_move(keep)
+                    sender.give_up(key)
             case "release to targets" | "release to sources":
                 for key in step.connectors:
                     self._wiring.sender(key).switch(key)
@@ -120,6 +124,8 @@ class MigrationExecutor:
             case "drain channels":
                 markers = dict.fromkeys(step.connectors, migration)
                 left = max(0.0, deadline - time.monotonic())
+                for key in step.late:
+                    self._wiring.shut(key)
                 self._runner(step).endpoints.wait_markers(markers, left)
         if step.role is not None:
             participant = self._participant(self._runner(step), step.role, migration)

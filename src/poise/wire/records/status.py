@@ -190,6 +190,8 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
         Size of its snapshot, if that was taken [bytes].
     requires, subscribes
         Its ports over which it calls others, and those to which messages come.
+    keeps
+        Of the latter, those that keep only the newest messages, and how many.
     chains
         Those that it is part of, and not the beginning.
     ends
@@ -213,6 +215,7 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
     has_state: bool = False
     requires: tuple[str, ...] = ()
     subscribes: tuple[str, ...] = ()
+    keeps: Mapping[str, int] = {}
     timers: tuple[TimerStatus, ...] = ()
     chains: tuple[ChainStatus, ...] = ()
     ends: tuple[ActionEnd, ...] = ()
