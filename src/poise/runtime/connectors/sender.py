@@ -14,7 +14,6 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -23,6 +22,7 @@ from poise.runtime.component.error_report import Sparing
 from poise.runtime.component.ports import Port
 from poise.runtime.connectors.chain_stamps import SentChains
 from poise.runtime.connectors.interface import Method, methods
+from poise.runtime.connectors.message_buffer import MessageBuffer
 from poise.runtime.connectors.proxy import Proxy, oneway_function, refusing
 from poise.runtime.connectors.route import Route
 from poise.runtime.connectors.tap import Observers, observed_call, observed_send
@@ -35,14 +35,8 @@ log = logging.getLogger(__name__)
 
 _WHILE_MOVING = 2
 """The number of routes while the target moves: one to either incarnation."""
-MOST_BUFFERED = 5_000
-"""Messages that a sender buffers while a component moves; then publishers wait."""
 _ASK_FIRST, _ASK_LAST = 0.005, 0.1
 """A sender without room asks for it after this time, and then ever less often [s]."""
-
-
-_Waiting = tuple[Method | None, object, float]
-"""A one-way call's method, the value, and since when it waits [s, monotonic]."""
 
 
 class Sender:
@@ -84,7 +78,7 @@ class Sender:
         self._exclusion = exclusion
         self._routes: dict[str, Route] = {}
         self._current: Route | None = None
-        self._buffer: deque[_Waiting] | None = None
+        self._buffer: MessageBuffer | None = None
         self._source_is_inactive = self._target_moves = False
         self._is_claimed = self._is_draining = False
         self._lock = threading.Lock()
@@ -151,11 +145,7 @@ class Sender:
     def buffer_for_move(self, keep: int | None = None) -> None:
         """Buffer messages from now on: the target moves. Harmless when repeated.
 
-        Parameters
-        ----------
-        keep
-            The target is cut off and keeps so many messages: only the newest are
-            buffered, and the others counted as dropped.
+        Only the newest when the target is cut off and `keep` says how many it keeps.
 
         Raises
         ------
@@ -166,18 +156,9 @@ class Sender:
             if len(self._routes) < _WHILE_MOVING:
                 raise RunError(f"connector {self.name}: its target does not move")
             self._target_moves = True
-            self._begin_to_buffer()
-            if keep is not None and self._buffer is not None:
-                self.counts.drops += max(0, len(self._buffer) - keep)
-                self._buffer = deque(self._buffer, keep)
-
-    def give_up(self, key: str) -> None:
-        """Wait no more over a route to a computer that is cut off.
-
-        A message that is being sent there is dropped and counted.
-        """
-        if route := self.routes().get(key):
-            route.give_up()
+            buffer = self._begin_to_buffer()
+            if keep is not None:
+                buffer.keep(keep)
 
     def buffer_until_active(self) -> None:
         """Buffer messages until `send_buffered`: the source is not active yet."""
@@ -269,7 +250,7 @@ class Sender:
             is_free = self._is_free()
             if is_free:
                 if self._buffer is not None:
-                    self._hold(self._buffer, (method, value, began))
+                    self._buffer.add((method, value, began))
                     return
                 route = self._claim()
         if is_free:
@@ -285,7 +266,7 @@ class Sender:
             with self._lock:
                 if self._wait(self._is_free, min(pause, left)):
                     if self._buffer is not None:
-                        self._hold(self._buffer, (method, value, began))
+                        self._buffer.add((method, value, began))
                         return
                     route = self._claim()
                     break
@@ -301,7 +282,7 @@ class Sender:
     def _is_free(self) -> bool:
         """Return whether a message may be sent or buffered now."""
         if self._buffer is not None:
-            return len(self._buffer) < MOST_BUFFERED
+            return self._buffer.has_room()
         if self._is_claimed:
             return False
         return self._current is None or self._current.has_room()
@@ -346,14 +327,11 @@ class Sender:
             text = "connector %s: no room for %g s, a message is dropped%s"
             log.warning(text, self.name, self._limit, more)
 
-    def _hold(self, buffer: deque[_Waiting], waiting: _Waiting) -> None:
-        self.counts.drops += len(buffer) == buffer.maxlen
-        buffer.append(waiting)
-
-    def _begin_to_buffer(self) -> None:
+    def _begin_to_buffer(self) -> MessageBuffer:
         if self._buffer is None:
-            self._buffer = deque()
+            self._buffer = MessageBuffer(self.counts)
             self._changed.notify_all()
+        return self._buffer
 
     def _drain(self) -> None:
         """Send what was buffered, if nothing speaks against it, and buffer no more."""
@@ -380,7 +358,7 @@ class Sender:
                 if self._is_claimed:
                     continue
                 route = self._claim()
-                method, value, began = self._buffer.popleft()
+                method, value, began = self._buffer.take()
             try:
                 self._push(route, method, value, began)
             except WireError as error:  # its publisher has gone on

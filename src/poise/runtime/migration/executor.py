@@ -105,14 +105,7 @@ class MigrationExecutor:
     def _take(self, step: Step, migration: int, deadline: float) -> None:
         match step.name:
             case "buffer":
-                for name in step.connectors:
-                    sender = self._wiring.sender(name)
-                    sender.buffer_for_move()
-                    sender.send_marker(migration)
-                for key, keep in step.late.items():
-                    sender = self._wiring.sender(key)
-                    sender.buffer_for_move(keep)
-                    sender.give_up(key)
+                self._buffer(step, migration)
             case "release to targets" | "release to sources":
                 for key in step.connectors:
                     self._wiring.sender(key).switch(key)
@@ -131,6 +124,17 @@ class MigrationExecutor:
             participant = self._participant(self._runner(step), step.role, migration)
             with participant.phases.taking(step.name, step.phase):
                 participant.take(step, deadline)
+
+    def _buffer(self, step: Step, migration: int) -> None:
+        for name in step.connectors:
+            sender = self._wiring.sender(name)
+            sender.buffer_for_move()
+            sender.send_marker(migration)
+        for key, keep in step.late.items():
+            sender = self._wiring.sender(key)
+            sender.buffer_for_move(keep)
+            if route := sender.routes().get(key):
+                route.give_up()
 
     def _runner(self, step: Step) -> Runner:
         try:

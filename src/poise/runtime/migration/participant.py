@@ -99,9 +99,10 @@ class Participant:
 
     def _pause(self, late: Collection[str], limit: float) -> None:
         senders = list(self._runner.endpoints.senders.values())
-        for sender in senders:  # the component itself may wait for one
-            for key in late:
-                sender.give_up(key)
+        for sender in senders:
+            for key, route in sender.routes().items():
+                if key in late:  # the component itself may be sending there
+                    route.give_up()
         try:
             self._runner.gate.pause_for_migration(_PAUSE_SHARE * limit)
         except PoiseError as error:
