@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 
 from poise.errors import RunError
 from poise.manage.agent_connections.statuses import components_of
@@ -15,22 +15,32 @@ STALL_LIMIT = 2.0
 
 
 class Stall:
-    """Notices when nothing goes on any more. Use it for one preparation."""
+    """Notices when nothing goes on any more. Use it for one preparation.
+
+    Parameters
+    ----------
+    clock
+        A time that never goes back [s].
+    """
 
     def __init__(
-        self, run: RunningComponents, targets: Collection[Incarnation]
+        self,
+        run: RunningComponents,
+        targets: Collection[Incarnation],
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._run = run
         self._targets = targets
         self._missing: list[str] = []
-        self._since = time.monotonic()
+        self._clock = clock
+        self._since = clock()
 
     def look(self) -> None:
         """Raise RunError when nothing came nearer for `STALL_LIMIT`.
 
         Users' code that is imported or configured may take longer.
         """
-        now, missing = time.monotonic(), self._run.missing(self._targets)
+        now, missing = self._clock(), self._run.missing(self._targets)
         if missing != self._missing or self._is_configuring():
             self._missing, self._since = missing, now
         elif now > self._since + STALL_LIMIT:
