@@ -15,6 +15,7 @@ import pytest
 
 from poise.cli.command.run_time.run import run_command
 from poise.emulate import sweep
+from poise.emulate.registry import registry
 from poise.errors import PoiseError
 from poise.manage.control_socket.location import path_of
 from poise.runtime.waker import wait_readable
@@ -123,7 +124,7 @@ def remains() -> set[str]:
     ours = tuple(f"poise-{pid}-" for pid in _started)
     return {
         f"{folder}/{name}"
-        for place in ("/run/poise", "/run/netns", "/sys/fs/cgroup")
+        for place in (registry(), "/run/netns", "/sys/fs/cgroup")
         # unlike `Path.glob`, it goes on when a folder of another test vanishes
         for folder, folders, files in os.walk(place)
         for name in (*folders, *files)

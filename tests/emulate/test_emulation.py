@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
 import tempfile
@@ -19,7 +20,7 @@ from poise.emulate.cgroup.v2 import V2
 from poise.emulate.layout import EmulationLayout
 from poise.emulate.limits import Limits
 from poise.emulate.probe import Probe
-from poise.emulate.registry import registered
+from poise.emulate.registry import FOLDER, registered
 from poise.errors import RobotError, RunError, UsageError
 from poise.model.robot import Computer, Robot
 
@@ -44,10 +45,11 @@ def left_of(layout: EmulationLayout) -> list[str]:
         *(path for c in layout.computers for path in (*c.groups, c.folder)),
         *layout.aside,
         *(f"/run/netns/{name}" for name in (network.namespaces if network else ())),
-        *([f"/sys/class/net/{network.owner}"] if network else []),
     ]
+    cables = {name for _, name in socket.if_nameindex()}
+    left = [network.owner] if network and network.owner in cables else []
     entries = [each.run for each in registered() if each.run == layout.run]
-    return [*(path for path in paths if Path(path).exists()), *entries]
+    return [*(path for path in paths if Path(path).exists()), *left, *entries]
 
 
 def bare() -> Probe:
@@ -254,6 +256,7 @@ def test_user_without_rights_runs_it_all_the_same() -> None:
         Path(folder).chmod(0o777)
         done = subprocess.run(
             [sys.executable, "-c", WITHOUT_RIGHTS, str(Path(folder, "run"))],
+            env={**os.environ, FOLDER: str(Path(folder, "emulations"))},
             capture_output=True,
             text=True,
             timeout=LIMIT,

@@ -19,10 +19,8 @@ from poise.model.robot import Robot
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Use a registry that no other process sees."""
-    folder = tmp_path / "registry"
-    folder.mkdir()
-    monkeypatch.setattr(registry, "registry", lambda: folder)
-    return folder
+    monkeypatch.setenv(registry.FOLDER, str(tmp_path / "registry"))
+    return registry.registry()
 
 
 def test_another_process_reads_what_was_registered(

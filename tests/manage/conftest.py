@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable
 from typing import Any
 
 import pytest
 from msgspec.structs import replace
 
 from poise.manage.agent_connections.checkpoint_copies import CheckpointCopies
+from poise.manage.agent_connections.requests import Reply
 from poise.model.robot import (
     Architecture,
     ComponentEntry,
@@ -19,7 +20,7 @@ from poise.model.robot import (
     Robot,
 )
 from poise.wire.records.deployment import Deployment
-from poise.wire.records.requests import ManagerId
+from poise.wire.records.requests import Accepted, Claimed, ManagerId, Refused
 from poise.wire.records.status import (
     AgentStatus,
     ComponentStatus,
@@ -128,8 +129,15 @@ class FakeAgents:
         """Let one have come back that has not reported yet."""
         del self._statuses[computer]
 
+    def report(self, status: AgentStatus) -> None:
+        """Let an agent have reported something else."""
+        self._statuses[status.computer] = status
+
     def statuses(self) -> dict[str, AgentStatus]:
         return dict(self._statuses)
+
+    def ages(self) -> dict[str, float]:
+        return dict.fromkeys(self.statuses(), 0.0)
 
     def out_of_reach(self) -> dict[str, float]:
         return dict.fromkeys(self.gone, 0.0)
@@ -157,9 +165,6 @@ class FakeAgents:
     def heard_by(self, computer: str) -> str:
         return self.hearers.get(computer, "")
 
-    def holds_lease(self, computer: str) -> bool:  # noqa: ARG002, all do
-        return True
-
     def is_cut_off(self, computer: str) -> bool:  # noqa: ARG002, none ever is
         return False
 
@@ -175,18 +180,31 @@ class FakeAgents:
             self.gone.clear()
         return is_enough()
 
-    def deploy(self, deployments: Mapping[str, Deployment]) -> dict[str, str]:
-        refusals = {}
+    def begin_claim(self, computer: str) -> Reply:
+        self.claimed.append(computer)
+        reply = Reply()
+        if computer in self.refusing:
+            reply.take(Refused("not today"))
+        else:
+            self.strangers.discard(computer)
+            reply.take(Claimed())
+        return reply
+
+    def end_claim(self, computer: str, reply: Reply) -> None:
+        pass
+
+    def begin_deploy(self, computer: str, deployment: Deployment) -> Reply:
+        reply = Reply()
         if self.lose_when_told:
             self.gone.add(self.lose_when_told)
-        for computer, deployment in deployments.items():
-            if computer in self.refusing:
-                refusals[computer] = f"the agent of '{computer}' refused: not today"
-                continue
-            self.deployed.append((computer, deployment))
-            if computer not in self.deaf:
-                self._statuses[computer] = self._obeyed(computer, deployment)
-        return refusals
+        if computer in self.refusing:
+            reply.take(Refused("not today"))
+            return reply
+        self.deployed.append((computer, deployment))
+        if computer not in self.deaf:
+            self._statuses[computer] = self._obeyed(computer, deployment)
+        reply.take(Accepted())
+        return reply
 
     def _obeyed(self, computer: str, deployment: Deployment) -> AgentStatus:
         containers = tuple(
@@ -208,8 +226,11 @@ class FakeAgents:
             )
             for container in deployment.containers
         )
+        before = self._statuses.get(computer)
         return AgentStatus(
             computer=computer,
+            pid=before.pid if before else 0,
+            adopted=before.adopted if before else 0,
             generation=deployment.generation,
             uptime=0,
             cpu=0,

@@ -14,17 +14,20 @@ from typing import Any, Literal, get_args
 import msgspec
 from msgspec import Struct
 
+from poise.clock import wall_time
 from poise.errors import RunError, UsageError
 
 log = logging.getLogger(__name__)
 
-Kind = Literal["seen", "decided", "done", "failed", "wrong", "right"]
+Kind = Literal["seen", "decided", "desired", "done", "failed", "wrong", "right"]
 """What an entry is about.
 
 seen
     Something was noticed that needs no action.
 decided
     The manager decided what to do next.
+desired
+    What should run is different from now on; not printed.
 done, failed
     It did that, or could not.
 wrong, right
@@ -113,9 +116,9 @@ class Journal:
 
     def note(self, kind: Kind, what: str, **facts: object) -> None:
         """Add an entry: `what` for people, `facts` for machines."""
-        entry = JournalEntry(time.time(), kind, what, facts)
+        entry = JournalEntry(wall_time(), kind, what, facts)
         self._recent.append(JournalEntry(entry.at, kind, what, None))
-        if self._show is not None:
+        if self._show is not None and kind != "desired":
             self._show(entry)
         try:
             self._write(entry)

@@ -13,6 +13,7 @@ import threading
 import time
 import traceback
 from concurrent.futures import Future
+from functools import partial
 
 from msgspec import structs
 
@@ -51,6 +52,7 @@ from poise.manage.observe.manager_troubles import ManagerTroubles
 from poise.manage.observe.recording import Recording
 from poise.manage.observe.watch import Watch
 from poise.manage.prefetch.prefetch import Prefetcher
+from poise.manage.supervised import SupervisedTick
 from poise.manage.tasks.progress import Saved
 from poise.manage.tasks.task_manager import TaskManager
 
@@ -92,6 +94,10 @@ class Manager:
         recording: Recording | None = None,
     ) -> None:
         self._run = run
+        run.goes_on_without_lost = True
+        self._tick = SupervisedTick(
+            run.journal, run.clock, self._release, lambda: self.is_stopping
+        )
         self._estimates = estimates
         self._samples = samples
         self._recording = recording
@@ -149,9 +155,12 @@ class Manager:
 
     def status(self) -> RobotStatus:
         """Return the last known state; from any thread, at once."""
+        known = status_of(self._run, self.tasks.reports, self._estimates)
         return structs.replace(
-            status_of(self._run, self.tasks.reports, self._estimates),
+            known,
             deviations=(
+                *self._tick.deviations(),
+                *known.deviations,
                 *self._troubles.deviations(),
                 *self._lost.deviations(),
                 *self._watch.deviations,
@@ -175,7 +184,8 @@ class Manager:
         TakenOver
             The agents obey another manager.
         """
-        self._run.agents.wait_news(self._has_news, limit)
+        if self._tick.run("wait for news", partial(self._wait_news, limit)) is None:
+            self._run.clock.sleep(limit)
         try:
             command, future = self._commands.get_nowait()
         except queue.Empty:
@@ -183,15 +193,12 @@ class Manager:
         else:
             if not self.is_stopping and future.set_running_or_notify_cancel():
                 future.set_result(self._carry_out(command))
-        prepared = self._run.prepared.items()
-        self._estimates.resting = {(name, each.epoch) for name, each in prepared}
-        self._take_samples()
+        self._tick.run("take samples", self._take_samples)
         self._look()
-        self._lost.bring_back()
         if not self.is_stopping:
-            self.tasks.look(self._put_aside.functions())
-            self._prefetch.look(self.tasks.likely_next(), self._estimates.loads.loads())
-            self._adaptation.look()
+            self._tick.run("look after tasks", self._look_after_tasks)
+            self._tick.run("prepare the next action", self._prepare_next)
+            self._tick.run("adapt the placement", self._adaptation.look)
 
     def stop(self) -> None:
         """Stop the robot, and answer the clients that still wait.
@@ -239,6 +246,8 @@ class Manager:
 
     def _take_samples(self) -> None:
         """Estimate from samples, keep them, and say which demands have shifted."""
+        prepared = self._run.prepared.items()
+        self._estimates.resting = {(name, each.epoch) for name, each in prepared}
         for sample in self._samples.take():
             if self._estimates_end:
                 return
@@ -248,6 +257,19 @@ class Manager:
                 needs = f"'{name}' needs {drift.after:.1%} of a core now"
                 what = f"{needs}, {drift.before:.1%} before"
                 self._run.journal.note("seen", what)
+
+    def _look_after_tasks(self) -> None:
+        self.tasks.look(self._put_aside.functions())
+
+    def _prepare_next(self) -> None:
+        self._prefetch.look(self.tasks.likely_next(), self._estimates.loads.loads())
+
+    def _release(self, what: str) -> None:
+        """After a bug: let what was placed go on, without any change under way."""
+        self._run.commit(self._run.desired.released(), what)
+
+    def _wait_news(self, limit: float) -> bool:
+        return self._run.agents.wait_news(self._has_news, limit)
 
     def _has_news(self) -> bool:
         """Return whether something is to be done at once."""
@@ -265,10 +287,7 @@ class Manager:
         """Journal an error that nobody foresaw, and let what was placed go on."""
         what = f"{command} ended by a bug of Poise: {type(error).__name__}: {error}"
         self._run.journal.note("failed", what, traceback=traceback.format_exc())
-        try:
-            self._run.tell(self._run.placed.values())
-        except PoiseError as told:
-            return Refusal(f"{what}; then: {told}", "RunError")
+        self._release(what)
         return Refusal(f"{what}. The robot goes on as it was placed", "RunError")
 
     def _done(self, command: Command) -> Result:
@@ -322,10 +341,11 @@ class Manager:
             raise TakenOver(text)
 
     def _look(self) -> None:
-        self._raise_on_successor()
-        self._troubles.look()
-        self._lost.note()
-        self._watch.look()
+        self._tick.run("see who manages the robot", self._raise_on_successor)
+        self._tick.run("look at itself", self._troubles.look)
+        self._tick.run("bring agents to what should run", self._run.reconcile)
+        self._tick.run("see which computers are lost", self._lost.note)
+        self._tick.run("watch components", self._watch.look)
 
 
 def _answer(future: Results, result: Result | Refusal) -> None:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from poise.clock import wall_time
 from poise.errors import PoiseError, RunError
 from poise.manage.control_socket.server import ControlServer
 from poise.manage.deploy.deactivation import drain
@@ -86,7 +87,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     first = first_phase(robot, [chosen], placement, sentences.append)
     placed = first.placed
     with contextlib.ExitStack() as stack:
-        at = time.time()
+        at = wall_time()
         book = Journal(journal or ":memory:", _saying(say))
         stack.callback(book.close)
         book.note("decided", f"task '{chosen}', {placed.method} placement")
@@ -152,7 +153,7 @@ def _measure(
     up.computers.begin()
     history, last_seen = History(run.robot, up.computers.faster), LastSeen()
     run.agents.on_status = last_seen.take
-    begin, began, at = run.agents.statuses(), time.monotonic(), time.time()
+    begin, began, at = run.agents.statuses(), time.monotonic(), wall_time()
     last_seen.look(begin)
     interrupted = False
 
@@ -160,11 +161,12 @@ def _measure(
         check()
         looks()
         up.computers.raise_if_ended()
-        run.excused -= manager.lost()
+        if lost := manager.lost():
+            raise RunError(run.unreached()[min(lost)])
 
     def look(_: float) -> None:
         now, statuses = time.monotonic(), run.agents.statuses()
-        history.look(statuses, time.time(), now)
+        history.look(statuses, wall_time(), now)
         manager.work(0.0)
         meanwhile(run, now - began)
 

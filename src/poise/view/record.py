@@ -12,6 +12,7 @@ from typing import Any, get_args
 
 from msgspec import Struct
 
+from poise.clock import wall_time
 from poise.errors import PoiseError, RunError
 from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.running_robots.running import JournalEntry, Status, connect
@@ -193,7 +194,7 @@ class Recorder:
         self._reader = Reader()
         self._rate = rate
         self._viewer = secrets.token_hex(8)
-        self._last_entry = time.time(), 0
+        self._last_entry = wall_time(), 0
         self._silent_since: float | None = None
         self._connectors: dict[str, str] = {}
         """Connector -> why there is no answer; empty: there is."""
@@ -253,7 +254,7 @@ class Recorder:
             self._write_entry(file, entry)
 
     def _write_rows(self, file: McapFile, status: Status, now: float) -> None:
-        view, at = self._reader.take(status, now), time.time()
+        view, at = self._reader.take(status, now), wall_time()
         ages = tuple(
             ChainRow(
                 each.name, each.age.median, each.age.p99, each.deadline, each.missed

@@ -20,7 +20,7 @@ class Returning(Robbed):
         robot = replace(robot_with(), computers=computers)
         free = tuple(replace(a, home=None) for a in robot.architectures)
         robot = replace(robot, architectures=free)
-        super().__init__(robot, BOTH, names)
+        super().__init__(robot, BOTH)
         self.now, self.lost = 0.0, frozenset({"right"})
         self.loop = Adaptation(
             self.run,

@@ -21,7 +21,7 @@ import pytest
 from poise.clock import SystemClock
 from poise.errors import RunError, UsageError
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.agent_connections.requests import AgentRequests
+from poise.manage.agent_connections.requests import AgentRequests, Reply
 from poise.manage.agent_connections.statuses import components_of, connectors_of
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.stop import stop
@@ -43,6 +43,7 @@ from poise.model.robot import (
 )
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.migration import MigrationSteps, StepName, StepsOutcome
+from poise.wire.records.requests import Refused
 from tests.busy import needs_quiet_machine
 from tests.manage.agents import TELLING, agent
 from tests.model_of_moves.replay import replay
@@ -244,7 +245,7 @@ class Striking:
 
     def __init__(self, agents: Agents) -> None:
         self._agents = agents
-        self.deploy = agents.deploy
+        self.begin_deploy = agents.begin_deploy
         self.before: dict[StepName, Callable[[], None]] = {}
 
     def __getattr__(self, name: str) -> object:
@@ -876,16 +877,22 @@ def test_a_command_line_component_goes_on_when_it_cannot_start_elsewhere(
     run = world.start("Counter")
     pid = world.folder / "pid"
     wait_until(lambda: pid.exists() and bool(pid.read_text()))
-    deploy, told = world.striking.deploy, []
+    begin_deploy = world.striking.begin_deploy
 
-    def refuse(deployments: Mapping[str, Deployment]) -> dict[str, str]:
-        told.append(deployments)
-        # first it is made inactive there, then stopped here, then to be active there
-        if len(told) == 3:
-            return {"right": "the agent of 'right' refused: not today"}
-        return deploy(deployments)
+    def refuse(computer: str, deployment: Deployment) -> Reply:
+        goals = {
+            component.goal
+            for container in deployment.containers
+            for component in container.components
+            if component.name == "ticker"
+        }
+        if computer == "left" or goals != {"active"}:
+            return begin_deploy(computer, deployment)
+        reply = Reply()
+        reply.take(Refused("not today"))
+        return reply
 
-    world.striking.deploy = refuse
+    world.striking.begin_deploy = refuse
     report = move(run, "ticker", "right")
     assert not report.committed
     assert "not today" in report.reason

@@ -17,6 +17,7 @@ from contextlib import contextmanager
 
 from msgspec.structs import replace
 
+from poise.clock import wall_time
 from poise.emulate import processes, registry
 from poise.emulate.computer import EmulatedComputer
 from poise.emulate.kept.background_load import background_load
@@ -324,7 +325,7 @@ def _add(
         InjectedFault(
             kind=kind,
             on=on,
-            since=time.time(),
+            since=wall_time(),
             shape=shape,
             cpu=cpu,
             processes=processes,

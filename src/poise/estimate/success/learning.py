@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from random import Random
@@ -10,6 +9,7 @@ from random import Random
 from msgspec import Struct
 from msgspec.structs import replace
 
+from poise.clock import wall_time
 from poise.errors import UsageError
 from poise.estimate.architecture_hash import hash_of
 from poise.estimate.success import Ending, Outcome, Posterior, Situation, SuccessStore
@@ -95,7 +95,7 @@ def note_outcome(
     with _store(robot) as store:
         for each in served:
             outcome = Outcome(
-                at=time.time(),
+                at=wall_time(),
                 action=action,
                 situation=situation,
                 function=each.function,

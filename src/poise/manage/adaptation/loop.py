@@ -14,6 +14,7 @@ from functools import cache, partial
 from msgspec import Struct
 from msgspec.structs import replace
 
+from poise.clock import wall_time
 from poise.errors import PoiseError
 from poise.manage.adaptation.actions import Actions
 from poise.manage.adaptation.decision import Decision, decide
@@ -296,7 +297,7 @@ class Adaptation:
         for symptom in symptoms:
             # a computer that is out of reach is reported as such (`LostComputers`)
             if symptom.key not in self._reported and symptom.policy.do != "fail over":
-                self._reported[symptom.key] = _Reported(symptom, time.time())
+                self._reported[symptom.key] = _Reported(symptom, wall_time())
                 note("wrong", symptom.what, policies=_seen([symptom]))
         for key in self._reported.keys() - self._policies.since.keys():
             note("right", f"no more: {self._reported.pop(key).symptom.what}")

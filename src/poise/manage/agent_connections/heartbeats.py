@@ -74,12 +74,6 @@ class AgentHeartbeats:
         with self._lock:
             return self._reachability.heard_by(computer, self._clock.now())
 
-    def holds_lease(self, computer: str) -> bool:
-        """Return whether an agent is heard and said that its lease is in force."""
-        with self._lock:
-            contact = self._contacts.get(computer)
-            return contact is not None and not contact.last.is_cut_off
-
     def is_cut_off(self, computer: str) -> bool:
         """Return whether an agent said last that its lease has ended."""
         with self._lock:

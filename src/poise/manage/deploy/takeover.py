@@ -6,7 +6,7 @@ import contextlib
 import itertools
 import secrets
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from poise.errors import PoiseError, RobotError, RunError
 from poise.manage.adaptation.facts import Facts
@@ -75,13 +75,13 @@ def _take_over(
 ) -> None:
     began = time.monotonic()
     last = max(deployments.values(), key=lambda d: d.generation, default=None)
-    run.tasks = last.tasks if last else b""
+    tasks = last.tasks if last else b""
     # what comes back from now on is claimed and told then
-    run.excused |= unclaimed.keys() | run.agents.out_of_reach().keys()
+    run.goes_on_without_lost = True
     planned = run.placement()
-    if run.tasks and not is_rule:
+    if tasks and not is_rule:
         # the tasks go on where they are, and say themselves what they need
-        planned = _at_work(run, found)
+        planned = _at_work(run, found, deployments.keys())
     is_committed = is_half_done(found, run.robot) and _is_committed(run, deployments)
     adoption = adopt(
         found,
@@ -91,19 +91,20 @@ def _take_over(
         is_committed=is_committed,
         keeps=not is_rule,
     )
-    run.adopt(adoption.kept, _last_epochs(found))
     _note(run, adoption)
-    _tell(run)
+    run.adopt(adoption.kept, _last_epochs(found), tasks)
     for sentence in (*unclaimed.values(), *run.unreached().values()):
         run.journal.note("wrong", sentence)
     seconds = time.monotonic() - began
     run.journal.note("done", "took over", placement=run.placement(), seconds=seconds)
-    _start(run, adoption, found)
+    _start(run, adoption, found, deployments.keys())
     if is_rule:
         _move(run, planned)
 
 
-def _at_work(run: RunningComponents, found: Sequence[Found]) -> dict[str, str]:
+def _at_work(
+    run: RunningComponents, found: Sequence[Found], claimed: Collection[str]
+) -> dict[str, str]:
     """Return what works, with what its architectures lack, and layers that never stop.
 
     What works stays where it is, if it still may. What is lacking may be at work on a
@@ -111,7 +112,7 @@ def _at_work(run: RunningComponents, found: Sequence[Found]) -> dict[str, str]:
     it is not started twice. Else it goes where there is room. What only rests ends.
     """
     allowed, planned = allowed_computers(run.robot), run.placement()
-    away = {c.name for c in run.robot.computers} - (run.computers() - run.excused)
+    away = {c.name for c in run.robot.computers} - set(claimed)
     works = {e.name: e.computer for e in found if e.spec.goal != "inactive"}
     homes: dict[str, tuple[str, ...]] = {}
     for architecture in run.robot.architectures:
@@ -180,29 +181,33 @@ def _note(run: RunningComponents, adoption: Adoption) -> None:
     run.journal.note("decided", f"{kept} go on as they run", kept=sorted(adoption.kept))
 
 
-def _start(run: RunningComponents, adoption: Adoption, found: Sequence[Found]) -> None:
+def _start(
+    run: RunningComponents,
+    adoption: Adoption,
+    found: Sequence[Found],
+    claimed: Collection[str],
+) -> None:
     """Start what does not go on; what cannot start is a deviation from then on."""
     starts = [
         Incarnation(component=name, computer=computer, epoch=run.next_epoch(name))
         for name, computer in adoption.starts.items()
     ]
     # what is out of reach starts elsewhere, if it may, or once it is reached
-    told = run.computers() - run.excused
-    new = [each for each in starts if each.computer in told]
+    new = [each for each in starts if each.computer in claimed]
     if not starts:
         return
     try:
         for each in found:
             if each.name in adoption.restarts:
                 run.wait_ended(each.incarnation)
-        run.bring([each.with_goal("inactive") for each in new], READY_LIMIT)
-        run.bring(new, ACTIVE_LIMIT)
+        inactive = [each.with_goal("inactive") for each in new]
+        run.bring(inactive, READY_LIMIT, "start what is missing")
+        run.bring(new, ACTIVE_LIMIT, "activate what is missing")
         if new:
             run.journal.note("done", f"started {counted(len(new), 'component')}")
     except RunError as error:
         run.journal.note("failed", f"not all that is missing started: {error}")
-    run.placed |= {each.component: each for each in starts}
-    _tell(run)
+    run.commit(run.desired.placing(starts), "what is missing belongs there")
 
 
 def _claim(
@@ -227,17 +232,6 @@ def _claim(
         hint = "`poise up --take-over` takes the robot over"
         raise RunError(f"{unclaimed[computers[0]]}; {hint}")
     return deployments, unclaimed
-
-
-def _tell(run: RunningComponents) -> None:
-    """Tell agents what should run; one that is lost meanwhile is told when it is back.
-
-    Nothing of a robot at work ends because one of its agents cannot be told.
-    """
-    try:
-        run.tell(run.placed.values(), run.computers() - run.excused)
-    except RunError as error:
-        run.journal.note("failed", f"not all agents know yet what should run: {error}")
 
 
 def _move(run: RunningComponents, wanted: Mapping[str, str]) -> None:

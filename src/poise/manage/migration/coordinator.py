@@ -82,7 +82,9 @@ class Migration:
         self._away = run.agents.out_of_reach().keys()
         self._dropped: dict[str, str] = {}
         self._number = 0
-        self._phases = MigrationPhases("manager", f"migration of {report.name}")
+        self._names = [source.component for source in sources]
+        self._what = f"migration of {report.name}"
+        self._phases = MigrationPhases("manager", self._what)
         self._taken: list[StepTaken] = []
         self._late: list[PlacedStep] = []
 
@@ -104,9 +106,13 @@ class Migration:
         phases = self._phases.seconds()
         if not reason:
             self._linger()
-        self._remove(self._targets if reason else self._sources)
         if reason:
             reason = self._with_losses(reason)
+            desired = self._run.desired.aiming("active", self._names).starting(())
+            self._run.commit(desired, f"{self._what} is rolled back: {reason}")
+        else:
+            self._run.reconcile()
+        self._wait_ended(self._targets if reason else self._sources)
         return structs.replace(
             self._report,
             committed=not reason,
@@ -136,10 +142,10 @@ class Migration:
         )
 
     def _prepare(self, plan: MigrationPlan) -> None:
-        staying = [source.with_goal("stay") for source in self._sources]
-        self._run.tell([*self._others.values(), *staying, *self._targets])
+        desired = self._run.desired.aiming("stay", self._names).starting(self._targets)
+        self._run.commit(desired, f"prepare the {self._what}")
         # higher than that of any earlier migration, whatever the clock says
-        self._number = self._run.generation
+        self._number = self._run.desired.generation
         stall = Stall(self._run, self._targets)
 
         def trouble() -> bool:
@@ -166,12 +172,10 @@ class Migration:
             return str(error)
         self._phases.enter("transfer", quiesced)
         self._phases.enter("commit")
-        # nothing rolls back any more
-        placed = self._run.placed
-        for source in self._sources:
-            del placed[source.component]
-        for target in self._targets:
-            placed[target.component] = target.with_goal("active")
+        # nothing rolls back any more; sources redirect until agents are told
+        desired = self._run.desired.without(self._names)
+        desired = desired.placing(each.with_goal("active") for each in self._targets)
+        self._run.commit(desired, f"{self._what} is committed", tell_later=True)
         self._phases.enter("resume")
         self._resume(plan.resume())
         return ""
@@ -265,18 +269,17 @@ class Migration:
             self._taken += outcome.taken
             yield batches[by_number[outcome.number]], outcome
 
-    def _remove(self, gone: Sequence[Incarnation]) -> None:
-        """Let only what is placed run, and wait until `gone` have ended."""
+    def _wait_ended(self, gone: Sequence[Incarnation]) -> None:
+        """Wait until what is not desired any more has ended; say what does not end."""
         run = self._run
-        try:
-            run.tell(run.placed.values())
-            if not run.agents.wait_news(
-                lambda: all(map(run.has_ended, gone)), REMOVE_LIMIT
-            ):
-                hanging = [e.component for e in gone if not run.has_ended(e)]
-                self._note_failure(f"'{', '.join(hanging)}' does not end")
-        except RunError as error:
-            self._note_failure(f"telling what should run: {error}")
+
+        def have_ended() -> bool:
+            run.reconcile()
+            return all(map(run.has_ended, gone))
+
+        if not run.agents.wait_news(have_ended, REMOVE_LIMIT):
+            hanging = [e.component for e in gone if not run.has_ended(e)]
+            self._note_failure(f"'{', '.join(hanging)}' does not end")
 
     def _with_losses(self, reason: str) -> str:
         """Return why it rolled back; a loss is known later than what it leads to."""
@@ -285,7 +288,7 @@ class Migration:
         return "; ".join([reason, *(text for text in new if text not in reason)])
 
     def _note_failure(self, reason: str) -> None:
-        self._run.journal.note("failed", f"migration of {self._report.name}: {reason}")
+        self._run.journal.note("failed", f"{self._what}: {reason}")
 
     def _raise_on_failed(self) -> bool:
         run = self._run

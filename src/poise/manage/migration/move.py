@@ -129,19 +129,14 @@ def _move_cold(
     """
     started = time.monotonic()
     try:
-        try:
-            run.tell([*run.placed.values(), new])
-            run.wait([new], READY_LIMIT)
-        except RunError as error:
-            run.tell(run.placed.values())
-            seconds = time.monotonic() - started
-            phases = {"prepare": seconds}
-            return structs.replace(report, reason=str(error), phases=phases)
-        stopped = time.monotonic()
-        reason = _swap(run, old, new)
+        run.bring([new], READY_LIMIT, f"prepare the cold move of {report.name}")
     except RunError as error:
-        reason = f"telling what should run: {error}"
-        return structs.replace(report, reason=reason)
+        desired = run.desired.starting(())
+        run.commit(desired, f"the cold move of {report.name} is rolled back: {error}")
+        phases = {"prepare": time.monotonic() - started}
+        return structs.replace(report, reason=str(error), phases=phases)
+    stopped = time.monotonic()
+    reason = _swap(run, old, new)
     return structs.replace(
         report,
         committed=not reason,
@@ -153,18 +148,19 @@ def _move_cold(
 
 def _swap(run: RunningComponents, old: Incarnation, new: Incarnation) -> str:
     """Return why `old` runs again; empty: `new` runs."""
-    others = [each for each in run.placed.values() if each != old]
-    active = new.with_goal("active")
+    what, active = f"cold move of '{old.component}'", new.with_goal("active")
     try:
-        run.tell([*others, new])
+        # the two must not run at the same time
+        desired = run.desired.without([old.component]).starting([new])
+        run.commit(desired, f"{what}: it ends where it was")
         run.wait_ended(old)
-        run.bring([active], ACTIVE_LIMIT)
+        run.bring([active], ACTIVE_LIMIT, f"{what}: it starts")
     except RunError as error:
         again = structs.replace(old, epoch=run.next_epoch(old.component))
-        run.placed[old.component] = again
-        run.tell(run.placed.values())
+        desired = run.desired.starting(()).placing([again])
+        run.commit(desired, f"{what} is rolled back: {error}")
         return str(error)
-    run.placed[new.component] = active
+    run.commit(run.desired.placing([active]), f"{what} is committed")
     return ""
 
 

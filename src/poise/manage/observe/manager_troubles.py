@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from poise.clock import wall_time
 from poise.manage.journal import Journal
 from poise.manage.observe.deviations import Deviation
 
@@ -26,7 +27,7 @@ class ManagerTroubles:
     def __init__(
         self,
         journal: Journal,
-        wall: Callable[[], float] = time.time,
+        wall: Callable[[], float] = wall_time,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
         self._journal = journal

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Sequence
 from collections.abc import Set as AbstractSet
 
 from msgspec.structs import replace
 
+from poise.clock import boot_time
 from poise.estimate.success.learning import learned
 from poise.manage.adaptation.facts import Facts
 from poise.manage.deploy.running_components import RunningComponents
@@ -80,7 +80,7 @@ class Admission:
 
     def _end_or_block(self, record: TaskRecord, why: str) -> None:
         """End the actions that do not fit though no other task runs."""
-        now = time.time()
+        now = boot_time()
         for each in self._tasks.tries(record):
             if each.progress.since is None:
                 self._tasks.end(each.number, now, f"it does not fit: {why}", done=False)

@@ -376,6 +376,7 @@ class Agent:
             health=supervisor.records(usage),
             clocks=self._heartbeats.clocks,
             cut_off=self._fence.cut_off,
+            unmanaged=self._fence.unmanaged,
             links=self._heartbeats.links(),
         )
 

@@ -9,13 +9,16 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from poise.wire.records.checkpoints import CheckpointCopy, checkpoint_path
+from poise.wire.records.checkpoints import (
+    CheckpointCopy,
+    age_of,
+    checkpoint_path,
+    set_age,
+)
 from poise.wire.records.deployment import Deployment
 
 log = logging.getLogger(__name__)
@@ -80,7 +83,7 @@ class CheckpointFiles:
         """Keep a copy for a component that is to start here; raises OSError."""
         path = checkpoint_path(self._folder, copy.component, copy.epoch)
         path.write_bytes(copy.data or b"")
-        os.utime(path, (time.time() - copy.age,) * 2)
+        set_age(path, copy.age)
 
     def _main(self) -> None:
         self._has_work.wait()  # most robots have no checkpoints
@@ -107,6 +110,6 @@ class CheckpointFiles:
                     component=component,
                     epoch=epoch,
                     data=None if is_same else path.read_bytes(),
-                    age=max(0.0, time.time() - found.st_mtime),
+                    age=age_of(path),
                 )
                 self._sent[component, epoch] = at

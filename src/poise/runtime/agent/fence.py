@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import zenoh
 
+from poise.clock import wall_time
 from poise.wire.records.requests import Claim, ManagerId, Refused
 
 
@@ -37,6 +37,8 @@ class Fence:
         Whether the lease has ended, and no manager has said since what runs elsewhere.
     cut_off
         Since when `look` knows that [s since 1970]; 0: it is not so.
+    unmanaged
+        Since when `look` knows of no manager that is there [s since 1970]; 0: one is.
     """
 
     def __init__(
@@ -53,6 +55,7 @@ class Fence:
         self.arrivals = 0
         self.is_cut_off = False
         self.cut_off = 0.0
+        self.unmanaged = wall_time()
         self._robot = robot
         self._computer = computer
         self._gone: set[str] = set() if manager is None else {manager.key}
@@ -68,12 +71,13 @@ class Fence:
         is_gone = manager is None or manager.key in self._gone
         self._present = None if is_gone else manager
         if self._present != before:
+            self.unmanaged = wall_time() if is_gone else 0.0
             if before is not None:
                 self._say(f"{before} is gone; containers go on")
             if self._present is not None:
                 self._say(f"managed by {self._present}")
         if self.is_cut_off and not self.cut_off:
-            self.cut_off = time.time()
+            self.cut_off = wall_time()
             # the present manager is refused, too, until it claims the agent again
             self.token += 1
             self._is_expired = True

@@ -58,6 +58,11 @@ class Computers:
         self._began = 0.0
 
     @property
+    def outlive_manager(self) -> bool:
+        """Whether agents and containers go on when this process is killed."""
+        return not self._agents
+
+    @property
     def faster(self) -> Mapping[str, float]:
         """Computer -> how many times more CPU it has than the robot file says."""
         return {name: computer.slowdown for name, computer in self.emulated.items()}
@@ -135,7 +140,7 @@ def computers_of(
         return
     with emulated_agents(robot, folder, say, sample_every=sample_every) as agents:
         yield Computers(
-            _endpoints(agents.emulation.computers),
+            agent_locators(agents.emulation.computers),
             agents.emulation.without,
             agents.processes,
             agents.emulation.computers,
@@ -151,12 +156,13 @@ def _kept(kept: EmulatedSet, say: Say) -> Iterator[Computers]:
         say(f"  {fault}")
     try:
         yield Computers(
-            _endpoints(kept.computers), state.without, emulated=kept.computers
+            agent_locators(kept.computers), state.without, emulated=kept.computers
         )
     finally:
         for computer in kept.computers.values():
             computer.end_started()
 
 
-def _endpoints(computers: Mapping[str, EmulatedComputer]) -> dict[str, str]:
+def agent_locators(computers: Mapping[str, EmulatedComputer]) -> dict[str, str]:
+    """Return the zenoh endpoints of the agents of emulated computers."""
     return {name: locator(agent_of(computer)) for name, computer in computers.items()}

@@ -255,7 +255,9 @@ class Fault(Struct, frozen=True, kw_only=True):
     number
         Counts the faults of one agent, from 1.
     at
-        When [s since the epoch], by that computer's clock.
+        When [s since the epoch], by that computer's clock; for people.
+    uptime
+        For how long its agent had run then [s].
     restarts
         How often the container was started again before.
     is_over
@@ -266,6 +268,7 @@ class Fault(Struct, frozen=True, kw_only=True):
     message: str
     number: int = 0
     at: float = 0.0
+    uptime: float = 0.0
     restarts: int = 0
     is_over: bool = False
 
@@ -336,6 +339,9 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
     cut_off
         Since when its leased components are inactive, because its lease has ended
         [s since 1970]; 0: they are not.
+    unmanaged
+        Since when it knows of no manager that is there: that one went, or the agent
+        started [s since 1970]; 0: one is there.
     links
         How the ways to other computers are, by name.
     """
@@ -359,4 +365,5 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
     health: tuple[ContainerHealth, ...] = ()
     clocks: Mapping[str, ClockStatus] = {}
     cut_off: float = 0.0
+    unmanaged: float = 0.0
     links: Mapping[str, LinkQuality] = {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import pytest
@@ -29,7 +28,7 @@ class Crashing(Robbed):
             computers=tuple(Computer(name=n, capacity=SPECS) for n in names),
             architectures=free,
         )
-        super().__init__(robot, computers=names)
+        super().__init__(robot)
         self.crashing: set[str] = {"left"}
         self.faults: dict[str, tuple[Fault, ...]] = {}
         self.now = 0.0
@@ -83,7 +82,7 @@ def test_it_runs_on_the_other_computer() -> None:
 def test_a_new_manager_knows_where_it_crashed_under_the_one_before() -> None:
     robbed = Crashing(robot_with())
     robbed.faults["right"] = tuple(
-        Fault(container="low-task", message="", at=time.time()) for _ in range(5)
+        Fault(container="low-task", message="", uptime=0.0) for _ in range(5)
     )
     robbed.look()
     assert robbed.run.placement() == HIGH

@@ -69,13 +69,8 @@ def robot_with(high: int = 10, low: int = 1, layer: str = "sequencing") -> Robot
 class Robbed:
     """A robot that runs, and what is put aside of it."""
 
-    def __init__(
-        self,
-        robot: Robot,
-        placement: Mapping[str, str] = BOTH,
-        computers: tuple[str, ...] = ("left",),
-    ) -> None:
-        self.agents = FakeAgents(*computers)
+    def __init__(self, robot: Robot, placement: Mapping[str, str] = BOTH) -> None:
+        self.agents = FakeAgents(*(computer.name for computer in robot.computers))
         self.journal = Journal(":memory:")
         agents = cast("Agents", self.agents)
         self.run = RunningComponents(robot, placement, agents, self.journal, "/run")

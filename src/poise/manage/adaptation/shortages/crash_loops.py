@@ -5,8 +5,6 @@ Each computer is tried once. What is pinned stays, and its agent goes on restart
 
 from __future__ import annotations
 
-import time
-
 from poise.errors import RunError
 from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.move_limits import MoveLimits
@@ -105,7 +103,7 @@ def _crashed_before(container: str, facts: Facts, now: float) -> dict[str, float
     found = {}
     for computer, status in facts.statuses.items():
         ages = [
-            time.time() - fault.at
+            status.uptime - fault.uptime
             for fault in status.faults
             if fault.container == container and not fault.is_over
         ]

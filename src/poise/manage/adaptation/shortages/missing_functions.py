@@ -6,10 +6,10 @@ placed on computers within reach.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable
 from collections.abc import Set as AbstractSet
 
+from poise.clock import wall_time
 from poise.manage.adaptation.facts import Facts
 from poise.manage.journal import Journal
 from poise.manage.observe.deviations import Deviation
@@ -43,7 +43,7 @@ class Needs:
             what = f"task '{task}' goes on without function '{name}'"
             if name in needed:
                 what = f"{lacking(task, {name})}"
-            self._said[name] = Deviation(what=what, computer="", since=time.time())
+            self._said[name] = Deviation(what=what, computer="", since=wall_time())
             self._journal.note("wrong", what)
         return lasting & needed
 

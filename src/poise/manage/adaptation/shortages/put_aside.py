@@ -6,13 +6,13 @@ it, too.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from itertools import groupby, islice, product
 
 from msgspec import Struct, structs
 
+from poise.clock import wall_time
 from poise.errors import UsageError
 from poise.estimate.profile.code_version import version_of
 from poise.manage.adaptation.facts import Facts
@@ -302,7 +302,7 @@ class PutAside:
 
     def _add(self, name: str, why: str) -> None:
         before = self._known.get(name)
-        self._known[name] = _Aside(why, before.since if before else time.time())
+        self._known[name] = _Aside(why, before.since if before else wall_time())
         if before is None or before.why != why:
             self._run.journal.note("wrong", _sentence(name, why))
 

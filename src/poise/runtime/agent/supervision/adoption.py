@@ -20,7 +20,7 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from poise.clock import Clock
+from poise.clock import Clock, boot_id
 from poise.errors import UsageError
 from poise.runtime.container.agent_link import Orphan, take_over
 from poise.wire.connections.socket_path import agent_path, socket_path
@@ -31,7 +31,6 @@ log = logging.getLogger(__name__)
 
 ADOPT_LIMIT = 5.0
 """A container of an earlier agent asks to be adopted within this time [s]."""
-_BOOT = Path("/proc/sys/kernel/random/boot_id")
 
 
 class AgentState(Struct, frozen=True, kw_only=True):
@@ -69,7 +68,7 @@ class AgentFolder:
     def __init__(self, folder: Path) -> None:
         self._path = folder / "state"
         self._lock = os.open(folder / "lock", os.O_RDWR | os.O_CREAT, 0o600)
-        self._boot = _BOOT.read_text().strip()
+        self._boot = boot_id()
         self._kept = AgentState()
         self.trouble = ""
         try:

@@ -6,7 +6,6 @@ import contextlib
 import os
 import signal
 import socket
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from signal import SIGKILL
@@ -19,7 +18,7 @@ from poise.runtime._calls import PageSampler
 from poise.runtime.agent.sampling.watchdog import Silence
 from poise.wire import record_channel
 from poise.wire.codec import WireError
-from poise.wire.records.checkpoints import checkpoint_path
+from poise.wire.records.checkpoints import age_of, checkpoint_path
 from poise.wire.records.clocks import Clocks, ClockStatus
 from poise.wire.records.container import (
     ContainerFailure,
@@ -249,7 +248,7 @@ class ProcessEnd(Struct, frozen=True):
 def _age(checkpoint: Path) -> float | None:
     """Return the age of a checkpoint [s]; None: there is none."""
     try:
-        return max(0.0, time.time() - checkpoint.stat().st_mtime)
+        return age_of(checkpoint)
     except OSError:
         return None
 

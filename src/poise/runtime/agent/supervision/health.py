@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 
 from msgspec import structs
 
+from poise.clock import wall_time
 from poise.wire.records.status import ContainerHealth, ContainerState, Fault
 
 _MOST_FAULTS = 100
@@ -30,6 +31,7 @@ class HealthRecords:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
+        self._born = clock()
         self._restarts: dict[str, deque[float]] = {}
         self._faults: deque[Fault] = deque(maxlen=_MOST_FAULTS)
         self._number = 0
@@ -61,7 +63,8 @@ class HealthRecords:
             container=container,
             message=message,
             number=self._number,
-            at=time.time(),
+            at=wall_time(),
+            uptime=self._clock() - self._born,
             restarts=known.restarts if known else 0,
             is_over=is_over,
         )
@@ -111,7 +114,7 @@ class HealthRecords:
         self._of[container] = structs.replace(
             known,
             state=state,
-            since=time.time(),
+            since=wall_time(),
             reason=reason,
             restarts=known.restarts if restarts is None else restarts,
         )
