@@ -25,6 +25,7 @@ def rounds_of(
     news: dict[str, str],
     late: Mapping[str, int] = {},
     away: Collection[str] = (),
+    /,
     **others: str,
 ) -> MigrationPlan:
     """Return the rounds when all components call over ports named ``calls``."""

@@ -363,7 +363,7 @@ class RunningComponents:
         """Return what `wait` still waits for, in words."""
         statuses = self.current()
         silent = self._involved(wanted) & (self.computers() - statuses.keys())
-        new = {each.component: each for each in wanted}
+        new = {each.component: each for each in wanted if not each.unjoined}
         placed = {**self.placed, **new}
         joins = set(map(str, self.layout.connectors_at(new, placed)))
         joins -= self.unreached_connectors(placed).keys()
@@ -443,6 +443,19 @@ class RunningComponents:
                 self.journal.note("failed", what)
                 raise RunError(f"{what}:\n{component.error}")
         return False
+
+    def raise_on_broken(self, incarnations: Collection[Incarnation]) -> None:
+        """Raise RunError when one failed, or its container does not respond."""
+        if stuck := self.unresponsive(incarnations):
+            raise RunError("; ".join(stuck))
+        where = {(each.component, each.epoch): each.computer for each in incarnations}
+        for each in components_of(self.current()):
+            computer = where.get((each.name, each.epoch))
+            if computer is not None and each.state == "failed":
+                raise RunError(
+                    f"component '{each.name}' cannot be configured on '{computer}':\n"
+                    f"{each.error}"
+                )
 
     def raise_on_unreached(self, incarnations: Iterable[Incarnation]) -> None:
         """Raise RunError when one is on a computer that is out of reach."""

@@ -108,7 +108,8 @@ class Migration:
             self._linger()
         if reason:
             reason = self._with_losses(reason)
-            desired = self._run.desired.aiming("active", self._names).starting(())
+            desired = self._run.desired.configured(self._targets).starting(())
+            desired = desired.aiming("active", self._names)
             self._run.commit(desired, f"{self._what} is rolled back: {reason}")
         else:
             self._run.reconcile()
@@ -127,6 +128,10 @@ class Migration:
         """Return the steps; raise RunError when they could not all be taken."""
         self._raise_on_failed()
         run = self._run
+        for source in self._sources:
+            placed = run.placed.get(source.component)
+            if placed is None or placed.epoch != source.epoch:
+                raise RunError(f"component '{source.component}' was changed meanwhile")
         raise_on_cut_state(run, self._sources, self._targets)
         late = late_connectors(run, self._sources, self._others)
         self._dropped = {name: each.why for name, each in late.items()}
@@ -295,17 +300,10 @@ class Migration:
         run.look()
         ends = [*self._sources, *self._targets]
         run.raise_on_unreached(ends)
-        if stuck := run.unresponsive(ends):
-            raise RunError("; ".join(stuck))
-        targets = {(t.component, t.epoch): t for t in self._targets}
+        run.raise_on_broken(ends)
         sources = {(s.component, s.epoch): s for s in self._sources}
         for component in components_of(run.current()):
             key = component.name, component.epoch
-            if key in targets and component.state == "failed":
-                raise RunError(
-                    f"component '{component.name}' cannot be configured on "
-                    f"'{targets[key].computer}':\n{component.error}"
-                )
             if key in sources and component.state != "active":
                 raise RunError(self._why_not_active(sources[key], component))
         return False

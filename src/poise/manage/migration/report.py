@@ -64,19 +64,24 @@ class MigrationReport(Struct, frozen=True, tag=True, kw_only=True):
         kind = "architecture" if self.by and ":" not in self.by else "component"
         return f"{kind} '{self.what}'"
 
+    @property
+    def way(self) -> str:
+        """The same with where it goes, or what comes instead."""
+        if self.by:
+            return f"{self.name} by '{self.by}'"
+        before, after = self.before.get(self.what), self.after.get(self.what)
+        return f"{self.name} from '{before}' to '{after}'"
+
     def note_in(self, journal: Journal) -> None:
         """Journal what was done, or why it was not."""
-        before, after = self.before.get(self.what), self.after.get(self.what)
-        way = f"{self.name} from '{before}' to '{after}'"
-        if self.by:
-            way = f"{self.name} by '{self.by}'"
         if self.committed:
             how = " by a cold move" if self.cold else ""
             verb = "replaced" if self.by else "moved"
-            text = f"{verb} {way}{how}; {self._times()}{self._losses()}"
+            text = f"{verb} {self.way}{how}; {self._times()}{self._losses()}"
             journal.note("done", text, migration=self)
         else:
-            text = f"did not {'replace' if self.by else 'move'} {way}: {self.reason}"
+            verb = "replace" if self.by else "move"
+            text = f"did not {verb} {self.way}: {self.reason}"
             journal.note("failed", text, migration=self)
 
     def _losses(self) -> str:
