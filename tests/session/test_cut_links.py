@@ -136,13 +136,22 @@ def running(file: Path, emulated: EmulatedSet) -> Iterator[Running]:  # noqa: AR
 
 
 def is_cut(running: Running) -> bool:
-    return any("'a-b' is cut" in each.what for each in running.status().deviations)
+    return any("is cut" in each.what for each in running.status().deviations)
 
 
-def cut(running: Running, emulated: EmulatedSet) -> None:
-    """Cut a from b, and wait until Poise knows."""
-    emulated.cut("a", "b")
+def cut(running: Running, emulated: EmulatedSet, other: str = "b") -> None:
+    """Cut a from another computer, and wait until Poise knows."""
+    emulated.cut("a", other)
     wait_long(lambda: is_cut(running))
+
+
+def heal(running: Running, emulated: EmulatedSet, other: str = "b") -> None:
+    """Heal that; nothing late comes then after what is newer."""
+    emulated.heal("a", other)
+    wait_long(lambda: not is_cut(running))
+    before = measures(running)["came"]
+    wait_long(lambda: measures(running)["came"] > before + 20)
+    assert measures(running)["wrong"] == 0
 
 
 def moved(running: Running, computer: str) -> tuple[MigrationReport, float]:
@@ -152,21 +161,33 @@ def moved(running: Running, computer: str) -> tuple[MigrationReport, float]:
 
 
 @pytest.mark.parametrize("file", ["Keeps"], indirect=True)
+@pytest.mark.parametrize("known", ["by heartbeats", "by its connection, too"])
 def test_a_component_leaves_a_cut_link_with_what_is_late_dropped(
-    running: Running, emulated: EmulatedSet
+    running: Running, emulated: EmulatedSet, known: str
 ) -> None:
     """It hung in its preparation for as long as the link was cut."""
     cut(running, emulated)
+    if known == "by its connection, too":
+        wait_long(lambda: "mid.out-sink.out" in unjoined(running))
     report, took = moved(running, "c")
     assert report.late == {"mid.out-sink.out": "link 'a-b' is cut"}
     assert took < ACTS_WITHIN
     before = measures(running)["came"]
     wait_long(lambda: measures(running)["came"] > before + 20)
-    emulated.heal("a", "b")
-    wait_long(lambda: not is_cut(running))
+    heal(running, emulated)
+
+
+@pytest.mark.parametrize("file", ["Keeps"], indirect=True)
+def test_a_component_gets_no_late_data_after_it_left_the_link_to_its_source(
+    running: Running, emulated: EmulatedSet
+) -> None:
+    cut(running, emulated, "c")
+    report, took = moved(running, "b")
+    assert report.late == {"source.tick-mid.tick": "link 'a-c' is cut"}
+    assert took < ACTS_WITHIN
     before = measures(running)["came"]
     wait_long(lambda: measures(running)["came"] > before + 20)
-    assert measures(running)["wrong"] == 0  # nothing late came after what is newer
+    heal(running, emulated, "c")
 
 
 @pytest.mark.parametrize("file", ["Blocks"], indirect=True)
@@ -182,8 +203,7 @@ def test_a_component_that_may_lose_nothing_stays_and_the_reason_names_the_link(
         "connector 'mid.out-sink.out' cannot be drained: link 'a-b' is cut; "
         "'sink.out' has no `keep`, so nothing may be lost"
     ) in str(caught.value)
-    emulated.heal("a", "b")
-    wait_long(lambda: not is_cut(running))
+    heal(running, emulated)
     assert moved(running, "c")[0].committed
     assert measures(running)["wrong"] == 0
 

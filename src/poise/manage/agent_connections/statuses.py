@@ -86,7 +86,7 @@ def missing(
     silent
         Computers that have not reported since they were told what should run.
     joins
-        The connectors that have to be joined.
+        The keys of the connectors that have to be joined.
     """
     states = {(c.name, c.epoch): c.state for c in components_of(statuses)}
     found = [f"computer '{name}' is silent" for name in sorted(silent)]
@@ -99,7 +99,7 @@ def missing(
     found += [
         f"connector '{connector.name}' is not joined"
         for connector in connectors_of(statuses)
-        if not connector.ready and connector.name in joins
+        if not connector.ready and connector.key in joins
     ]
     return found
 

@@ -179,6 +179,11 @@ class DeploymentPlan:
         """
         return self._slots[str(connector)]
 
+    def key_of(self, connector: Connector, placed: Mapping[str, Incarnation]) -> str:
+        """Return what both ends call a connector between placed components."""
+        source, target = (placed[end.component] for end in connector.between)
+        return self.joined(connector, source, target, {}).key
+
     def joined(
         self,
         connector: Connector,

@@ -365,8 +365,12 @@ class RunningComponents:
         silent = self._involved(wanted) & (self.computers() - statuses.keys())
         new = {each.component: each for each in wanted if not each.unjoined}
         placed = {**self.placed, **new}
-        joins = set(map(str, self.layout.connectors_at(new, placed)))
-        joins -= self.unreached_connectors(placed).keys()
+        unreached = self.unreached_connectors(placed)
+        joins = {
+            self.layout.key_of(connector, placed)
+            for connector in self.layout.connectors_at(new, placed)
+            if str(connector) not in unreached
+        }
         found = missing(wanted, statuses, silent, joins)
         found += self.unresponsive(wanted) if found else []
         faults = faults_after(self._faults_before_commit, statuses) if found else ()

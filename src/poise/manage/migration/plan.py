@@ -170,14 +170,10 @@ class MigrationPlan:
         """Return the keys of those that are late, and what their subscribers keep."""
         before = {**self._others, **self._sources}
         return {
-            self._key(c, before): self._late[str(c)]
+            self._layout.key_of(c, before): self._late[str(c)]
             for c in connectors
             if str(c) in self._late
         }
-
-    def _key(self, connector: Connector, placed: Mapping[str, Incarnation]) -> str:
-        source, target = (placed[end.component] for end in connector.between)
-        return self._layout.joined(connector, source, target, self._gateways).key
 
     def _drain_mailboxes(
         self, names: Collection[str], paused: Collection[str]
@@ -221,7 +217,7 @@ class MigrationPlan:
     ) -> Iterator[PlacedStep]:
         placed = {**self._others, **ends}
         for sender, theirs in self._by_container(connectors):
-            keys = tuple(self._key(connector, placed) for connector in theirs)
+            keys = tuple(self._layout.key_of(connector, placed) for connector in theirs)
             yield sender, Step(name, connectors=keys)
 
     def _by_container(

@@ -62,8 +62,9 @@ class OpenEndpoints:
         end: Side = "target" if self.sender is None else "source"
         if self.spec.kind == "direct":
             end = "both"
+        spec = self.spec
         return self.counts.status(
-            self.spec.name, self.spec.kind, end, ready=self.is_ready()
+            spec.name, spec.key, spec.kind, end, ready=self.is_ready()
         )
 
 

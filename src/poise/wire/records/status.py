@@ -82,6 +82,8 @@ class ConnectorStatus(Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
+    key
+        What both ends call it, by their epochs: another one after every move.
     end
         Where calls and messages begin (``source``), where they end (``target``), or
         ``both`` in one container: then all is counted once.
@@ -110,6 +112,7 @@ class ConnectorStatus(Struct, frozen=True, kw_only=True):
     """
 
     name: str
+    key: str = ""
     kind: ConnectorKind
     end: Side
     ready: bool
