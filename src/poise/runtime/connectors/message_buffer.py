@@ -44,7 +44,8 @@ class MessageBuffer:
         """Remove the oldest and return it; there must be one."""
         return self._waiting.popleft()
 
-    def keep(self, most: int) -> None:
-        """Hold only the newest messages from now on."""
-        self._counts.drops += max(0, len(self) - most)
-        self._waiting = deque(self._waiting, most)
+    def keep(self, most: int | None) -> None:
+        """Hold only the newest messages from now on; None: all, as before."""
+        if most is not None:
+            self._counts.drops += max(0, len(self) - most)
+            self._waiting = deque(self._waiting, most)

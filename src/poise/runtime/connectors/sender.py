@@ -145,7 +145,7 @@ class Sender:
     def buffer_for_move(self, keep: int | None = None) -> None:
         """Buffer messages from now on: the target moves. Harmless when repeated.
 
-        Only the newest when the target is cut off and `keep` says how many it keeps.
+        From a target that is cut off it holds back the `keep` newest only.
 
         Raises
         ------
@@ -156,9 +156,7 @@ class Sender:
             if len(self._routes) < _WHILE_MOVING:
                 raise RunError(f"connector {self.name}: its target does not move")
             self._target_moves = True
-            buffer = self._begin_to_buffer()
-            if keep is not None:
-                buffer.keep(keep)
+            self._begin_to_buffer().keep(keep)
 
     def buffer_until_active(self) -> None:
         """Buffer messages until `send_buffered`: the source is not active yet."""
