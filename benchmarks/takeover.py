@@ -134,7 +134,7 @@ def manager(
 ) -> Iterator[tuple[RunningComponents, DoomedAgents, float]]:
     """Take over the robot; yield its run, its agents, and when these were there."""
     robot = load(ROBOTS / "storm.yaml")
-    journal = Journal(folder / "journal.sqlite")
+    journal = Journal(folder / "journal.jsonl")
     with (
         contextlib.closing(journal),
         DoomedAgents(robot.name, endpoints, SystemClock()) as agents,
@@ -159,7 +159,7 @@ def live(
 ) -> None:
     """Be a manager until it kills itself."""
     chance = random.Random(seed)
-    before = len(read_journal(folder / "journal.sqlite")) if seed % 1_000_003 else 0
+    before = len(read_journal(folder / "journal.jsonl")) if seed % 1_000_003 else 0
     # some die while they take over
     doomed_from = seed if chance.random() < 0.15 else None
     with manager(endpoints, folder, doomed_from=doomed_from) as (run, agents, there):

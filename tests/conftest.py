@@ -58,13 +58,18 @@ def poise(tmp_path: Path) -> Poise:
 @pytest.fixture(scope="session", autouse=True)
 def _leaves_nothing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Hold that no process, file or emulated computer outlives all tests."""
-    state = tmp_path_factory.mktemp("state")  # pytest keeps it, elsewhere
-    with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory() as name:
+    tmp_path_factory.getbasetemp()  # pytest keeps its own, elsewhere
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        tempfile.TemporaryDirectory() as name,
+        tempfile.TemporaryDirectory() as state,
+    ):
         place = Path(name)
         place.chmod(0o755)  # some tests are another user
+        Path(state).chmod(0o777)
         patch.setenv("TMPDIR", name)
+        patch.setenv("XDG_STATE_HOME", state)
         patch.setattr(tempfile, "tempdir", None)
-        patch.setenv("XDG_STATE_HOME", str(state))
         patch.delenv("XDG_RUNTIME_DIR", raising=False)  # else robots' sockets lie there
         yield
         with contextlib.suppress(AssertionError):  # what follows names them

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from poise.errors import Timeout as Timeout
     from poise.errors import Unavailable as Unavailable
     from poise.errors import UsageError as UsageError
-    from poise.estimate.success import Situation as Situation
+    from poise.estimate.success import Conditions as Conditions
     from poise.estimate.success.learning import note_outcome as note_outcome
     from poise.manage.journal import JournalEntry as JournalEntry
     from poise.manage.journal import read_journal as read_journal
@@ -94,7 +94,7 @@ else:
         "RunReport": "session.reports.run_report",
         "Running": "session.running_robots.running",
         "Seen": "model.policy.seen",
-        "Situation": "estimate.success",
+        "Conditions": "estimate.success",
         "Stamp": "clock",
         "TakenOver": "errors",
         "Timeout": "errors",

@@ -67,6 +67,17 @@ class Elapsed(Struct, frozen=True):
         return self.value + self.error
 
 
+def time_asleep() -> float:
+    """Return for how long the computer has been suspended since it started [s].
+
+    The monotonic clock stands still meanwhile, CLOCK_BOOTTIME does not.
+    """
+    # a pause between two readings makes it seem less, never more
+    return max(
+        time.clock_gettime(time.CLOCK_BOOTTIME) - time.monotonic() for _ in range(2)
+    )
+
+
 class Clock(Protocol):
     """Where time comes from.
 

@@ -18,7 +18,9 @@ from poise.emulate import sweep
 from poise.emulate.registry import registry
 from poise.errors import PoiseError
 from poise.manage.control_socket.location import path_of
+from poise.manage.journal import read_journal
 from poise.runtime.waker import wait_readable
+from poise.session.state_folder import find_journal
 from tests.command import POISE, called, run_poise
 from tests.waiting import wait_until
 
@@ -160,7 +162,7 @@ def test_a_run_ends_with_a_report_and_prints_nothing_else(tmp_path: Path) -> Non
     assert told["placement"].keys() == {"counter", "printer"}
     assert {c["name"] for c in told["components"]} == {"counter", "printer"}
     assert told["faults"] == []
-    assert (report / "journal.sqlite").exists()
+    assert (report / "journal.jsonl").exists()
     assert "everything runs" in [entry["what"] for entry in told["journal"]]
     assert "everything runs" in (report / "report.html").read_text()
     if not told["invalid"]:
@@ -169,6 +171,8 @@ def test_a_run_ends_with_a_report_and_prints_nothing_else(tmp_path: Path) -> Non
 
 def test_a_component_that_raises_on_start_ends_the_run(robot: Write) -> None:
     code, said = run(robot(implementation("Angry")), "--task", "work")
+    kept = [each.what for each in read_journal(find_journal("tiny"))]
+    assert "task 'work', auto placement" in kept
     assert code == 1
     assert "component 'worker' on " in said
     assert "LookupError: no map here" in said

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import sqlite3
 import textwrap
 import urllib.request
 from collections.abc import Iterator
@@ -20,7 +19,7 @@ from poise.manage.control_socket.records import (
     RobotStatus,
     StatusCommand,
 )
-from poise.manage.journal import Journal
+from poise.manage.journal import Journal, read_journal
 from poise.manage.migration.transition import plan_transition
 from poise.manage.migration.transition_run import transit
 from poise.model import load
@@ -181,9 +180,7 @@ def test_a_running_robot_does_what_it_is_asked_and_tells_what_it_uses(
 
     assert poise("stop")[0] == 0
     wait_until(lambda: not is_up())
-    journal = sqlite3.connect(up / "journal")
-    told = [what for (what,) in journal.execute("SELECT what FROM entries")]
-    journal.close()
+    told = [entry.what for entry in read_journal(up / "journal")]
     assert any("reader" in what for what in told)
     table = up / "table.csv"
     run_poise("recording", "export", up / "recording", "--to", table)

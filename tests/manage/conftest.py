@@ -91,7 +91,7 @@ class FakeAgents:
         self.manager = ManagerId(key="k", user="ann", host="desk", pid=7, since=0.0)
         self.checkpoints = CheckpointCopies()
         self.gone: set[str] = set()
-        self.answering: set[str] = set()
+        self.lasting: set[str] = set()
         self.hearers: dict[str, str] = {}
         self.revoked: list[str] = []
         self.returns = False
@@ -99,6 +99,7 @@ class FakeAgents:
         self.is_forced = False
         self.later: ManagerId | None = None
         self.strangers: set[str] = set()
+        self.left_with: dict[str, Deployment] = {}
         self.refusing: set[str] = set()
         self.deaf: set[str] = set()
         self.refused: list[str] = []
@@ -162,6 +163,7 @@ class FakeAgents:
     ) -> dict[str, Deployment]:
         self.claimed += sorted(computers)
         self.is_forced = take_over
+        assert self.gone.isdisjoint(computers)
         return {c: d for c, d in self.deployed if c in computers}
 
     def successor(self) -> ManagerId | None:
@@ -171,8 +173,8 @@ class FakeAgents:
         refused, self.refused = self.refused, []
         return refused
 
-    def has_computer(self, computer: str) -> bool:
-        return computer in self.answering
+    def ends_soon(self, computer: str) -> bool:
+        return computer not in self.lasting
 
     def obey(self, computer: str) -> bool:
         return computer not in self.strangers
@@ -202,7 +204,7 @@ class FakeAgents:
             reply.take(Refused("not today"))
         else:
             self.strangers.discard(computer)
-            reply.take(Claimed())
+            reply.take(Claimed(self.left_with.get(computer)))
         return reply
 
     def end_claim(self, computer: str, reply: Reply) -> None:

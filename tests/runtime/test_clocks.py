@@ -114,6 +114,7 @@ def test_two_agents_learn_of_each_others_clocks() -> None:
                 where[name],
                 Fence("test", name, lambda: None, lambda _: None),
                 clock,
+                lambda _: None,
             )
             stack.callback(each.close)
             each.begin("manager", agents, is_leased=False)

@@ -56,7 +56,7 @@ def test_the_next_action_is_prepared_and_one_that_cannot_be_hurts_nobody(
     tmp_path: Path,
 ) -> None:
     file = written(tmp_path, "prefetch", "prefetched", CODE, ROBOT)
-    journal = tmp_path / "journal.sqlite"
+    journal = tmp_path / "journal.jsonl"
 
     def said(kind: str, text: str) -> bool:
         entries = poise.read_journal(journal)

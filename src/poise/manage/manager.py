@@ -21,9 +21,9 @@ from msgspec import structs
 
 from poise.errors import PoiseError, RunError, TakenOver
 from poise.manage.adaptation.bad_links import check_links
-from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.shortages.put_aside import PutAside
+from poise.manage.adaptation.situation import Situation
 from poise.manage.adaptation.what_if import check_move
 from poise.manage.control_socket.read_commands import look, status_of
 from poise.manage.control_socket.records import (
@@ -52,7 +52,7 @@ from poise.manage.observe.chains import ChainAges, chain_reports
 from poise.manage.observe.deadline_misses import DeadlineMisses
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.manager_troubles import ManagerTroubles
-from poise.manage.observe.recording import Recording
+from poise.manage.observe.recording import Recording, RecordingFile
 from poise.manage.observe.watch import Watch
 from poise.manage.prefetch.prefetch import Prefetcher
 from poise.manage.supervised import SupervisedTick
@@ -95,7 +95,7 @@ class Manager:
         *,
         adapts: bool = False,
         aside: str = "",
-        recording: Recording | None = None,
+        recording: RecordingFile | None = None,
     ) -> None:
         self._run = run
         run.goes_on_without_lost = True
@@ -114,18 +114,20 @@ class Manager:
         self._stopping = threading.Event()
         self._has_successor = False
         self._watch = Watch(run)
-        self._troubles = ManagerTroubles(run.journal)
+        self._troubles = ManagerTroubles(
+            run.journal, others=(samples, *([recording.file] if recording else []))
+        )
         self._lost = LostComputers(run)
         self._misses = DeadlineMisses()
         self._ages = ChainAges()
-        self.tasks = TaskManager(run, tasks, self._facts)
+        self.tasks = TaskManager(run, tasks, self._situation)
         self._put_aside = PutAside(run, self.tasks.now, aside)
         if aside:
             self._put_aside.look()
         self._prefetch = Prefetcher(run)
         keep = recording.add_seen if recording else None
         self._adaptation = Adaptation(
-            run, self._facts, self._put_aside, acts=adapts, keep=keep
+            run, self._situation, self._put_aside, self._tick, acts=adapts, keep=keep
         )
         run.check = self._look  # moves wait long: what breaks meanwhile is said at once
 
@@ -331,10 +333,10 @@ class Manager:
             case MoveCommand(component, computer, dry=True):
                 return self._adaptation.what_if(component, computer)
             case MoveCommand(component, computer, force):
-                facts = self._facts()
-                check_links(facts, component, computer)
+                situation = self._situation()
+                check_links(situation, component, computer)
                 if not force:
-                    check_move(facts, component, computer)
+                    check_move(situation, component, computer)
                 self._adaptation.note_asked(component, computer)
                 planned = plan_move(run, component, computer, force=force)
                 return planned.begin()
@@ -353,12 +355,16 @@ class Manager:
                 return Rebalanced(*self._adaptation.balance(cost, dry=dry))
         raise AssertionError(command)
 
-    def _facts(self) -> Facts:
+    def _situation(self) -> Situation:
         run, now = self._run, self.tasks.now()
-        return Facts(
+        return Situation(
             robot=structs.replace(run.robot, tasks=(now,)),
             task=now.name,
-            placement=run.placement(),
+            placement={
+                name: at
+                for name, at in run.placement().items()
+                if name not in run.desired.held
+            },
             lost=self._lost.computers(),
             loads=self._estimates.loads.loads(),
             misses=self._misses.look(run.current(), time.monotonic()),

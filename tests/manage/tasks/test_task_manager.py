@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from poise.clock import boot_id
 from poise.errors import UsageError
 from poise.estimate.success.learning import beliefs_about
-from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
@@ -115,14 +115,14 @@ class Rig:
         agents = cast("Agents", self.agents)
         self.run = RunningComponents(robot, {}, agents, self.journal, "/run")
         self.run.start()
-        self.manager = TaskManager(self.run, saved or Saved(), self._facts)
+        self.manager = TaskManager(self.run, saved or Saved(), self._situation)
         for name in started:
             self.manager.command("start", name)
         self.manager.look()
 
-    def _facts(self) -> Facts:
+    def _situation(self) -> Situation:
         now = self.manager.now()
-        return Facts(
+        return Situation(
             robot=replace(self.robot, tasks=(now,)),
             task=now.name,
             placement=self.run.placement(),

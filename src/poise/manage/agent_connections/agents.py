@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Self
 
 from poise.clock import Clock
-from poise.endpoint import Endpoint
 from poise.errors import RunError
 from poise.manage.agent_connections.checkpoint_copies import CheckpointCopies
 from poise.manage.agent_connections.heartbeats import AgentHeartbeats
@@ -24,6 +22,7 @@ from poise.manage.agent_connections.requests import (
 )
 from poise.priority import ahead
 from poise.wire.control_session import LEASE, open_session
+from poise.wire.failure_detector import SURELY_ENDED, UNCUT_SURELY_ENDED
 from poise.wire.records.checkpoints import CheckpointCopy
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.migration import (
@@ -47,8 +46,6 @@ _LATE = LEASE + 1.0
 """An agent that was cut off knows within this time that its manager ended [s]."""
 MARGIN = 0.1
 """An agent's answer to migration steps may come this much after their limit [s]."""
-_PROBE_LIMIT = 0.1
-"""A computer answers within this time, if it is there [s]."""
 _REVOKED = 2
 """A token that was revoked counts as one so much higher, which no agent has."""
 _LEAST_BANDWIDTH = 1e6
@@ -84,7 +81,12 @@ class Agents(AgentReports):
         self._is_leased = lease <= LEASE
         heard = endpoints if self._is_leased else {}
         self._heartbeats = AgentHeartbeats(
-            robot, self.manager.key, heard, clock, self.on_silent
+            robot,
+            self.manager.key,
+            heard,
+            clock,
+            self.on_silent,
+            SURELY_ENDED if self._is_leased else UNCUT_SURELY_ENDED,
         )
         self._tokens: dict[str, int] = {}
         self._claimed: dict[str, int] = {}
@@ -122,17 +124,6 @@ class Agents(AgentReports):
         """Leave the agents as they are."""
         self._heartbeats.close()
         self._session.close()  # type: ignore[no-untyped-call]
-
-    def has_computer(self, computer: str) -> bool:
-        """Return whether a computer answers that it runs no agent."""
-        at = Endpoint.parse(self._endpoints[computer].removeprefix("tcp/"))
-        try:
-            socket.create_connection((at.host, at.port), _PROBE_LIMIT).close()
-        except ConnectionRefusedError:
-            return True
-        except OSError:
-            pass
-        return False  # one that takes connections and is silent is frozen
 
     def obey(self, computer: str) -> bool:
         """Return whether an agent is reached and obeys this manager."""
@@ -266,6 +257,10 @@ class Agents(AgentReports):
         """Return a computer that still hears one out of reach; empty when none does."""
         return self._heartbeats.heard_by(computer)
 
+    def ends_soon(self, computer: str) -> bool:
+        """Return whether the lease of a lost computer has ended, or does soon."""
+        return self._is_leased or self._heartbeats.have_leases_ended({computer})
+
     def is_cut_off(self, computer: str) -> bool:
         """Return whether an agent says that its lease has ended."""
         return self._heartbeats.is_cut_off(computer)
@@ -341,3 +336,6 @@ class Agents(AgentReports):
 
     def _on_new_agent(self, computer: str) -> None:
         self._heartbeats.forget(computer)
+
+    def _on_ended_agent(self, computer: str) -> None:
+        self._heartbeats.note_ended(computer)

@@ -168,6 +168,9 @@ class AgentReports:
     def _on_new_agent(self, computer: str) -> None:
         """Know nothing of the agent of a computer that is back."""
 
+    def _on_ended_agent(self, computer: str) -> None:
+        """Note that an agent is gone now, so far as is known."""
+
     def on_alive(self, sample: zenoh.Sample) -> None:
         """Store that an agent came or went."""
         computer = str(sample.key_expr).rpartition("/")[2]
@@ -182,6 +185,7 @@ class AgentReports:
             elif computer in self._alive:
                 self._alive.discard(computer)
                 self._lost[computer] = wall_time()
+                self._on_ended_agent(computer)
             self._note_news()
 
     def on_silent(self, computers: Iterable[str]) -> None:
@@ -196,6 +200,8 @@ class AgentReports:
         with self._changed:
             missing = self._endpoints.keys() - self._alive
             self._lost |= dict.fromkeys(missing, wall_time())
+            for computer in missing:
+                self._on_ended_agent(computer)
             self._note_news()
 
     def _note_news(self) -> None:

@@ -30,6 +30,9 @@ class Desired(Struct, frozen=True, kw_only=True):
     prepared
         Component -> its idle incarnation: configured, inactive and joined to nothing,
         to be active soon.
+    held
+        Components that stay inactive, whatever their goal: another manager may run
+        them on a computer that this one has not claimed.
     spare
         Computer -> CPU for what is being prepared there [cores].
     tasks
@@ -44,6 +47,7 @@ class Desired(Struct, frozen=True, kw_only=True):
     coming: tuple[Incarnation, ...] = ()
     configured_ahead: tuple[Incarnation, ...] = ()
     prepared: Mapping[str, Incarnation] = {}
+    held: frozenset[str] = frozenset()
     spare: Mapping[str, float] = {}
     tasks: bytes = b""
     generation: int = 0
@@ -55,7 +59,11 @@ class Desired(Struct, frozen=True, kw_only=True):
             return ()
         busy = self.placed.keys() | {each.component for each in self.coming}
         idle = (each for name, each in self.prepared.items() if name not in busy)
-        return (*self.placed.values(), *self.coming, *self.configured_ahead, *idle)
+        wanted = (*self.placed.values(), *self.coming, *self.configured_ahead, *idle)
+        return tuple(
+            each.with_goal("inactive") if each.component in self.held else each
+            for each in wanted
+        )
 
     def placement(self) -> dict[str, str]:
         """Return component -> computer of what is authoritative."""
@@ -67,7 +75,7 @@ class Desired(Struct, frozen=True, kw_only=True):
         return {
             name: each
             for name, each in self.placed.items()
-            if each.goal == "active" and name not in changing
+            if each.goal == "active" and name not in changing | self.held
         }
 
     def starting(self, coming: Iterable[Incarnation]) -> Desired:

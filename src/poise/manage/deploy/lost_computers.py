@@ -32,6 +32,7 @@ class LostComputers:
         self._was_cut_off: set[str] = set()
         self._refused: dict[str, Deviation] = {}
         self._pids = _pids(run)
+        self._began = wall_time()
 
     def note(self) -> None:
         """Journal which computers were lost, which are back, and which refuse."""
@@ -58,10 +59,17 @@ class LostComputers:
         self._note_refusals()
 
     def computers(self) -> frozenset[str]:
-        """Return those that nobody hears: what ran there may be started elsewhere."""
+        """Return those that nobody hears: what ran there may be started elsewhere.
+
+        Their leases have ended, or end within a second.
+        """
         agents = self._run.agents
-        away = self._lost_at.keys() & agents.out_of_reach().keys()
-        return frozenset(name for name in away if not agents.heard_by(name))
+        away = self._lost_at.keys() & agents.out_of_reach().keys() & self._run.claimed
+        return frozenset(
+            name
+            for name in away
+            if not agents.heard_by(name) and agents.ends_soon(name)
+        )
 
     def deviations(self) -> list[Deviation]:
         """Return what is known of each; from any thread."""
@@ -80,7 +88,20 @@ class LostComputers:
             for computer, what in self._run.unreached().items()
             if computer in since
         ]
-        return [*returning, *refused.values(), *away]
+        return [*returning, *refused.values(), *away, *self._held_components()]
+
+    def _held_components(self) -> list[Deviation]:
+        """Return what may run on computers that were not claimed yet."""
+        run, desired = self._run, self._run.desired
+        return [
+            Deviation(
+                what=run.why_held(name),
+                computer=desired.placed[name].computer,
+                component=name,
+                since=self._began,
+            )
+            for name in sorted(desired.held & desired.placed.keys())
+        ]
 
     def settle(self) -> None:
         """Wait for computers that were cut off for a moment: a command is to come."""

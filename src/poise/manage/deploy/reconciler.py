@@ -57,7 +57,7 @@ class ReconciledAgents(Protocol):
         ...
 
 
-class _Agent:
+class _AskedAgent:
     """What was asked of one agent."""
 
     def __init__(self) -> None:
@@ -94,7 +94,7 @@ class Reconciler:
         self._agents = agents
         self._clock = clock
         self._on_claimed = on_claimed
-        self._known: dict[str, _Agent] = {}
+        self._known: dict[str, _AskedAgent] = {}
         self.troubles: Mapping[str, str] = {}
 
     def step(self, wanted: Mapping[str, Deployment]) -> None:
@@ -123,7 +123,7 @@ class Reconciler:
     def _bring(
         self, computer: str, wanted: Deployment, status: AgentStatus | None
     ) -> None:
-        agent, now = self._known.setdefault(computer, _Agent()), self._clock.now()
+        agent, now = self._known.setdefault(computer, _AskedAgent()), self._clock.now()
         if agent.reply is not None:
             self._take(computer, agent, now)
         if status is None:  # it is told when it is back
@@ -151,7 +151,7 @@ class Reconciler:
         self._take(computer, agent, now)
 
     def _is_told(
-        self, agent: _Agent, wanted: Deployment, status: AgentStatus, now: float
+        self, agent: _AskedAgent, wanted: Deployment, status: AgentStatus, now: float
     ) -> bool:
         told = agent.told
         if told is None or agent.pid != status.pid or not _same(told, wanted):
@@ -162,7 +162,7 @@ class Reconciler:
             return False
         return status.generation >= told.generation or now < agent.told_at + APPLY_LIMIT
 
-    def _take(self, computer: str, agent: _Agent, now: float) -> None:
+    def _take(self, computer: str, agent: _AskedAgent, now: float) -> None:
         """Take in an agent's answer, if it is there or late."""
         reply = agent.reply
         is_late = now >= agent.told_at + ANSWER_LIMIT

@@ -24,9 +24,11 @@ from poise.manage.agent_connections.statuses import (
     missing,
     unreached,
 )
+from poise.manage.deploy.adoption import found_in
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.desired import Desired, difference
 from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.other_side import joined_by
 from poise.manage.deploy.reconciler import Reconciler
 from poise.manage.journal import Journal
 from poise.manage.observe.faults import fault_sentence, faults_after, last_numbers
@@ -85,6 +87,9 @@ class RunningComponents:
         )
         """What should run; any thread may read it, and only `commit` replaces it."""
         self.reconciler = Reconciler(agents, self.clock, self._note_claimed)
+        self.claimed: set[str] = set()
+        """The computers that this manager has claimed, and so knows what runs there."""
+        self._found: dict[str, Deployment] = {}
         self.switches = Switches()
         self.check: Callable[[], object] = lambda: None
         """Called at all news while agents are waited for; may raise to end that."""
@@ -131,7 +136,7 @@ class RunningComponents:
             # later than any that the agents ever saw, from whatever manager
             seen = [status.generation for status in statuses.values()]
             self.desired = structs.replace(
-                desired, generation=max(before.generation, *seen, 0) + 1
+                desired, generation=max(desired.generation, *seen, 0) + 1
             )
             if changes := difference(before, desired):
                 self.journal.note("desired", why, changes=changes)
@@ -155,6 +160,8 @@ class RunningComponents:
                 ).items()
             }
         self.reconciler.step(self._deployments)
+        if self._found:
+            self._join_found()
 
     def start(self) -> None:
         """End what an earlier manager left, and start everything.
@@ -166,6 +173,7 @@ class RunningComponents:
             or a limit passed; its message names the component and holds its traceback.
         """
         self.agents.claim(self.computers())
+        self.claimed |= self.computers()
         if left := containers_left(self.agents.statuses(), self.computers()):
             text = f"an earlier manager left {', '.join(left)}: it is ended first"
             self.journal.note("seen", text)
@@ -187,12 +195,14 @@ class RunningComponents:
         kept: Mapping[str, Incarnation],
         last_epochs: Mapping[str, int],
         tasks: bytes,
+        held: frozenset[str],
     ) -> None:
         """Go on with what an earlier manager left, in place of what was planned."""
         self._epochs = dict(last_epochs)
         # that of one on a computer that is out of reach is not known, and lower
         self._last_epoch = max(s.generation for s in self.agents.statuses().values())
-        self.commit(Desired(placed=dict(kept), tasks=tasks), "taking the robot over")
+        desired = Desired(placed=dict(kept), tasks=tasks, held=held)
+        self.commit(desired, "taking the robot over")
 
     def placement(self) -> dict[str, str]:
         """Return component -> computer, as it is now; from any thread."""
@@ -416,12 +426,28 @@ class RunningComponents:
         """Return the containers that still run, for all that is known."""
         return containers_left(self.current(), self.computers())
 
-    def _note_claimed(self, _computer: str, found: Deployment | None) -> None:
-        """Take in what an agent works towards that was claimed again."""
-        if found is not None and found.generation >= self.desired.generation:
-            self.desired = structs.replace(
-                self.desired, generation=found.generation + 1
+    def _note_claimed(self, computer: str, found: Deployment | None) -> None:
+        """Take in what an agent works towards that was claimed."""
+        found = found or Deployment(generation=0, containers=())
+        if computer in self.claimed:  # this manager knows what runs there
+            found = structs.replace(found, containers=())
+        self.claimed.add(computer)
+        self._found[computer] = found
+
+    def _join_found(self) -> None:
+        """Adopt what is at work on computers that were claimed for the first time."""
+        found, self._found = self._found, {}
+        for each in found_in(found):
+            self._epochs[each.name] = max(
+                self._epochs.get(each.name, self._last_epoch), each.spec.epoch
             )
+        names = ", ".join(f"'{name}'" for name in sorted(found))
+        desired = joined_by(self.desired, self.robot, found_in(found), self.claimed)
+        last = max(each.generation for each in found.values())
+        desired = structs.replace(
+            desired, generation=max(last, self.desired.generation) + 1
+        )
+        self.commit(desired, f"what is at work on {names} goes on there")
 
     def note_refused(self) -> None:
         """Journal why records of agents were refused."""
@@ -468,8 +494,22 @@ class RunningComponents:
             if each.computer in unreached:
                 raise RunError(unreached[each.computer])
 
+    def why_held(self, component: str) -> str:
+        """Return why a component stays inactive, for people."""
+        missing = {computer.name for computer in self.robot.computers} - self.claimed
+        names = " or ".join(f"'{name}'" for name in sorted(missing))
+        return (
+            f"component '{component}' waits: another manager may run it on {names}, "
+            "which this one has not reached. `poise up FILE --take-over` starts it "
+            "nevertheless"
+        )
+
     def _raise_on_refusal(self, incarnations: Iterable[Incarnation]) -> None:
-        """Raise RunError when an agent refuses what should run there."""
+        """Raise RunError when an agent refuses what should run there, or it is held."""
+        incarnations = tuple(incarnations)
+        for each in incarnations:
+            if each.goal == "active" and each.component in self.desired.held:
+                raise RunError(self.why_held(each.component))
         for computer in sorted({each.computer for each in incarnations}):
             if refusal := self.reconciler.refusal(computer):
                 raise RunError(refusal)

@@ -14,8 +14,8 @@ from msgspec.structs import replace
 
 from poise.clock import boot_id, boot_time
 from poise.errors import PoiseError, RunError, UsageError
-from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.policy.subjects import values_of
+from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
@@ -25,7 +25,7 @@ from poise.manage.prefetch.switch import switch
 from poise.manage.tasks.action_placement import Room, beyond_memory
 from poise.manage.tasks.admission import Admission
 from poise.manage.tasks.component_reports import ComponentReports, Heard
-from poise.manage.tasks.learned_choice import choose, note_ending, situation_of
+from poise.manage.tasks.learned_choice import choose, conditions_of, note_ending
 from poise.manage.tasks.likely import Likely, PlanOverTime, likely_next
 from poise.manage.tasks.progress import OVER, ActionEnded, Saved, TaskRecord, Try
 from poise.manage.tasks.report import TaskReport, task_reports
@@ -53,7 +53,7 @@ class TaskManager:
     ----------
     saved
         What was started already; it is changed.
-    facts
+    situation
         Returns what is known now.
 
     Attributes
@@ -66,10 +66,10 @@ class TaskManager:
         self,
         run: RunningComponents,
         saved: Saved,
-        facts: Callable[[], Facts],
+        situation: Callable[[], Situation],
     ) -> None:
         self._run = run
-        self._facts = facts
+        self._situation = situation
         self._explore = run.robot.explore
         self.tasks = Tasks(run.robot, self._say, self._choose, saved)
         self._plans = PlanOverTime(run.robot)
@@ -182,8 +182,8 @@ class TaskManager:
         room = Room()
         there = self._serving.functions() | self._serving.broken(self._lost)
         if wanted - there - self._aside:
-            facts = self._facts()
-            room = self._room.look(facts, new, self._aside, explore=self._explore)
+            situation = self._situation()
+            room = self._room.look(situation, new, self._aside, explore=self._explore)
         if room.why:
             self._note_ended()
             return True
@@ -312,7 +312,7 @@ class TaskManager:
                 self._run.journal,
                 ended.action.name,
                 serving,
-                situation_of(self._facts()),
+                conditions_of(self._situation()),
                 done=ended.done,
             )
         self._unlearned.clear()
@@ -321,7 +321,7 @@ class TaskManager:
         condition = parse_condition(until.when, SUBJECTS[until.subject])
         return any(
             condition(each)
-            for each in values_of(self._facts(), until.subject)
+            for each in values_of(self._situation(), until.subject)
             if not until.name or each.name == until.name
         )
 
@@ -331,7 +331,7 @@ class TaskManager:
             return choose(
                 self._run.robot,
                 choice,
-                situation_of(self._facts()),
+                conditions_of(self._situation()),
                 lambda text: None if is_ahead else note("decided", text),
                 explore=self._explore,
             )

@@ -188,8 +188,9 @@ class Agent:
             if self._supervisor.wanted is not None:
                 checkpoints.keep_only(self._supervisor.wanted)
             sampler = self._sampler(samples)
+            names, extend = (setup.robot, setup.computer), self._supervisor.extend_lease
             heartbeats = self._heartbeats = HeartbeatExchange(
-                setup.robot, setup.computer, self._endpoint, self._fence, self._clock
+                *names, self._endpoint, self._fence, self._clock, extend
             )
             heartbeats.begin_again(*self._agents_before)
             go_first()

@@ -28,6 +28,7 @@ from poise.runtime.connectors.route import Route
 from poise.runtime.connectors.tap import Observers, observed_call, observed_send
 from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.execution.exclusion import Exclusion
+from poise.runtime.execution.lease import LeaseEnded
 from poise.runtime.execution.reentrant import stepping_out
 from poise.wire.codec import WireError
 
@@ -135,7 +136,7 @@ class Sender:
         """Send or buffer a message or one-way call; what cannot go out is counted.
 
         Waits while the target has no room, up to the limit; a re-entrant source lets
-        others in meanwhile.
+        others in meanwhile. Raises LeaseEnded when the source may not send.
         """
         if self._exclusion is None or self._is_free():
             self._send(value, method)
@@ -359,7 +360,7 @@ class Sender:
                 method, value, began = self._buffer.take()
             try:
                 self._push(route, method, value, began)
-            except WireError as error:  # its publisher has gone on
+            except (LeaseEnded, WireError) as error:  # its publisher has gone on
                 self.counts.drops += 1
                 log.warning("connector %s: a message is dropped: %s", self.name, error)
 
@@ -375,6 +376,8 @@ class Sender:
             self.counts.add_message(size)
             if size:  # within a container they wait only where they end
                 self.counts.wait.add(time.monotonic() - began)
+        except LeaseEnded:  # its publisher is to know
+            raise
         except CallError as error:
             self.counts.drops += 1
             log.debug("connector %s: %s", self.name, error)

@@ -15,6 +15,7 @@ from msgspec import Struct
 from poise.clock import Clock
 from poise.errors import RunError
 from poise.runtime.component.component import Component
+from poise.runtime.execution.lease import LeaseEnd, check_lease
 from poise.runtime.migration.state_check import check_fits, describe_type, type_taken_by
 from poise.wire import frame
 from poise.wire.codec import Codec, codec
@@ -39,6 +40,8 @@ class Checkpoints:
     ----------
     folder
         The agent's.
+    lease
+        Nothing is kept after its end; None: always.
     every
         How often [s].
 
@@ -51,11 +54,19 @@ class Checkpoints:
     """
 
     def __init__(
-        self, folder: Path, component: str, epoch: int, every: float, clock: Clock
+        self,
+        folder: Path,
+        component: str,
+        epoch: int,
+        every: float,
+        clock: Clock,
+        lease: LeaseEnd | None = None,
     ) -> None:
         self._path = checkpoint_path(folder, component, epoch)
         self._every = every
         self._clock = clock
+        self._lease = lease
+        self._component = component
         self._before = b""
         self.due = float("inf")
         self.cost = 0.0
@@ -71,7 +82,8 @@ class Checkpoints:
         ------
         Exception
             Whatever its `snapshot` raises; or the state is too large, cannot be
-            written, or took longer than the interval. The one before is kept.
+            written, or took longer than the interval; LeaseEnded. The one before is
+            kept.
         """
         began = self._clock.now()
         self.due = began + self._every
@@ -86,6 +98,7 @@ class Checkpoints:
                 f"its state of {len(data) / 2**20:.0f} MiB is too large for a "
                 f"checkpoint: {LARGEST >> 20} MiB are the limit"
             )
+        check_lease(self._lease, self._component)
         if data == self._before:
             with contextlib.suppress(OSError):  # it is as old as this moment
                 set_age(self._path)

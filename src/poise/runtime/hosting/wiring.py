@@ -224,7 +224,13 @@ class Wiring:
                 credit.request,
             )
             ends.route = ChannelRoute(
-                channel, port, spec.limit, credit, ends.remote_clock
+                channel,
+                port,
+                spec.limit,
+                credit,
+                ends.remote_clock,
+                spec.source,
+                source.lease,
             )
         ends.sender = sender
         ends.counts = sender.counts
@@ -238,7 +244,13 @@ class Wiring:
         issuer = CreditIssuer(spec.name, feed, ends.counts)
         ends.closing.callback(issuer.close)
         handler = receiving(
-            spec, target.endpoints, port, feed, issuer, ends.remote_clock
+            spec,
+            target.endpoints,
+            port,
+            feed,
+            issuer,
+            ends.remote_clock,
+            target.lease,
         )
         if spec.record:
             file = InputFile(Path(spec.record))

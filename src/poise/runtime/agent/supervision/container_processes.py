@@ -14,7 +14,7 @@ from msgspec import Struct
 
 from poise.clock import Clock
 from poise.errors import Timeout, Unavailable
-from poise.runtime._calls import PageSampler
+from poise.runtime._calls import LeaseEnd, PageSampler
 from poise.runtime.agent.sampling.watchdog import Silence
 from poise.wire import record_channel
 from poise.wire.codec import WireError
@@ -38,8 +38,9 @@ class ContainerProcess:
     """A running container, from the agent's side.
 
     `pid` is 0 until the zygote has reported it; from then on `counted` reads the
-    container's stats page. `kill_at` is when it has had time enough to end [s].
-    `silence` says why it does not respond; None: it does.
+    container's stats page, and `lease` is until when its leased components may act.
+    `kill_at` is when it has had time enough to end [s]. `silence` says why it does not
+    respond; None: it does.
 
     Parameters
     ----------
@@ -65,6 +66,7 @@ class ContainerProcess:
         self.pid = 0
         self.counted: PageSampler | None = None
         self._stats_page = stats_page
+        self.lease: LeaseEnd | None = None
         self.status: ContainerStatus | None = None
         self.silence: Silence | None = None
         self.silent_since = 0.0
@@ -82,6 +84,7 @@ class ContainerProcess:
         """Take note of its process id."""
         self.pid = pid
         self.counted = PageSampler(self._stats_page, pid)
+        self.lease = LeaseEnd(self._stats_page)
         if self.is_deaf:
             self.kill()
 
@@ -157,6 +160,24 @@ class ContainerProcess:
             self._why_ended = what.reason
             return None
         return what
+
+    def leased_at_work(self, since: float) -> list[str]:
+        """Return the leased components that it says are active, if it said so lately.
+
+        Parameters
+        ----------
+        since
+            Of what it said before, or does not say because it is starved or stopped,
+            nothing is known [s].
+        """
+        if self.status is None or self.status.at < since:
+            return []
+        leased = {(c.name, c.epoch) for c in self.spec.components if c.leased}
+        return sorted(
+            c.name
+            for c in self._components()
+            if c.state == "active" and (c.name, c.epoch) in leased
+        )
 
     def keep_limits(self, now: float) -> None:
         """Kill it when it takes too long to end, or to respond."""

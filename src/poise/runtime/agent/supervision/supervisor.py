@@ -13,6 +13,7 @@ import os
 import random
 import socket
 from collections.abc import Callable, Iterator
+from math import inf
 from pathlib import Path
 
 from msgspec import structs
@@ -40,6 +41,9 @@ _OOM_SCORE = 500
 _PREPARED_OOM_SCORE = 1000
 """When memory is short, the kernel ends first what is only prepared, then other
 containers, and last the agent."""
+FENCE_GRACE = 0.5
+"""A component that still runs so long after its agent found the lease ended is killed
+with its container [s]."""
 
 
 class Supervisor:
@@ -68,7 +72,9 @@ class Supervisor:
         self.wanted: Deployment | None = None
         self.cpu_of_ended = 0.0
         self.trouble = ""
-        self.is_cut_off = False
+        self.lease_end = -inf
+        self._is_cut_off = False
+        self._cut_off_at = inf
         self._zygote = zygote_socket
         self._computer = computer
         self._folder = folder
@@ -78,6 +84,24 @@ class Supervisor:
         self.cpu_weights = CpuWeights(own_group())
         self._awaits = awaits
         self._is_ending = False
+
+    @property
+    def is_cut_off(self) -> bool:
+        """Whether the lease has ended: leased components are to be inactive."""
+        return self._is_cut_off
+
+    @is_cut_off.setter
+    def is_cut_off(self, is_cut_off: bool) -> None:
+        if is_cut_off != self._is_cut_off:
+            self._cut_off_at = self._clock.now() if is_cut_off else inf
+        self._is_cut_off = is_cut_off
+
+    def extend_lease(self, until: float) -> None:
+        """Let leased components act until then [s, CLOCK_BOOTTIME]; on any thread."""
+        self.lease_end = until
+        for process in list(self.processes.values()):
+            if process.lease is not None:
+                process.lease.at = until
 
     def take(self, wanted: Deployment) -> None:
         """Work towards a deployment from now on."""
@@ -101,6 +125,7 @@ class Supervisor:
             if name not in wanted and self.wanted is not None:
                 process.stop(self._clock)
             process.keep_limits(now)
+            self._fence(process, now)
         for name, spec in wanted.items():
             if name in self.processes:
                 self._tell(self.processes[name], spec)
@@ -116,6 +141,8 @@ class Supervisor:
                 yield self._backoffs[name].again_at
         for process in self.processes.values():
             yield min(process.kill_at, process.hung_at)
+            if not process.is_deaf and process.leased_at_work(self._cut_off_at):
+                yield self._cut_off_at + FENCE_GRACE
 
     def hear(self, process: ContainerProcess) -> Outcome | None:
         """Take in what a container says; return the outcome of a step, if it is one."""
@@ -142,6 +169,7 @@ class Supervisor:
             try:
                 self._settle(process.spec, event.pid)
                 process.note_born(event.pid)
+                self.extend_lease(self.lease_end)
             except (OSError, RuntimeError) as error:  # no memory is free
                 process.give_up(f"its counters cannot be read: {error}")
 
@@ -174,6 +202,7 @@ class Supervisor:
             self.cpu_weights.settle(specs[name], pid)
         self.health.enter(name, "running")
         self.processes[name] = process
+        self.extend_lease(self.lease_end)
         return True
 
     def note_silence(self, silence: Silence) -> None:
@@ -223,6 +252,16 @@ class Supervisor:
         if process.pid and process.spec.spare != spec.spare:
             self._settle(spec, process.pid)
         process.tell(spec)
+
+    def _fence(self, process: ContainerProcess, now: float) -> None:
+        """Kill a container whose code goes on though it has no lease any more."""
+        if now < self._cut_off_at + FENCE_GRACE or process.is_deaf:
+            return
+        if at_work := process.leased_at_work(self._cut_off_at):
+            names = ", ".join(f"'{name}'" for name in at_work)
+            process.give_up(
+                f"{names} still ran {FENCE_GRACE:g} s after the computer's lease ended"
+            )
 
     def _settle(self, spec: ContainerSpec, pid: int) -> None:
         """Give a process what its container is to have of the computer."""
