@@ -126,6 +126,21 @@ class FakeAgents:
             for name, status in self._statuses.items()
         }
 
+    def report_component(self, computer: str, component: ComponentStatus) -> None:
+        """Let one report a component anew, in the container that is there."""
+        status = self._statuses[computer]
+        containers = tuple(
+            replace(
+                container,
+                components=tuple(
+                    component if each.name == component.name else each
+                    for each in container.components
+                ),
+            )
+            for container in status.containers
+        )
+        self._statuses[computer] = replace(status, containers=containers)
+
     def forget(self, computer: str) -> None:
         """Let one have come back that has not reported yet."""
         del self._statuses[computer]

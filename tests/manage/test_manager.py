@@ -30,6 +30,11 @@ from tests.manage.conftest import FakeAgents
 
 PLACEMENT = {"grabber": "left", "thinker": "right"}
 COMMAND = MoveCommand("thinker", "left", force=True)
+CONFIGURING, FAILED = (
+    ComponentStatus(name="thinker", epoch=1, state=state)
+    for state in ("unconfigured", "failed")
+)
+"""The target of that move."""
 
 
 class Managed:
@@ -54,6 +59,9 @@ class Managed:
         before = len(self.journal.entries())
         future = self.manager.submit(COMMAND)
         self.manager.work(0.0)
+        if not future.done():  # the target is being configured
+            self.agents.report_component("left", FAILED)
+            self.manager.work(0.0)
         result = future.result(0.0)
         assert isinstance(result, MigrationReport)
         assert not result.committed
@@ -94,7 +102,7 @@ def test_drifts_are_told_until_the_simulated_world_ends(
 
 def test_a_fault_is_told_while_a_move_waits(managed: Managed) -> None:
     managed.agents.faults = (Fault(container="eye", message="was killed", number=1),)
-    managed.agents.states["thinker"] = ComponentStatus(name="thinker", state="failed")
+    managed.agents.states["thinker"] = CONFIGURING
     sentences = managed.sentences_of_move()
     assert sentences[0] == "container 'eye' on 'left' was killed"
     assert sum("was killed" in each for each in sentences) == 2  # of both computers
@@ -103,13 +111,35 @@ def test_a_fault_is_told_while_a_move_waits(managed: Managed) -> None:
 def test_a_deviation_of_another_component_is_told_while_a_move_waits(
     managed: Managed,
 ) -> None:
-    for name in PLACEMENT:
-        managed.agents.states[name] = ComponentStatus(name=name, state="failed")
+    managed.agents.states["thinker"] = CONFIGURING
+    failed = ComponentStatus(name="grabber", state="failed")
+    managed.agents.states["grabber"] = failed
+    managed.agents.report_component("left", failed)
     sentences = managed.sentences_of_move()
     assert sentences[0] == "component 'grabber' on 'left' is failed"
-    # what moves is for the move to judge, and deviates only after that
     assert sentences[1].startswith("did not move component 'thinker'")
-    assert sentences[2] == "component 'thinker' on 'right' is failed"
+
+
+def test_other_commands_are_carried_out_while_a_target_is_configured(
+    managed: Managed,
+) -> None:
+    """They waited for as long as a user's `configure` took."""
+    managed.agents.states["thinker"] = CONFIGURING
+    moving = managed.manager.submit(COMMAND)
+    managed.manager.work(0.0)
+    (sentence,) = managed.manager.status().under_way
+    assert sentence.startswith("component 'thinker' from 'right' to 'left' is prepared")
+    assert "is unconfigured, not yet inactive" in sentence
+    other = managed.manager.submit(MoveCommand("grabber", "nowhere", dry=True))
+    managed.manager.work(0.0)
+    assert isinstance(other.result(0.0), Refusal)
+    assert not moving.done()
+    assert managed.run.placed["thinker"].goal == "active"
+    managed.agents.report_component("left", FAILED)
+    managed.manager.work(0.0)
+    assert "cannot be configured on 'left'" in str(moving.result(0.0))
+    assert managed.manager.status().under_way == ()
+    assert managed.run.desired.configured_ahead == ()
 
 
 def test_a_move_to_a_computer_that_is_out_of_reach_is_refused_at_once(
@@ -129,7 +159,7 @@ def test_a_bug_in_a_command_is_refused_and_the_robot_goes_on(
         run.commit(run.desired.aiming("stay", ["thinker"]), "odd")
         raise KeyError("odd")
 
-    monkeypatch.setattr("poise.manage.manager.move", break_down)
+    monkeypatch.setattr("poise.manage.manager.plan_move", break_down)
     future = managed.manager.submit(COMMAND)
     managed.manager.work(0.0)
     refusal = future.result(0.0)

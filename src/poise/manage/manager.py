@@ -12,8 +12,10 @@ import queue
 import threading
 import time
 import traceback
+from collections.abc import Callable
 from concurrent.futures import Future
 from functools import partial
+from typing import TypeVar
 
 from msgspec import structs
 
@@ -43,8 +45,9 @@ from poise.manage.control_socket.records import (
 from poise.manage.deploy.lost_computers import LostComputers
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.stop import stop
-from poise.manage.migration.move import move, replace
-from poise.manage.migration.replacement import replace_architecture
+from poise.manage.migration.move import plan_move, plan_replacement
+from poise.manage.migration.planned import Planned
+from poise.manage.migration.replacement import plan_architecture_replacement
 from poise.manage.observe.chains import ChainAges, chain_reports
 from poise.manage.observe.deadline_misses import DeadlineMisses
 from poise.manage.observe.estimates import Estimates
@@ -58,6 +61,7 @@ from poise.manage.tasks.task_manager import TaskManager
 MOST_COMMANDS = 64
 """At most this many commands queue; further ones are refused."""
 Results = Future[Result | Refusal]
+T = TypeVar("T")
 
 
 class Manager:
@@ -102,6 +106,7 @@ class Manager:
         self._commands: queue.Queue[tuple[Command, Results]] = queue.Queue(
             MOST_COMMANDS
         )
+        self._planned: list[tuple[Command, Planned, Results]] = []
         self._stops: list[Results] = []
         self._stopping = threading.Event()
         self._has_successor = False
@@ -167,6 +172,7 @@ class Manager:
                 *self._adaptation.deviations,
                 *self._put_aside.deviations(),
             ),
+            under_way=tuple(p.under_way() for _, p, _ in self._planned.copy()),
             faults=self._watch.num_faults,
             prefetch=self._prefetch.report(),
         )
@@ -191,7 +197,8 @@ class Manager:
             pass
         else:
             if not self.is_stopping and future.set_running_or_notify_cancel():
-                future.set_result(self._carry_out(command))
+                self._begin(command, future)
+        self._tick.run("migrate", self._migrate)
         self._tick.run("take samples", self._take_samples)
         self._look()
         if not self.is_stopping:
@@ -233,6 +240,9 @@ class Manager:
         for future in self._stops:
             refusal = Refusal(text, "RunError") if self._has_successor else None
             _answer(future, refusal or StopReport(remaining))
+        for _, _, future in self._planned:
+            future.set_result(Refusal(text, "RunError"))
+        self._planned.clear()
         while not self._commands.empty():
             _answer(self._commands.get_nowait()[1], Refusal(text, "RunError"))
 
@@ -268,11 +278,35 @@ class Manager:
 
     def _has_news(self) -> bool:
         """Return whether something is to be done at once."""
-        return self.is_stopping or not self._commands.empty() or self.tasks.has_news()
+        return (
+            self.is_stopping
+            or not self._commands.empty()
+            or self.tasks.has_news()
+            or any(planned.is_over() for _, planned, _ in self._planned)
+        )
 
-    def _carry_out(self, command: Command) -> Result | Refusal:
+    def _begin(self, command: Command, future: Results) -> None:
+        """Carry out a command, but for a migration: its targets are configured first.
+
+        Meanwhile other commands are carried out, and the robot is looked after.
+        """
+        result = self._carry_out(command, partial(self._done, command))
+        if isinstance(result, Planned):
+            self._planned.append((command, result, future))
+        else:
+            future.set_result(result)
+
+    def _migrate(self) -> None:
+        """Make the migrations whose targets are configured, or will not be."""
+        for each in list(self._planned):
+            command, planned, future = each
+            if not self.is_stopping and planned.is_over():
+                self._planned.remove(each)
+                future.set_result(self._carry_out(command, planned.run))
+
+    def _carry_out(self, command: Command, do: Callable[[], T]) -> T | Refusal:
         try:
-            return self._done(command)
+            return do()
         except PoiseError as error:
             return Refusal.from_error(error)
         except Exception as error:  # noqa: BLE001, a bug of Poise must not end the robot
@@ -285,7 +319,7 @@ class Manager:
         self._run.release(what)
         return Refusal(f"{what}. The robot goes on as it was placed", "RunError")
 
-    def _done(self, command: Command) -> Result:
+    def _done(self, command: Command) -> Result | Planned:
         run = self._run
         self._lost.settle()
         match command:
@@ -297,11 +331,16 @@ class Manager:
                 if not force:
                     check_move(situation, component, computer)
                 self._adaptation.note_asked(component, computer)
-                return move(run, component, computer, force=force)
+                planned = plan_move(run, component, computer, force=force)
+                return planned.begin()
             case ReplaceCommand(component, by, adapt, fresh) if ":" in by:
-                return replace(run, component, by, adapt, fresh=fresh)
+                planned = plan_replacement(run, component, by, adapt, fresh=fresh)
+                return planned.begin()
             case ReplaceCommand(what, by, adapt, fresh):
-                return replace_architecture(run, what, by, adapt, fresh=fresh)
+                planned = plan_architecture_replacement(
+                    run, what, by, adapt, fresh=fresh
+                )
+                return planned.begin()
             case TaskCommand(verb, task, priority):
                 self.tasks.command(verb, task, priority)
                 return TaskDone(self.tasks.report(task))

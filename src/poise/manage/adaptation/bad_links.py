@@ -14,11 +14,10 @@ from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.manage.adaptation.situation import Situation
+from poise.manage.agent_connections.statuses import CUT
 from poise.model.policy.values import LinkValues
 from poise.model.robot import Connector, Link, Robot
 
-_CUT = 0.7
-"""A link over which no heartbeat came for so long is cut [s]."""
 _CUT_DISTANCE = 1000.0
 """By this factor the planner takes the ends of a cut link to be further apart."""
 _FAR = 0.001
@@ -73,7 +72,7 @@ def states_of(situation: Situation) -> Iterator[LinkState]:
             link=link,
             delay=max(side.delay or 0.0 for side in sides),
             loss=max(side.loss for side in sides),
-            cut=max(side.silent for side in sides) > _CUT,
+            cut=max(side.silent for side in sides) > CUT,
         )
 
 

@@ -135,6 +135,8 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
         Computer -> since when its agent has not been reached [s since 1970].
     deviations
         Everything that is not as the robot file says.
+    under_way
+        The migrations that are being prepared, and what each waits for.
     faults
         How many faults there were since the start; they may be over.
     demand_estimates
@@ -169,6 +171,7 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
     ages: Mapping[str, float] = {}
     out_of_reach: Mapping[str, float] = {}
     deviations: tuple[Deviation, ...] = ()
+    under_way: tuple[str, ...] = ()
     faults: int = 0
     demand_estimates: tuple[DemandEstimate, ...] = ()
     chains: tuple[ChainReport, ...] = ()

@@ -25,6 +25,8 @@ class Desired(Struct, frozen=True, kw_only=True):
     coming
         Incarnations of a change under way: targets of a migration, or what starts.
         They become authoritative when the change is committed.
+    configured_ahead
+        Targets of migrations to come: being configured, and joined to nothing.
     prepared
         Component -> its idle incarnation: configured, inactive and joined to nothing,
         to be active soon.
@@ -43,6 +45,7 @@ class Desired(Struct, frozen=True, kw_only=True):
 
     placed: Mapping[str, Incarnation] = {}
     coming: tuple[Incarnation, ...] = ()
+    configured_ahead: tuple[Incarnation, ...] = ()
     prepared: Mapping[str, Incarnation] = {}
     held: frozenset[str] = frozenset()
     spare: Mapping[str, float] = {}
@@ -56,7 +59,7 @@ class Desired(Struct, frozen=True, kw_only=True):
             return ()
         busy = self.placed.keys() | {each.component for each in self.coming}
         idle = (each for name, each in self.prepared.items() if name not in busy)
-        wanted = (*self.placed.values(), *self.coming, *idle)
+        wanted = (*self.placed.values(), *self.coming, *self.configured_ahead, *idle)
         return tuple(
             each.with_goal("inactive") if each.component in self.held else each
             for each in wanted
@@ -77,7 +80,18 @@ class Desired(Struct, frozen=True, kw_only=True):
 
     def starting(self, coming: Iterable[Incarnation]) -> Desired:
         """Return this with a change under way, instead of any other."""
-        return replace(self, coming=tuple(coming))
+        coming = tuple(coming)
+        return replace(self.configured(coming), coming=coming)
+
+    def configuring(self, targets: Iterable[Incarnation]) -> Desired:
+        """Return this with targets of a migration to come."""
+        return replace(self, configured_ahead=(*self.configured_ahead, *targets))
+
+    def configured(self, targets: Iterable[Incarnation]) -> Desired:
+        """Return this without targets of a migration that begins, or never will."""
+        keys = {(each.component, each.epoch) for each in targets}
+        ahead = (e for e in self.configured_ahead if (e.component, e.epoch) not in keys)
+        return replace(self, configured_ahead=tuple(ahead))
 
     def placing(self, incarnations: Iterable[Incarnation]) -> Desired:
         """Return this with incarnations that are authoritative from now on."""
@@ -113,7 +127,9 @@ class Desired(Struct, frozen=True, kw_only=True):
 
     def released(self) -> Desired:
         """Return this without any change under way: what was placed goes on."""
-        return replace(self.aiming("active", self.placed.keys()), coming=())
+        return replace(
+            self.aiming("active", self.placed.keys()), coming=(), configured_ahead=()
+        )
 
 
 def difference(before: Desired, after: Desired) -> list[str]:

@@ -18,6 +18,7 @@ from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import (
     components_of,
     containers_left,
+    cut_links,
     gateways,
     located,
     missing,
@@ -296,7 +297,9 @@ class RunningComponents:
         limit: float,
         trouble: Callable[[], bool] | None = None,
     ) -> None:
-        """Wait until `wanted` are at their goals and all their connectors are joined.
+        """Wait until `wanted` are at their goals and their connectors are joined.
+
+        Those whose ends do not reach each other are joined later.
 
         Parameters
         ----------
@@ -315,10 +318,10 @@ class RunningComponents:
             look()
             self.raise_on_unreached(wanted)
             self._raise_on_refusal(wanted)
-            return not self._missing(wanted)
+            return not self.missing(wanted)
 
         if not self.agents.wait_news(is_reached, limit):
-            missing = "; ".join(self._missing(wanted))
+            missing = "; ".join(self.missing(wanted))
             raise RunError(f"not there within {limit:g} s: {missing}")
 
     def current(self) -> dict[str, AgentStatus]:
@@ -377,14 +380,44 @@ class RunningComponents:
             if place in known
         ]
 
-    def _missing(self, wanted: tuple[Incarnation, ...]) -> list[str]:
-        """Return what there is still to wait for, in words."""
+    def missing(self, wanted: Collection[Incarnation]) -> list[str]:
+        """Return what `wait` still waits for, in words."""
         statuses = self.current()
         silent = self._involved(wanted) & (self.computers() - statuses.keys())
-        found = missing(wanted, statuses, silent, self._unreached_connectors())
+        new = {each.component: each for each in wanted if not each.unjoined}
+        placed = {**self.placed, **new}
+        unreached = self.unreached_connectors(placed)
+        joins = {
+            self.layout.key_of(connector, placed)
+            for connector in self.layout.connectors_at(new, placed)
+            if str(connector) not in unreached
+        }
+        found = missing(wanted, statuses, silent, joins)
         found += self.unresponsive(wanted) if found else []
         faults = faults_after(self._faults_before_commit, statuses) if found else ()
         return found + [fault_sentence(computer, fault) for computer, fault in faults]
+
+    def unreached_connectors(self, placed: Mapping[str, Incarnation]) -> dict[str, str]:
+        """Return the connectors whose ends do not reach each other, and why.
+
+        Parameters
+        ----------
+        placed
+            By component.
+        """
+        cut = cut_links(self.agents.statuses())
+        away = set(self.agents.out_of_reach())
+        found = {}
+        for connector in self.layout.connectors(placed):
+            ends = [placed[end.component] for end in connector.between]
+            between = sorted({each.computer for each in ends})
+            if lost := away.intersection(between):
+                found[str(connector)] = f"computer '{min(lost)}' is out of reach"
+            elif frozenset(between) in cut:
+                found[str(connector)] = f"link '{'-'.join(between)}' is cut"
+            elif frozen := self.unresponsive(ends):
+                found[str(connector)] = "; ".join(frozen)
+        return found
 
     def _involved(self, wanted: Iterable[Incarnation]) -> set[str]:
         """Return the computers of incarnations, and of what is joined to them."""
@@ -403,16 +436,6 @@ class RunningComponents:
     def _running(self) -> list[str]:
         """Return the containers that still run, for all that is known."""
         return containers_left(self.current(), self.computers())
-
-    def _unreached_connectors(self) -> set[str]:
-        """Return the connectors that have an end on a computer that is not reached."""
-        reached = self.computers()
-        away = {n for n, each in self.placed.items() if each.computer not in reached}
-        return {
-            str(connector)
-            for connector in self.layout.connectors(self.placed)
-            if not away.isdisjoint(end.component for end in connector.between)
-        }
 
     def _note_claimed(self, computer: str, found: Deployment | None) -> None:
         """Take in what an agent works towards that was claimed."""
@@ -461,6 +484,19 @@ class RunningComponents:
                 self.journal.note("failed", what)
                 raise RunError(f"{what}:\n{component.error}")
         return False
+
+    def raise_on_broken(self, incarnations: Collection[Incarnation]) -> None:
+        """Raise RunError when one failed, or its container does not respond."""
+        if stuck := self.unresponsive(incarnations):
+            raise RunError("; ".join(stuck))
+        where = {(each.component, each.epoch): each.computer for each in incarnations}
+        for each in components_of(self.current()):
+            computer = where.get((each.name, each.epoch))
+            if computer is not None and each.state == "failed":
+                raise RunError(
+                    f"component '{each.name}' cannot be configured on '{computer}':\n"
+                    f"{each.error}"
+                )
 
     def raise_on_unreached(self, incarnations: Iterable[Incarnation]) -> None:
         """Raise RunError when one is on a computer that is out of reach."""

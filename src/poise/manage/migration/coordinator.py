@@ -21,8 +21,10 @@ from poise.errors import RunError
 from poise.manage.agent_connections.statuses import calling_ports, components_of
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.migration.late_connectors import late_connectors, raise_on_cut_state
 from poise.manage.migration.plan import MigrationPlan, PlacedStep
 from poise.manage.migration.report import MigrationReport
+from poise.manage.migration.stall import STALL_LIMIT, Stall
 from poise.manage.observe.deviations import explain
 from poise.priority import first
 from poise.wire.address import LOST_AFTER
@@ -78,15 +80,7 @@ class Migration:
         gone = {each.component for each in sources}
         self._others = {n: each for n, each in run.placed.items() if n not in gone}
         self._away = run.agents.out_of_reach().keys()
-        statuses = run.agents.statuses()
-        self._plan = MigrationPlan(
-            run.layout,
-            sources,
-            targets,
-            self._others,
-            calling_ports(statuses),
-            run.gateways(),
-        )
+        self._dropped: dict[str, str] = {}
         self._number = 0
         self._names = [source.component for source in sources]
         self._what = f"migration of {report.name}"
@@ -99,21 +93,23 @@ class Migration:
         downtime, reason = 0.0, ""
         self._phases.enter("prepare")
         try:
-            self._prepare()
+            plan = self._planned()
+            self._prepare(plan)
         except RunError as error:
             reason = str(error)
             self._phases.enter("roll back")
         else:
             with first():
                 paused = time.monotonic()
-                reason = self._switch(paused + DOWNTIME_LIMIT)
+                reason = self._switch(plan, paused + DOWNTIME_LIMIT)
                 downtime = time.monotonic() - paused
         phases = self._phases.seconds()
         if not reason:
             self._linger()
         if reason:
             reason = self._with_losses(reason)
-            desired = self._run.desired.aiming("active", self._names).starting(())
+            desired = self._run.desired.configured(self._targets).starting(())
+            desired = desired.aiming("active", self._names)
             self._run.commit(desired, f"{self._what} is rolled back: {reason}")
         else:
             self._run.reconcile()
@@ -125,30 +121,59 @@ class Migration:
             downtime=downtime,
             phases=phases,
             steps=tuple(self._taken),
+            late={} if reason else self._dropped,
         )
 
-    def _prepare(self) -> None:
+    def _planned(self) -> MigrationPlan:
+        """Return the steps; raise RunError when they could not all be taken."""
         self._raise_on_failed()
-        if stuck := self._run.unresponsive(self._targets):
-            raise RunError("; ".join(stuck))
+        run = self._run
+        for source in self._sources:
+            placed = run.placed.get(source.component)
+            if placed is None or placed.epoch != source.epoch:
+                raise RunError(f"component '{source.component}' was changed meanwhile")
+        raise_on_cut_state(run, self._sources, self._targets)
+        late = late_connectors(run, self._sources, self._others)
+        self._dropped = {name: each.why for name, each in late.items()}
+        return MigrationPlan(
+            run.layout,
+            self._sources,
+            self._targets,
+            self._others,
+            calling_ports(run.agents.statuses()),
+            run.gateways(),
+            late={name: each.keep for name, each in late.items()},
+            away=self._away,
+        )
+
+    def _prepare(self, plan: MigrationPlan) -> None:
         desired = self._run.desired.aiming("stay", self._names).starting(self._targets)
         self._run.commit(desired, f"prepare the {self._what}")
         # higher than that of any earlier migration, whatever the clock says
         self._number = self._run.desired.generation
-        self._run.wait(self._targets, PREPARE_LIMIT, self._raise_on_failed)
-        for steps in self._plan.prepare():
-            self._take(steps, PREPARE_LIMIT, self._raise_on_failed)
+        stall = Stall(self._run, self._targets)
 
-    def _switch(self, deadline: float) -> str:
+        def trouble() -> bool:
+            stall.look()
+            return self._raise_on_failed()
+
+        self._run.wait(self._targets, PREPARE_LIMIT, trouble)
+        for steps in plan.prepare():
+            # a large state takes its time
+            is_large = any(step.name == "pre-copy" for _, step in steps)
+            limit = PREPARE_LIMIT if is_large else STALL_LIMIT
+            self._take(steps, limit, self._raise_on_failed)
+
+    def _switch(self, plan: MigrationPlan, deadline: float) -> str:
         """Pause, and let the targets go on, or the sources again; return why those."""
         self._phases.enter("quiesce")
         try:
-            for steps in self._plan.transfer():
+            for steps in plan.transfer():
                 began = time.monotonic()
                 quiesced = began + self._take(steps, _left(deadline))
         except RunError as error:
             self._phases.enter("roll back")
-            self._resume(self._plan.roll_back())
+            self._resume(plan.roll_back())
             return str(error)
         self._phases.enter("transfer", quiesced)
         self._phases.enter("commit")
@@ -157,7 +182,7 @@ class Migration:
         desired = desired.placing(each.with_goal("active") for each in self._targets)
         self._run.commit(desired, f"{self._what} is committed", tell_later=True)
         self._phases.enter("resume")
-        self._resume(self._plan.resume())
+        self._resume(plan.resume())
         return ""
 
     def _linger(self) -> None:
@@ -273,16 +298,12 @@ class Migration:
     def _raise_on_failed(self) -> bool:
         run = self._run
         run.look()
-        run.raise_on_unreached([*self._sources, *self._targets])
-        targets = {(t.component, t.epoch): t for t in self._targets}
+        ends = [*self._sources, *self._targets]
+        run.raise_on_unreached(ends)
+        run.raise_on_broken(ends)
         sources = {(s.component, s.epoch): s for s in self._sources}
         for component in components_of(run.current()):
             key = component.name, component.epoch
-            if key in targets and component.state == "failed":
-                raise RunError(
-                    f"component '{component.name}' cannot be configured on "
-                    f"'{targets[key].computer}':\n{component.error}"
-                )
             if key in sources and component.state != "active":
                 raise RunError(self._why_not_active(sources[key], component))
         return False

@@ -76,6 +76,10 @@ class ChannelRoute:
         """Return whether the receiving end is there."""
         return self._channel.is_ready()
 
+    def give_up(self) -> None:
+        """Wait no more for a computer that is cut off."""
+        self._channel.give_up()
+
     def close(self) -> None:
         """Close the channel."""
         self._channel.close()

@@ -204,6 +204,11 @@ class Runner:
             has_state=type(self.component).snapshot is not Component.snapshot,
             requires=self._ports_that("requires"),
             subscribes=self._ports_that("subscribes"),
+            keeps={
+                port.name: port.queue.size
+                for port in self.ports.values()
+                if port.queue is not None and port.queue.policy == "keep"
+            },
             timers=self.timers.status(now),
             chains=self.ages.status(),
             ends=self._news.ends(),

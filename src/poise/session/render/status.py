@@ -32,6 +32,7 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
     for computer, report in sorted(status.computers.items()):
         if report.manager is not None and report.manager != status.manager:
             yield f"[yellow]the agent of '{computer}' obeys {report.manager}[/]"
+    yield from map(Text, status.under_way)
     for each in status.deviations:
         yield Text(f"{each.what} (noticed {_clock(each.since)})", style="red")
     unknown = status.not_known()

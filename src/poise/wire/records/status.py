@@ -82,6 +82,8 @@ class ConnectorStatus(Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
+    key
+        What both ends call it, by their epochs: another one after every move.
     end
         Where calls and messages begin (``source``), where they end (``target``), or
         ``both`` in one container: then all is counted once.
@@ -110,6 +112,7 @@ class ConnectorStatus(Struct, frozen=True, kw_only=True):
     """
 
     name: str
+    key: str = ""
     kind: ConnectorKind
     end: Side
     ready: bool
@@ -190,6 +193,8 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
         Size of its snapshot, if that was taken [bytes].
     requires, subscribes
         Its ports over which it calls others, and those to which messages come.
+    keeps
+        Of the latter, those that keep only the newest messages, and how many.
     chains
         Those that it is part of, and not the beginning.
     ends
@@ -213,6 +218,7 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
     has_state: bool = False
     requires: tuple[str, ...] = ()
     subscribes: tuple[str, ...] = ()
+    keeps: Mapping[str, int] = {}
     timers: tuple[TimerStatus, ...] = ()
     chains: tuple[ChainStatus, ...] = ()
     ends: tuple[ActionEnd, ...] = ()

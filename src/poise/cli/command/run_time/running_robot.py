@@ -12,6 +12,7 @@ import typer
 from msgspec.structs import asdict
 
 import poise
+from poise.cli.command.run_time.progress import telling_progress
 from poise.cli.completion import running
 from poise.cli.options import AsJson, busy, print_json
 from poise.errors import UsageError
@@ -97,7 +98,8 @@ def move_command(
         if seen.breaks:
             raise typer.Exit(1)
         return
-    _act(lambda: running.move(component, computer, force=force), as_json=as_json)
+    with telling_progress(running):
+        _act(lambda: running.move(component, computer, force=force), as_json=as_json)
 
 
 def replace_command(
@@ -129,7 +131,11 @@ def replace_command(
     Example: poise replace localiser trot.navigator.scan_matcher:ScanMatcher
     """
     running = Running(robot)
-    _act(lambda: running.replace(what, by, adapt=adapt, fresh=fresh), as_json=as_json)
+    with telling_progress(running):
+        _act(
+            lambda: running.replace(what, by, adapt=adapt, fresh=fresh),
+            as_json=as_json,
+        )
 
 
 def balance_command(
