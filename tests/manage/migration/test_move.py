@@ -43,6 +43,7 @@ from poise.model.robot import (
 )
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.migration import MigrationSteps, StepName, StepsOutcome
+from poise.wire.records.status import Fault
 from tests.manage.agents import TELLING, agent
 from tests.model_of_moves.replay import replay
 from tests.runtime.conftest import free_port
@@ -347,11 +348,20 @@ class MovingRobot:
     def kill(self, computer: str, component: str) -> None:
         """Kill the container of a component, and wait until that is seen."""
         container = self.run.layout.container_of(component)
-        faults = len(self.run.agents.statuses()[computer].faults)
+        before = self.faults(container)
         for each in self.run.agents.statuses()[computer].containers:
             if each.name == container:
                 os.kill(each.pid, signal.SIGKILL)
-        self.wait_for(lambda: len(self.run.agents.statuses()[computer].faults) > faults)
+        self.wait_for(lambda: self.faults(container) != before)
+
+    def faults(self, container: str) -> list[Fault]:
+        """Return those of a container: agents also keep those of earlier tests."""
+        return [
+            fault
+            for status in self.run.agents.statuses().values()
+            for fault in status.faults
+            if fault.container == container
+        ]
 
     def active(self) -> list[str]:
         """Return where a `counter` is active, by what was said last."""
@@ -559,7 +569,7 @@ def test_goes_on_in_its_container_when_a_snapshot_that_took_too_long_ends(
     assert (first.committed, second.committed) == (False, False)
     lingers.unlink()
     world.works()
-    assert not any(status.faults for status in run.agents.statuses().values())
+    assert not world.faults(run.layout.container_of("counter"))
     assert world.told("sink")[1] == 0
     monkeypatch.undo()
     move_counter(run, "right")
