@@ -460,7 +460,7 @@ def mortal(mortals: TwoAgents, request: pytest.FixtureRequest) -> Iterator[Movin
 
 def assert_bounded(report: MigrationReport) -> None:
     """Allow the downtime its limits, and time on a machine that is busy otherwise."""
-    assert report.downtime < DOWNTIME_LIMIT + RESUME_LIMIT + 2.0
+    assert report.downtime < DOWNTIME_LIMIT + RESUME_LIMIT + LIMIT / 2
 
 
 def move_counter(run: RunningComponents, computer: str) -> None:
