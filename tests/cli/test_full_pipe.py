@@ -17,6 +17,7 @@ from poise.errors import PoiseError
 from poise.manage.control_socket.client import send_command
 from poise.manage.control_socket.records import RobotStatus, StatusCommand
 from tests.command import POISE, run_poise
+from tests.processes import children_of, words_of
 from tests.waiting import LIMIT, LONG, wait_long
 
 pytestmark = pytest.mark.slow
@@ -75,11 +76,10 @@ def adopted(computer: str) -> int:
 
 
 def agent_of(up: int, computer: str) -> int:
-    children = Path(f"/proc/{up}/task").glob("*/children")
-    for pid in " ".join(file.read_text() for file in children).split():
-        words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+    for pid in children_of(up):
+        words = words_of(pid)
         if b"agent" in words and computer.encode() in words:
-            return int(pid)
+            return pid
     pytest.fail(f"no agent of {computer}")
 
 

@@ -10,6 +10,7 @@ import subprocess
 import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -288,18 +289,22 @@ def test_a_signal_ends_everything(
         assert not Path(f"/proc/{pid}").exists()
 
 
+def status_of_tiny() -> dict[str, Any]:
+    status = run_poise("status", "--robot", "tiny", "--json").stdout
+    answer: dict[str, Any] = json.loads(status)
+    return answer
+
+
 def test_others_see_a_run_move_its_components_and_stop_it(robot: Write) -> None:
     file = robot(implementation("Announcing"))
     process = start(file, "--task", "work", "--for", "600s")
     assert process.stdout is not None
     assert any("`poise top`" in line for line in process.stdout)
-    status = json.loads(run_poise("status", "--robot", "tiny", "--json").stdout)
-    assert status["placement"] == {"worker": "left"}
-    assert status["deviations"] == []
+    assert status_of_tiny()["placement"] == {"worker": "left"}
+    wait_until(lambda: status_of_tiny()["deviations"] == [])
     moved = run_poise("move", "worker", "right", "--robot", "tiny")
     assert (moved.returncode, moved.stderr) == (0, "")
-    status = json.loads(run_poise("status", "--robot", "tiny", "--json").stdout)
-    assert status["placement"] == {"worker": "right"}
+    assert status_of_tiny()["placement"] == {"worker": "right"}
     assert run_poise("stop", "--robot", "tiny").returncode == 0
     rest, _ = process.communicate(timeout=LIMIT)
     assert "the run was ended early" in rest

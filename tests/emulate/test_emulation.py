@@ -181,6 +181,7 @@ def test_sweep_removes_what_a_killed_owner_left(
         assert time.monotonic() < deadline
 
 
+@pytest.mark.usefixtures("own_registry")
 def test_used_folder_is_refused_and_kept(two_computers: Robot, tmp_path: Path) -> None:
     (tmp_path / "legs").mkdir()
     with pytest.raises(UsageError, match="legs exists"):
@@ -188,6 +189,7 @@ def test_used_folder_is_refused_and_kept(two_computers: Robot, tmp_path: Path) -
     assert (tmp_path / "legs").exists()
 
 
+@pytest.mark.usefixtures("own_registry")
 def test_robot_with_an_impossible_computer_starts_nothing(tmp_path: Path) -> None:
     robot = Robot(name="r", computers=(Computer(name="dead", capacity={"cpu": 0}),))
     with pytest.raises(RobotError, match="'dead'"):
@@ -195,6 +197,7 @@ def test_robot_with_an_impossible_computer_starts_nothing(tmp_path: Path) -> Non
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.usefixtures("own_registry")
 def test_bare_host_says_what_it_goes_without(
     two_computers: Robot, tmp_path: Path
 ) -> None:

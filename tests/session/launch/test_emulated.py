@@ -18,6 +18,7 @@ import poise
 from poise.emulate import EmulatedSet, find_set, look, sweep
 from poise.emulate.registry import read
 from tests.command import POISE, robot_up, run_poise
+from tests.processes import words_of
 from tests.waiting import LONG, wait_long, wait_until
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(LONG)]
@@ -104,7 +105,7 @@ def agent_of(kept: EmulatedSet, computer: str) -> int:
 
     def look_for_it() -> bool:
         for pid in kept.computers[computer].running():
-            words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+            words = words_of(pid)
             if b"agent" in words and computer.encode() in words:
                 found.append(pid)
         return bool(found)

@@ -182,7 +182,7 @@ def test_no_file_stays_open_of_those_who_came(wire: Wire) -> None:
     channel = wire.channel()
     channel.request(call("a"), LIMIT)
     channel.close()
-    wait_until(lambda: files() == before)
+    wait_until(lambda: files() <= before)  # earlier tests may close some
 
 
 @pytest.fixture
