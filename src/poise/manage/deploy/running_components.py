@@ -103,7 +103,7 @@ class RunningComponents(DesiredState):
         """Return what is known of each computer that is out of reach, in words."""
         out_of_reach = self.agents.out_of_reach()
         heard_by = {name: self.agents.heard_by(name) for name in out_of_reach}
-        return unreached(out_of_reach, self.placement(), heard_by)
+        return unreached(out_of_reach, self.placement(), heard_by, self.layout.leased)
 
     def cancel(self) -> None:
         """End what waits for agents: a change of the placement is rolled back."""
