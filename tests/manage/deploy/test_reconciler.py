@@ -131,6 +131,20 @@ def test_an_agent_that_obeys_another_is_claimed_first(rig: Rig) -> None:
     assert rig.later(0.0) == ["right"]
 
 
+def test_nothing_is_told_before_what_was_found_is_known(rig: Rig) -> None:
+    """An agent may report that it obeys before its answer to the claim is looked at."""
+    rig.run.claimed.discard("right")
+    there = structs.replace(rig.run.placed["thinker"], epoch=7)
+    plan = rig.run.layout.specs([there], 9, {})["right"]
+    rig.agents.left_with["right"] = plan
+    rig.agents.strangers.add("right")
+    rig.run.reconcile()  # it obeys from now on
+    rig.run.reconcile()
+    told = [d for computer, d in rig.agents.deployed if computer == "right"]
+    epochs = {c.epoch for d in told for k in d.containers for c in k.components}
+    assert epochs == {7}
+
+
 def test_one_that_refuses_a_claim_is_asked_again_later(rig: Rig) -> None:
     rig.agents.strangers.add("right")
     rig.agents.refusing.add("right")

@@ -139,7 +139,9 @@ class LostComputers:
         status = run.agents.statuses()[computer]
         pid_before, self._pids[computer] = self._pids.get(computer), status.pid
         what = f"computer '{computer}' is reached again"
-        if pid_before != status.pid:
+        if pid_before is None:
+            what = f"computer '{computer}' is reached; what is at work there goes on"
+        elif pid_before != status.pid:
             adopted = status.adopted
             went_on = counted(adopted, "container") if adopted else "no container"
             what = f"the agent of '{computer}' was restarted; {went_on} went on"

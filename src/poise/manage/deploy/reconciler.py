@@ -124,8 +124,8 @@ class Reconciler:
         self, computer: str, wanted: Deployment, status: AgentStatus | None
     ) -> None:
         agent, now = self._known.setdefault(computer, _AskedAgent()), self._clock.now()
-        if agent.reply is not None:
-            self._take(computer, agent, now)
+        if agent.reply is not None and self._take(computer, agent, now):
+            return  # what should run may be different, now that it was claimed
         if status is None:  # it is told when it is back
             agent.trouble = agent.refusal = ""
             agent.told = None
@@ -162,12 +162,12 @@ class Reconciler:
             return False
         return status.generation >= told.generation or now < agent.told_at + APPLY_LIMIT
 
-    def _take(self, computer: str, agent: _AskedAgent, now: float) -> None:
-        """Take in an agent's answer, if it is there or late."""
+    def _take(self, computer: str, agent: _AskedAgent, now: float) -> bool:
+        """Take in an answer, if it is there or late; return whether it is claimed."""
         reply = agent.reply
         is_late = now >= agent.told_at + ANSWER_LIMIT
         if reply is None or not (reply.is_done or is_late):
-            return
+            return False
         agent.reply = None
         answer = reply.answer
         if isinstance(answer, Accepted | Claimed):
@@ -176,16 +176,17 @@ class Reconciler:
             if isinstance(answer, Claimed):
                 self._agents.end_claim(computer, reply)
                 self._on_claimed(computer, answer.deployment)
-            return
+            return isinstance(answer, Claimed)
         agent.again_at = now + TRY_AGAIN
         if answer is None and not is_late:
-            return  # its connection broke: that it is lost is known in a moment
+            return False  # its connection broke: that it is lost is known soon
         why = f"did not answer within {ANSWER_LIMIT:g} s"
         if answer is not None:
             reason = answer.reason if isinstance(answer, Refused) else str(answer)
             why = f"refused: {reason}"
             agent.refusal = f"the agent of '{computer}' {why}"
         agent.trouble = f"the agent of '{computer}' {why}"
+        return False
 
 
 def _same(told: Deployment, wanted: Deployment) -> bool:
