@@ -39,8 +39,8 @@ from poise.runtime.agent.supervision.adoption import (
     ADOPT_LIMIT,
     AdoptedContainers,
     AgentFolder,
-    AgentState,
 )
+from poise.runtime.agent.supervision.agent_state import AgentState
 from poise.runtime.agent.supervision.container_processes import STOP_LIMIT
 from poise.runtime.agent.supervision.health import Usage
 from poise.runtime.agent.supervision.migration_relay import MigrationRelay

@@ -14,47 +14,23 @@ import os
 import signal
 import socket
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
-from msgspec import Struct
 
 from poise.clock import Clock
 from poise.errors import UsageError
+from poise.runtime.agent.supervision.agent_state import AgentState
 from poise.runtime.container.agent_link import Orphan, take_over
 from poise.wire.connections.socket_path import agent_path, socket_path
-from poise.wire.records.deployment import Deployment
-from poise.wire.records.requests import PROTOCOL, ManagerId
+from poise.wire.records.requests import PROTOCOL
 
 log = logging.getLogger(__name__)
 
 ADOPT_LIMIT = 5.0
 """A container of an earlier agent asks to be adopted within this time [s]."""
 _BOOT = Path("/proc/sys/kernel/random/boot_id")
-
-
-class AgentState(Struct, frozen=True, kw_only=True):
-    """What an agent must know after it was killed.
-
-    Parameters
-    ----------
-    gateway
-        Its IP address and TCP port.
-    agents, is_leased
-        With whom it exchanges heartbeats, as in `Claim`.
-    boot
-        When the computer has started since, nothing of it holds.
-    """
-
-    gateway: str = ""
-    manager: ManagerId | None = None
-    token: int = 0
-    wanted: Deployment | None = None
-    agents: Mapping[str, str] = {}
-    is_leased: bool = False
-    boot: str = ""
-    protocol: int = PROTOCOL
 
 
 class AgentFolder:
