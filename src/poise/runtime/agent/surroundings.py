@@ -173,6 +173,8 @@ class Surroundings(Struct, frozen=True, kw_only=True):
         Called with a sentence when a manager comes or goes.
     publish
         Sends a status to all managers.
+    appear
+        Lets managers see the agent, just before the first status.
     wake
         Lets `AgentCore.tick` be called soon; from any thread, never blocks.
     heartbeats
@@ -190,7 +192,8 @@ class Surroundings(Struct, frozen=True, kw_only=True):
     random: Random
     say: Callable[[str], object]
     publish: Callable[[AgentStatus], object]
-    wake: Callable[[], object]
+    appear: Callable[[], object]
+    wake: Callable[[], None]
     host: ContainerHost
     adoption: Adoption
     disk: AgentDisk
