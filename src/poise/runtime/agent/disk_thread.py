@@ -122,6 +122,7 @@ class DiskThread:
             # of those with a name there are only two
             if not isinstance(key, str) and len(self._jobs) >= _MOST:
                 return False
+            self._jobs.pop(key, None)
             self._jobs[key] = job
             self._changed.notify()
         return True
