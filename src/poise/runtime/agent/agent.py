@@ -132,9 +132,9 @@ class Agent:
 
     def _run_in(self, setup: AgentSetup) -> None:
         with (
-            contextlib.ExitStack() as closing,
             self._open_gateway() as gateway,
             open_session(listen=[self._locator], lease=setup.lease) as session,
+            contextlib.ExitStack() as closing,
         ):
             self._say(
                 f"agent of computer '{setup.computer}' of robot '{setup.robot}' at "
@@ -150,26 +150,7 @@ class Agent:
         setup, prefix = self._setup, f"poise/{self._setup.robot}"
         sampler = self._sampler(session)
         disk = self._disk(session)
-        statuses = session.declare_publisher(f"{prefix}/status/{setup.computer}")
-        world = Surroundings(
-            clock=self._clock,
-            wall=time.time,
-            random=random.Random(),  # noqa: S311, no secret
-            say=self._say,
-            publish=lambda status: statuses.put(encode(status)),
-            appear=lambda: self._appear(session),
-            wake=self._waker.wake,
-            host=self._host,
-            adoption=self._adoption,
-            disk=disk,
-            heartbeats=self._heartbeats,
-            usage=sampler.usage,
-            cpu=time.process_time,
-            gateway=str(gateway),
-            gateway_trouble=gateway.warning.trouble,
-            pid=os.getpid(),
-            key=uuid.uuid4().hex,
-        )
+        world = self._surroundings(session, gateway, sampler, disk)
         core = self._core = AgentCore(setup, world, self._left)
         self._inbox = AgentInbox(
             setup.computer, core.on_request, self._waker.wake, core.supervised
@@ -197,6 +178,37 @@ class Agent:
         self._end_all()
         for token in self._tokens:
             token.undeclare()  # type: ignore[no-untyped-call]
+
+    def _surroundings(
+        self,
+        session: zenoh.Session,
+        gateway: Gateway,
+        sampler: Sampler,
+        disk: DiskThread,
+    ) -> Surroundings:
+        """Return the real world for the core."""
+        statuses = session.declare_publisher(
+            f"poise/{self._setup.robot}/status/{self._setup.computer}"
+        )
+        return Surroundings(
+            clock=self._clock,
+            wall=time.time,
+            random=random.Random(),  # noqa: S311, no secret
+            say=self._say,
+            publish=lambda status: statuses.put(encode(status)),
+            appear=lambda: self._appear(session),
+            wake=self._waker.wake,
+            host=self._host,
+            adoption=self._adoption,
+            disk=disk,
+            heartbeats=self._heartbeats,
+            usage=sampler.usage,
+            cpu=time.process_time,
+            gateway=str(gateway),
+            gateway_trouble=gateway.warning.trouble,
+            pid=os.getpid(),
+            key=uuid.uuid4().hex,
+        )
 
     def _open_gateway(self) -> Gateway:
         """Open it where the agent before had it, so that connectors find it again."""

@@ -107,15 +107,7 @@ class AgentCore:
         self.heartbeats.begin_again(left.agents, left.is_leased)
         self._last = self._status()
         self._reports = StatusReports(world.publish, world.clock, self._last)
-        self._parts: tuple[_Part, ...] = (
-            _Part("state", self._keep_state),
-            _Part("lease", self._note_lease),
-            _Part("steps", self._give_up_steps, self._relay.moment),
-            _Part("adoption", world.adoption.give_up, world.adoption.moment),
-            _Part("containers", self.supervisor.reconcile, self.supervisor.moment),
-            _Part("clocks", self._tell_clocks),
-            _Part("status", self._report, self._report_due),
-        )
+        self._parts = self._table()
 
     def on_request(self, asked: ManagerRequest, reply: Reply) -> None:
         """Do what a manager asks for, or refuse it; it is answered once."""
@@ -206,6 +198,19 @@ class AgentCore:
         """Kill the containers that still run."""
         for process in list(self.supervisor.processes.values()):
             self._about(process.name, process.kill)
+
+    def _table(self) -> tuple[_Part, ...]:
+        """Return what each tick does, in its order."""
+        adoption = self._world.adoption
+        return (
+            _Part("state", self._keep_state),
+            _Part("lease", self._note_lease),
+            _Part("steps", self._give_up_steps, self._relay.moment),
+            _Part("adoption", adoption.give_up, adoption.moment),
+            _Part("containers", self.supervisor.reconcile, self.supervisor.moment),
+            _Part("clocks", self._tell_clocks),
+            _Part("status", self._report, self._report_due),
+        )
 
     def _about(self, container: str, work: Callable[..., T], *args: object) -> T | None:
         return self.supervised.attempt(part_of(container), work, *args)
