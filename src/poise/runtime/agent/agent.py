@@ -29,7 +29,7 @@ from poise import threads
 from poise.clock import SystemClock
 from poise.endpoint import Endpoint
 from poise.errors import RunError, Unavailable, UsageError
-from poise.priority import ahead, go_first
+from poise.priority import ahead, go_first, goes_first
 from poise.runtime.agent.agent_folder import AgentFolder
 from poise.runtime.agent.agent_setup import AgentSetup
 from poise.runtime.agent.checkpoint_files import CheckpointFiles
@@ -163,6 +163,11 @@ class Agent:
             f"{prefix}/manager/*", self._note_liveliness, history=True
         )
         go_first()
+        if not goes_first():
+            self._say(
+                "its heartbeats do not go before other programs: beside busy ones this "
+                "computer may be taken for lost (systemd: LimitNICE=-10)"
+            )
         closing.callback(disk.stop)
         with contextlib.ExitStack() as working:
             working.callback(answers.undeclare)
