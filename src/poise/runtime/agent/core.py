@@ -297,7 +297,8 @@ class AgentCore:
     def _status(self) -> AgentStatus:
         world, supervisor, wanted = self._world, self.supervisor, self.supervisor.wanted
         statuses, usage = supervisor.statuses(), world.usage()
-        troubles = world.gateway_trouble(), world.disk.trouble(), supervisor.trouble
+        # a lack of descriptors, say, is the cause of both
+        trouble = world.gateway_trouble() or world.disk.trouble()
         return AgentStatus(
             computer=self._setup.computer,
             pid=world.pid,
@@ -310,7 +311,7 @@ class AgentCore:
             load=sum(cores for cores, _ in usage.values()),
             memory=sum(size for _, size in usage.values()),
             gateway=world.gateway,
-            trouble="; ".join(filter(None, troubles)),
+            trouble="; ".join(filter(None, [supervisor.trouble, trouble])),
             errors=self.supervised.errors(),
             cpu_weights=world.host.cpu_weights,
             containers=statuses,
