@@ -119,6 +119,7 @@ def unreached(
     out_of_reach: Mapping[str, float],
     placement: Mapping[str, str],
     heard_by: Mapping[str, str],
+    leased: Collection[str],
 ) -> dict[str, str]:
     """Return what is known of each computer that is out of reach, in words.
 
@@ -126,15 +127,23 @@ def unreached(
     ----------
     heard_by
         Computer -> another one that still hears it; empty: none does.
+    leased
+        The components that stop when the lease of their computer ends.
     """
     sentences = {}
     for computer, since in sorted(out_of_reach.items()):
         began = time.strftime("%H:%M:%S", time.localtime(since))
         sentences[computer] = f"computer '{computer}' is out of reach since {began}"
-        inside = ", ".join(sorted(n for n, at in placement.items() if at == computer))
-        if inside:
-            what = f"its components {inside} may run on without a manager"
-            if other := heard_by.get(computer):
-                what = f"'{other}' hears it: its components {inside} go on"
-            sentences[computer] += f"; {what}"
+        inside = sorted(name for name, at in placement.items() if at == computer)
+        other = heard_by.get(computer)
+        if inside and other:
+            names = ", ".join(inside)
+            sentences[computer] += f"; '{other}' hears it: its components {names} go on"
+            continue
+        stop = ", ".join(name for name in inside if name in leased)
+        stay = ", ".join(name for name in inside if name not in leased)
+        if stop:
+            sentences[computer] += f"; {stop} stops there when its lease ends"
+        if stay:
+            sentences[computer] += f"; {stay} may run on there"
     return sentences

@@ -79,7 +79,7 @@ class DeploymentPlan:
             for component in architecture.components
         }
         self._components = {c.name: c for c in robot.components()}
-        self._leased = leased_components(robot)
+        self.leased = leased_components(robot)
         # command-line components speak by their own means: nothing is joined to them
         commands = {c.name for c in robot.components() if c.command}
         self._joinable = [
@@ -265,7 +265,7 @@ class DeploymentPlan:
             restart_when_hung=component.restart_when_hung,
             gently=incarnation.gently,
             chains=self._parts.get(component.name, ()),
-            leased=component.name in self._leased,
+            leased=component.name in self.leased,
             ends=self._ends.get(component.name, ()),
             turn=incarnation.turn,
             action=incarnation.action,

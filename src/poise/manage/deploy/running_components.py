@@ -6,37 +6,30 @@ the agents there. What does run is what they observed.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Collection, Iterable, Mapping
 
 from msgspec import structs
 
-from poise.clock import Clock, SystemClock
+from poise.clock import Clock
 from poise.errors import RunError
-from poise.estimate.profile.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import (
     components_of,
     containers_left,
     cut_links,
-    gateways,
     located,
     missing,
     unreached,
 )
-from poise.manage.deploy.adoption import found_in
-from poise.manage.deploy.deployment_plan import DeploymentPlan
-from poise.manage.deploy.desired import Desired, difference
+from poise.manage.deploy.desired import Desired
+from poise.manage.deploy.desired_state import DesiredState
 from poise.manage.deploy.incarnation import Incarnation
-from poise.manage.deploy.other_side import joined_by
-from poise.manage.deploy.reconciler import Reconciler
 from poise.manage.journal import Journal
 from poise.manage.observe.faults import fault_sentence, faults_after, last_numbers
 from poise.manage.prefetch.report import Switches
-from poise.manage.supervised import SupervisedTick
 from poise.model.robot import Robot
 from poise.units import counted
-from poise.wire.records.deployment import Deployment, Goal
+from poise.wire.records.deployment import Goal
 from poise.wire.records.status import AgentStatus
 
 READY_LIMIT = 20.0
@@ -45,18 +38,8 @@ ACTIVE_LIMIT = 10.0
 STOP_LIMIT = 5.0
 
 
-class RunningComponents:
-    """The components of a task on the robot's computers.
-
-    Parameters
-    ----------
-    placement
-        Component -> computer.
-    folder
-        The run's folder, to which devices' paths are relative.
-    weigh
-        Whether the sizes of snapshots are taken as components are deactivated.
-    """
+class RunningComponents(DesiredState):
+    """The components of a task on the robot's computers; parameters as for its base."""
 
     def __init__(
         self,
@@ -69,110 +52,21 @@ class RunningComponents:
         weigh: bool = False,
         clock: Clock | None = None,
     ) -> None:
-        self.robot = robot
-        self.agents = agents
-        self.journal = journal
-        self.layout = DeploymentPlan(
-            robot, folder, weigh=weigh, code_version=version_of
+        super().__init__(
+            robot, placement, agents, journal, folder, weigh=weigh, clock=clock
         )
-        self.clock = clock or SystemClock()
-        self._is_over = threading.Event()
-        self._epochs: dict[str, int] = {}
-        self._last_epoch = -1
-        self.desired = Desired(
-            placed={
-                name: Incarnation(
-                    component=name, computer=computer, epoch=self.next_epoch(name)
-                )
-                for name, computer in placement.items()
-            }
-        )
-        """What should run; any thread may read it, and only `commit` replaces it."""
-        self.tick = SupervisedTick(
-            journal, self.clock, self.release, self._is_over.is_set
-        )
-        """What runs the parts of the manager's loop."""
-        self.reconciler = Reconciler(agents, self.clock, self._note_claimed)
-        self.claimed: set[str] = set()
-        """The computers that this manager has claimed, and so knows what runs there."""
-        self._found: dict[str, Deployment] = {}
         self.switches = Switches()
         self.check: Callable[[], object] = lambda: None
         """Called at all news while agents are waited for; may raise to end that."""
         self.faults_before = last_numbers(agents.statuses())
         self._faults_before_commit = self.faults_before
-        self._gateways: dict[str, str] = {}
-        self._deployments: Mapping[str, Deployment] = {}
-        self._deployed_for: object = None
-        self.is_left = False
-        """Whether it is left to another manager, or was stopped."""
         self.goes_on_without_lost = False
         """Whether a lost computer is a deviation; else it ends what waits."""
 
-    @property
-    def placed(self) -> Mapping[str, Incarnation]:
-        """Component -> its authoritative incarnation."""
-        return self.desired.placed
-
-    @property
-    def prepared(self) -> Mapping[str, Incarnation]:
-        """Component -> its idle incarnation, to be active soon."""
-        return self.desired.prepared
-
     def commit(self, desired: Desired, why: str, *, tell_later: bool = False) -> None:
-        """Let something else run from now on; the only place that changes that.
-
-        It is journalled, and agents are told; nothing is waited for. For the manager's
-        thread.
-
-        Parameters
-        ----------
-        desired
-            Made from `desired` as it is; its generation is set here.
-        why
-            For people, in the journal.
-        tell_later
-            Whether agents are told at the next `reconcile` only.
-        """
-        before = self.desired
-        statuses = self.agents.statuses()
-        self._faults_before_commit = last_numbers(statuses)
-        if desired != before:
-            # later than any that the agents ever saw, from whatever manager
-            seen = [status.generation for status in statuses.values()]
-            self.desired = structs.replace(
-                desired, generation=max(desired.generation, *seen, 0) + 1
-            )
-            if changes := difference(before, desired):
-                self.journal.note("desired", why, changes=changes)
-        if not tell_later:
-            self.reconcile()
-
-    def reconcile(self) -> None:
-        """Bring the agents a step nearer to what should run; never raises."""
-        if not self.is_left:
-            self.tick.run("bring agents to what should run", self._reconcile)
-
-    def release(self, why: str) -> None:
-        """Let what is placed go on, without any change under way: that broke."""
-        self.commit(self.desired.released(), why)
-
-    def _reconcile(self) -> None:
-        now = self.desired, dict(self.gateways())
-        if now != self._deployed_for:
-            self._deployed_for = now
-            self._deployments = {
-                computer: structs.replace(spec, tasks=self.desired.tasks)
-                for computer, spec in self.layout.specs(
-                    self.desired.incarnations(),
-                    self.desired.generation,
-                    now[1],
-                    self.desired.spare,
-                ).items()
-            }
-        self.reconciler.step(self._deployments)
-        if self._found:
-            self._join_found()
+        """Let something else run from now on; faults after that explain a wait."""
+        self._faults_before_commit = last_numbers(self.agents.statuses())
+        super().commit(desired, why, tell_later=tell_later)
 
     def start(self) -> None:
         """End what an earlier manager left, and start everything.
@@ -201,41 +95,19 @@ class RunningComponents:
         self.reach("active", ACTIVE_LIMIT)
         self.journal.note("done", "everything runs", placement=self.placement())
 
-    def adopt(
-        self,
-        kept: Mapping[str, Incarnation],
-        last_epochs: Mapping[str, int],
-        tasks: bytes,
-        held: frozenset[str],
-    ) -> None:
-        """Go on with what an earlier manager left, in place of what was planned."""
-        self._epochs = dict(last_epochs)
-        # that of one on a computer that is out of reach is not known, and lower
-        self._last_epoch = max(s.generation for s in self.agents.statuses().values())
-        desired = Desired(placed=dict(kept), tasks=tasks, held=held)
-        self.commit(desired, "taking the robot over")
-
-    def placement(self) -> dict[str, str]:
-        """Return component -> computer, as it is now; from any thread."""
-        return self.desired.placement()
-
     def watch(self, seconds: float) -> None:
         """Let it run for `seconds` [s]; raise RunError when something fails."""
         self.agents.wait_news(self._raise_on_trouble, seconds)
-
-    def leave(self) -> None:
-        """Leave the robot as it is: a stop does nothing from now on."""
-        self.is_left = True
 
     def unreached(self) -> dict[str, str]:
         """Return what is known of each computer that is out of reach, in words."""
         out_of_reach = self.agents.out_of_reach()
         heard_by = {name: self.agents.heard_by(name) for name in out_of_reach}
-        return unreached(out_of_reach, self.placement(), heard_by)
+        return unreached(out_of_reach, self.placement(), heard_by, self.layout.leased)
 
     def cancel(self) -> None:
         """End what waits for agents: a change of the placement is rolled back."""
-        self._is_over.set()
+        self.is_over.set()
         self.agents.notify()
 
     def end_all(self, why: str) -> None:
@@ -276,20 +148,6 @@ class RunningComponents:
         """
         self.commit(self.desired.starting(coming), why)
         self.wait(coming, limit)
-
-    def gateways(self) -> dict[str, str]:
-        """Return where other computers reach each computer's containers.
-
-        It is known also of a computer that is out of reach, or back without a report.
-        """
-        self._gateways |= gateways(self.agents.statuses())
-        return self._gateways
-
-    def next_epoch(self, component: str) -> int:
-        """Return an epoch that no incarnation of the component has had."""
-        last = self._epochs.get(component, self._last_epoch)
-        self._epochs[component] = last + 1
-        return self._epochs[component]
 
     def wait(
         self,
@@ -437,29 +295,6 @@ class RunningComponents:
         """Return the containers that still run, for all that is known."""
         return containers_left(self.current(), self.computers())
 
-    def _note_claimed(self, computer: str, found: Deployment | None) -> None:
-        """Take in what an agent works towards that was claimed."""
-        found = found or Deployment(generation=0, containers=())
-        if computer in self.claimed:  # this manager knows what runs there
-            found = structs.replace(found, containers=())
-        self.claimed.add(computer)
-        self._found[computer] = found
-
-    def _join_found(self) -> None:
-        """Adopt what is at work on computers that were claimed for the first time."""
-        found, self._found = self._found, {}
-        for each in found_in(found):
-            self._epochs[each.name] = max(
-                self._epochs.get(each.name, self._last_epoch), each.spec.epoch
-            )
-        names = ", ".join(f"'{name}'" for name in sorted(found))
-        desired = joined_by(self.desired, self.robot, found_in(found), self.claimed)
-        last = max(each.generation for each in found.values())
-        desired = structs.replace(
-            desired, generation=max(last, self.desired.generation) + 1
-        )
-        self.commit(desired, f"what is at work on {names} goes on there")
-
     def note_refused(self) -> None:
         """Journal why records of agents were refused."""
         for sentence in self.agents.take_refused():
@@ -470,7 +305,7 @@ class RunningComponents:
         self.note_refused()
         self.check()
         self.reconcile()
-        if self._is_over.is_set():
+        if self.is_over.is_set():
             raise RunError("the robot is being stopped")
         self.raise_on_lost()
 
@@ -504,16 +339,6 @@ class RunningComponents:
         for each in incarnations:
             if each.computer in unreached:
                 raise RunError(unreached[each.computer])
-
-    def why_held(self, component: str) -> str:
-        """Return why a component stays inactive, for people."""
-        missing = {computer.name for computer in self.robot.computers} - self.claimed
-        names = " or ".join(f"'{name}'" for name in sorted(missing))
-        return (
-            f"component '{component}' waits: another manager may run it on {names}, "
-            "which this one has not reached. `poise up FILE --take-over` starts it "
-            "nevertheless"
-        )
 
     def _raise_on_refusal(self, incarnations: Iterable[Incarnation]) -> None:
         """Raise RunError when an agent refuses what should run there, or it is held."""

@@ -1,0 +1,223 @@
+"""What should run on a robot: the one owner of that record.
+
+Every change is a `commit`, which journals it; a reconciler brings the agents there.
+Nothing here waits for an agent.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+
+from msgspec import structs
+
+from poise.clock import Clock, SystemClock
+from poise.estimate.profile.code_version import version_of
+from poise.manage.agent_connections.agents import Agents
+from poise.manage.agent_connections.statuses import gateways
+from poise.manage.deploy.adoption import found_in
+from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.manage.deploy.desired import Desired, difference
+from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.other_side import joined_by
+from poise.manage.deploy.reconciler import Reconciler
+from poise.manage.journal import Journal
+from poise.manage.supervised import SupervisedTick
+from poise.model.robot import Robot
+from poise.wire.records.deployment import Deployment
+
+
+class DesiredState:
+    """Holds what should run, and lets agents know.
+
+    Parameters
+    ----------
+    placement
+        Component -> computer.
+    folder
+        The run's folder, to which devices' paths are relative.
+    weigh
+        Whether the sizes of snapshots are taken as components are deactivated.
+
+    Attributes
+    ----------
+    is_over
+        Set when the robot is to be stopped: what waits for agents ends.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        placement: Mapping[str, str],
+        agents: Agents,
+        journal: Journal,
+        folder: str,
+        *,
+        weigh: bool = False,
+        clock: Clock | None = None,
+    ) -> None:
+        self.robot = robot
+        self.agents = agents
+        self.journal = journal
+        self.layout = DeploymentPlan(
+            robot, folder, weigh=weigh, code_version=version_of
+        )
+        self.clock = clock or SystemClock()
+        self.is_over = threading.Event()
+        self._epochs: dict[str, int] = {}
+        self._last_epoch = -1
+        self.desired = Desired(
+            placed={
+                name: Incarnation(
+                    component=name, computer=computer, epoch=self.next_epoch(name)
+                )
+                for name, computer in placement.items()
+            }
+        )
+        """What should run; any thread may read it, and only `commit` replaces it."""
+        self.tick = SupervisedTick(
+            journal, self.clock, self.release, self.is_over.is_set
+        )
+        """What runs the parts of the manager's loop."""
+        self.reconciler = Reconciler(agents, self.clock, self._note_claimed)
+        self.claimed: set[str] = set()
+        """The computers that this manager has claimed, and so knows what runs there."""
+        self._found: dict[str, Deployment] = {}
+        self._gateways: dict[str, str] = {}
+        self._deployments: Mapping[str, Deployment] = {}
+        self._deployed_for: object = None
+        self.is_left = False
+        """Whether it is left to another manager, or was stopped."""
+
+    @property
+    def placed(self) -> Mapping[str, Incarnation]:
+        """Component -> its authoritative incarnation."""
+        return self.desired.placed
+
+    @property
+    def prepared(self) -> Mapping[str, Incarnation]:
+        """Component -> its idle incarnation, to be active soon."""
+        return self.desired.prepared
+
+    def placement(self) -> dict[str, str]:
+        """Return component -> computer, as it is now; from any thread."""
+        return self.desired.placement()
+
+    def commit(self, desired: Desired, why: str, *, tell_later: bool = False) -> None:
+        """Let something else run from now on; the only place that changes that.
+
+        It is journalled, and agents are told; nothing is waited for. For the manager's
+        thread.
+
+        Parameters
+        ----------
+        desired
+            Made from `desired` as it is; its generation is set here.
+        why
+            For people, in the journal.
+        tell_later
+            Whether agents are told at the next `reconcile` only.
+        """
+        before = self.desired
+        statuses = self.agents.statuses()
+        if desired != before:
+            # later than any that the agents ever saw, from whatever manager
+            seen = [status.generation for status in statuses.values()]
+            self.desired = structs.replace(
+                desired, generation=max(desired.generation, *seen, 0) + 1
+            )
+            if changes := difference(before, desired):
+                self.journal.note("desired", why, changes=changes)
+        if not tell_later:
+            self.reconcile()
+
+    def reconcile(self) -> None:
+        """Bring the agents a step nearer to what should run; never raises."""
+        if not self.is_left:
+            self.tick.run("bring agents to what should run", self._reconcile)
+
+    def release(self, why: str) -> None:
+        """Let what is placed go on, without any change under way: that broke."""
+        self.commit(self.desired.released(), why)
+
+    def adopt(
+        self,
+        kept: Mapping[str, Incarnation],
+        last_epochs: Mapping[str, int],
+        tasks: bytes,
+        held: frozenset[str],
+    ) -> None:
+        """Go on with what an earlier manager left, in place of what was planned."""
+        self._epochs = dict(last_epochs)
+        # that of one on a computer that is out of reach is not known, and lower
+        self._last_epoch = max(s.generation for s in self.agents.statuses().values())
+        desired = Desired(placed=dict(kept), tasks=tasks, held=held)
+        self.commit(desired, "taking the robot over")
+
+    def leave(self) -> None:
+        """Leave the robot as it is: a stop does nothing from now on."""
+        self.is_left = True
+
+    def gateways(self) -> dict[str, str]:
+        """Return where other computers reach each computer's containers.
+
+        It is known also of a computer that is out of reach, or back without a report.
+        """
+        self._gateways |= gateways(self.agents.statuses())
+        return self._gateways
+
+    def next_epoch(self, component: str) -> int:
+        """Return an epoch that no incarnation of the component has had."""
+        last = self._epochs.get(component, self._last_epoch)
+        self._epochs[component] = last + 1
+        return self._epochs[component]
+
+    def why_held(self, component: str) -> str:
+        """Return why a component stays inactive, for people."""
+        missing = {computer.name for computer in self.robot.computers} - self.claimed
+        names = " or ".join(f"'{name}'" for name in sorted(missing))
+        return (
+            f"component '{component}' waits: another manager may run it on {names}, "
+            "which this one has not reached. `poise up FILE --take-over` starts it "
+            "nevertheless"
+        )
+
+    def _reconcile(self) -> None:
+        now = self.desired, dict(self.gateways())
+        if now != self._deployed_for:
+            self._deployed_for = now
+            self._deployments = {
+                computer: structs.replace(spec, tasks=self.desired.tasks)
+                for computer, spec in self.layout.specs(
+                    self.desired.incarnations(),
+                    self.desired.generation,
+                    now[1],
+                    self.desired.spare,
+                ).items()
+            }
+        self.reconciler.step(self._deployments)
+        if self._found:
+            self._join_found()
+
+    def _note_claimed(self, computer: str, found: Deployment | None) -> None:
+        """Take in what an agent works towards that was claimed."""
+        found = found or Deployment(generation=0, containers=())
+        if computer in self.claimed:  # this manager knows what runs there
+            found = structs.replace(found, containers=())
+        self.claimed.add(computer)
+        self._found[computer] = found
+
+    def _join_found(self) -> None:
+        """Adopt what is at work on computers that were claimed for the first time."""
+        found, self._found = self._found, {}
+        for each in found_in(found):
+            self._epochs[each.name] = max(
+                self._epochs.get(each.name, self._last_epoch), each.spec.epoch
+            )
+        names = ", ".join(f"'{name}'" for name in sorted(found))
+        desired = joined_by(self.desired, self.robot, found_in(found), self.claimed)
+        last = max(each.generation for each in found.values())
+        desired = structs.replace(
+            desired, generation=max(last, self.desired.generation) + 1
+        )
+        self.commit(desired, f"what is at work on {names} goes on there")
