@@ -68,6 +68,17 @@ def test_an_owner_that_fails_at_it_hides_nothing(
     assert "could not be reported" in caplog.text
 
 
+def test_a_program_in_anothers_process_hears_of_them_for_a_time(
+    failures: list[tuple[str, str]],
+) -> None:
+    heard: list[str] = []
+    with threads.failures_heard(lambda name, _: heard.append(name)):
+        run(threads.daemon(fail, "metrics"))
+    run(threads.daemon(fail, "later"))
+    assert heard == ["metrics"]
+    assert [name for name, _ in failures] == ["metrics", "later"]
+
+
 def test_a_failure_is_shown_with_its_thread() -> None:
     failures = threads.Failures("container 'see'")
     assert not failures.trouble()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
+from math import inf
 from random import Random
 from signal import SIGKILL, SIGTERM, Signals
 from typing import Any
@@ -12,13 +14,16 @@ import pytest
 from poise.errors import Unavailable
 from poise.runtime.agent.agent_setup import AgentSetup
 from poise.runtime.agent.core import AgentCore
-from poise.runtime.agent.supervised import SHOWN_FOR
+from poise.runtime.agent.supervised_parts import SHOWN_FOR
 from poise.runtime.agent.supervision.agent_state import AgentState
 from poise.runtime.agent.supervision.container_processes import ProcessEnd
-from poise.runtime.agent.surroundings import Reply, Surroundings
+from poise.runtime.agent.supervision.supervisor import FENCE_GRACE
+from poise.runtime.agent.surroundings import Hear, NextBeat, Reply, Surroundings
 from poise.testing import VirtualClock
+from poise.wire.failure_detector import UNCUT_LEASE
+from poise.wire.heartbeats import Address
 from poise.wire.records.container import ContainerFailure, ToContainer
-from poise.wire.records.deployment import ContainerSpec, Deployment
+from poise.wire.records.deployment import ComponentSpec, ContainerSpec, Deployment
 from poise.wire.records.migration import MigrationSteps, StepsFailed
 from poise.wire.records.requests import (
     Accepted,
@@ -28,7 +33,7 @@ from poise.wire.records.requests import (
     ManagerRequest,
     Refused,
 )
-from poise.wire.records.status import AgentStatus, ContainerStatus
+from poise.wire.records.status import AgentStatus, ComponentStatus, ContainerStatus
 
 MANAGER = ManagerId(key="first", user="ann", host="desk", pid=7, since=0.0)
 EXIT_1 = ProcessEnd(1 << 8)
@@ -159,8 +164,12 @@ class Disk:
 class World:
     """An agent and what it is in."""
 
-    def __init__(self, left: AgentState | None = None) -> None:
+    def __init__(
+        self, left: AgentState | None = None, transport: type[Transport] | None = None
+    ) -> None:
         self.clock = VirtualClock()
+        self.asleep = 0.0
+        self.transports: list[Transport] = []
         self.host, self.adoption, self.disk = Host(), Adopted(), Disk()
         self.statuses: list[AgentStatus] = []
         self.said: list[str] = []
@@ -168,7 +177,7 @@ class World:
         surroundings = Surroundings(
             clock=self.clock,
             wall=lambda: 1e9 + self.clock.now(),
-            asleep=lambda: 0.0,
+            asleep=lambda: self.asleep,
             random=Random(1),
             say=self.said.append,
             publish=self.statuses.append,
@@ -177,7 +186,7 @@ class World:
             host=self.host,
             adoption=self.adoption,
             disk=self.disk,
-            heartbeats=lambda _hear, _next_beat: None,
+            heartbeats=partial(self._open, transport),
             usage=dict,
             cpu=lambda: 0.0,
             gateway="10.0.0.1:7000",
@@ -188,6 +197,14 @@ class World:
         setup = AgentSetup(robot="test", computer="main", address="10.0.0.1", folder="")
         self.core = AgentCore(setup, surroundings, left or AgentState())
         self._generation = 0
+
+    def _open(
+        self, transport: type[Transport] | None, hear: Hear, next_beat: NextBeat
+    ) -> Transport | None:
+        if transport is None:
+            return None
+        self.transports.append(transport(hear, next_beat))
+        return self.transports[0]
 
     def _appear(self) -> None:
         self.appeared_at.append(self.clock.now())
@@ -397,3 +414,89 @@ def test_what_an_earlier_agent_wanted_is_started_without_a_manager() -> None:
     assert world.appeared_at == [5.0]
     assert world.status.generation == 4
     assert world.status.token == 2
+
+
+def leased_by(world: World, *, lapsed: bool) -> Process:
+    """Let a container of an earlier agent be adopted, and return it."""
+    process = Process()
+    process.is_lapsed = lapsed
+    assert world.core.on_orphan("see", 100, process)
+    return process
+
+
+def other_agents() -> AgentState:
+    agents = {"main": "tcp/10.0.0.1:7", "far": "tcp/10.0.0.2:7"}
+    wanted = Deployment(generation=4, containers=specs("see"))
+    return AgentState(manager=MANAGER, token=2, wanted=wanted, agents=agents)
+
+
+class Transport:
+    """A network on which nobody answers; a test says when a heartbeat is due."""
+
+    def __init__(self, _hear: Hear, next_beat: NextBeat) -> None:
+        self.beat = next_beat
+
+    def start(self) -> None:
+        pass
+
+    def send_to(self, targets: Mapping[str, Address]) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+def test_containers_may_act_for_ever_where_no_other_computer_is() -> None:
+    world = World()
+    world.deploy("see")
+    assert world.host.processes["see"].lease_end == inf
+
+
+def test_each_heartbeat_extends_what_containers_may_do() -> None:
+    world = World(other_agents(), Transport)
+    process = leased_by(world, lapsed=False)
+    for moment in (0.1, 5.0):
+        world.clock.sleep(moment)
+        world.transports[0].beat()
+        assert process.lease_end == world.clock.now() + UNCUT_LEASE
+    assert not world.core.fence.is_cut_off
+
+
+def test_what_had_no_lease_any_more_when_it_was_adopted_gets_none() -> None:
+    world = World(other_agents(), Transport)
+    process = leased_by(world, lapsed=True)
+    world.transports[0].beat()
+    assert process.lease_end == -inf
+    world.run(0.1)
+    assert world.core.fence.cut_off == 1e9
+    assert world.core.fence.token == 3
+
+
+def test_a_computer_that_was_suspended_has_no_lease() -> None:
+    world = World(other_agents(), Transport)
+    process = leased_by(world, lapsed=False)
+    world.asleep = 60.0
+    world.transports[0].beat()
+    assert process.lease_end == -inf
+
+
+def test_a_container_whose_code_goes_on_without_lease_is_killed() -> None:
+    world = World(other_agents(), Transport)
+    arm = ComponentSpec(name="arm", goal="active", leased=True)
+    wanted = ContainerSpec(name="see", folder="", components=(arm,), connectors=())
+    world.core.supervisor.take(Deployment(generation=5, containers=(wanted,)))
+    process = leased_by(world, lapsed=True)
+    world.run(0.1)
+    at_work = ComponentStatus(name="arm", state="active")
+    status = ContainerStatus(
+        name="see", pid=100, at=world.clock.now(), components=(at_work,)
+    )
+    world.core.on_record("see", status)
+    world.run(FENCE_GRACE - 0.2)
+    assert process.signals == []
+    world.run(0.2)
+    assert process.signals == [SIGKILL]
+    world.core.on_ended(100, ProcessEnd(9))
+    world.core.tick()
+    (fault,) = world.status.faults
+    assert "'arm' still ran 0.5 s after the computer's lease ended" in fault.message

@@ -2,7 +2,7 @@
 
 The agent tells it what happened, on one thread, and calls `tick` after that and at
 `moment`. An error in one part of a tick, in one request or in what concerns one
-container is shown in the status and stops nothing else (`Supervised`).
+container is shown in the status and stops nothing else (`SupervisedParts`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
 from poise.runtime.agent.sampling.watchdog import Silence
 from poise.runtime.agent.status_reports import StatusReports
-from poise.runtime.agent.supervised import Supervised
+from poise.runtime.agent.supervised_parts import SupervisedParts
 from poise.runtime.agent.supervision.adoption import ADOPT_LIMIT
 from poise.runtime.agent.supervision.agent_state import AgentState
 from poise.runtime.agent.supervision.container_processes import STOP_LIMIT, ProcessEnd
@@ -73,7 +73,7 @@ class AgentCore:
         self._clock = world.clock
         self._born = world.clock.now()
         self._end_limit = float("inf")
-        self.supervised = Supervised(world.clock, world.wall)
+        self.supervised = SupervisedParts(world.clock, world.wall)
         self.supervisor = Supervisor(
             world.host,
             world.clock,

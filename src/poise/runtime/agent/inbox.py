@@ -10,7 +10,7 @@ import msgspec
 import zenoh
 from msgspec import Struct
 
-from poise.runtime.agent.supervised import Supervised
+from poise.runtime.agent.supervised_parts import SupervisedParts
 from poise.runtime.agent.surroundings import Reply
 from poise.wire.records.requests import PROTOCOL, Answer, ManagerRequest, Refused
 
@@ -37,7 +37,7 @@ class AgentInbox:
         computer: str,
         attend: Callable[[ManagerRequest, Reply], None],
         wake: Callable[[], None],
-        supervised: Supervised,
+        supervised: SupervisedParts,
     ) -> None:
         self._computer = computer
         self._attend = attend

@@ -105,7 +105,7 @@ class ContainerHost(Protocol):
         """
 
 
-class Adoption(Protocol):
+class LeftContainers(Protocol):
     """Containers that an earlier agent has left: some may run and not have asked."""
 
     num_adopted: int
@@ -211,7 +211,7 @@ class Surroundings(Struct, frozen=True, kw_only=True):
     appear: Callable[[], object]
     wake: Callable[[], None]
     host: ContainerHost
-    adoption: Adoption
+    adoption: LeftContainers
     disk: AgentDisk
     heartbeats: Callable[[Hear, NextBeat], HeartbeatTransport | None]
     usage: Callable[[], Usage]

@@ -18,7 +18,7 @@ from poise.back_off import BackOff
 from poise.clock import Clock
 from poise.errors import Unavailable
 from poise.runtime.agent.sampling.watchdog import Silence
-from poise.runtime.agent.supervised import Supervised
+from poise.runtime.agent.supervised_parts import SupervisedParts
 from poise.runtime.agent.supervision.container_processes import (
     ContainerProcess,
     ProcessEnd,
@@ -61,7 +61,7 @@ class Supervisor:
         self,
         host: ContainerHost,
         clock: Clock,
-        supervised: Supervised,
+        supervised: SupervisedParts,
         health: HealthRecords,
         random: Random,
         awaits: Callable[[str], bool],
@@ -326,7 +326,7 @@ class Supervisor:
 
 
 def part_of(container: str) -> str:
-    """Return the name of what an agent does for a container, for `Supervised`."""
+    """Return the name of what an agent does for a container, for `SupervisedParts`."""
     return f"container '{container}'"
 
 

@@ -24,7 +24,7 @@ _MOST = 20
 T = TypeVar("T")
 
 
-class Supervised:
+class SupervisedParts:
     """Runs the parts of an agent's work.
 
     Parameters
