@@ -171,6 +171,12 @@ def test_a_bug_in_a_command_is_refused_and_the_robot_goes_on(
     assert managed.run.desired.settled().keys() == PLACEMENT.keys()
 
 
+def test_a_thread_that_failed_is_in_the_status(managed: Managed) -> None:
+    managed.manager.failures.note("metrics", KeyError("odd"))
+    deviations = managed.manager.status().deviations
+    assert ["thread 'metrics'" in each.what for each in deviations].count(True) == 1
+
+
 def test_a_status_waits_for_nothing_that_the_manager_does(managed: Managed) -> None:
     waiting = managed.manager.submit(COMMAND)
     assert managed.manager.submit(StatusCommand()).done()

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 import poise
+from poise import threads
 from poise.session.running_robots.running import Running
 from poise.session.up import Up
 from tests.session.emulated_robot import written
@@ -132,3 +134,18 @@ def test_a_bug_in_one_part_is_said_and_the_robot_goes_on(
     (failed, *_) = (e for e in entries if e.kind == "failed" and part in e.what)
     assert "break_down" in failed.facts["traceback"]
     assert os.getpid() == status.manager.pid
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_thread_that_fails_is_journalled_and_said_and_the_robot_goes_on(
+    buggy: Buggy,
+) -> None:
+    threads.daemon(break_down, "odd one").start()
+    wait_long(lambda: "thread 'odd one' of the manager's process" in said(buggy.up))
+    buggy.goes_on()
+    (failed,) = (e for e in buggy.up.journal() if "odd one" in e.what)
+    assert failed.kind == "failed"
+    assert "break_down" in failed.facts["traceback"]
+    # it is not shown any more a minute later
+    buggy.manager.failures._now = lambda: time.monotonic() + 2 * threads.SHOWN_FOR
+    assert "odd one" not in said(buggy.up)

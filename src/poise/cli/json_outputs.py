@@ -76,7 +76,7 @@ class Echoed(TypedDict):
     value: Any
 
 
-class Planned(PlainResult, total=False):
+class PlannedPlacement(PlainResult, total=False):
     """A placement; with --explain why."""
 
     explanation: dict[str, Any]
@@ -108,7 +108,7 @@ class SmallestShown(TypedDict):
 _SCENES = dict.fromkeys(get_type_hints(play)["return"] for _, play in SCENES.values())
 OUTPUTS: Mapping[str, Sequence[Any]] = {
     "check": [Checked],
-    "plan": [Planned, PlannedPhases, Compared, SmallestShown],
+    "plan": [PlannedPlacement, PlannedPhases, Compared, SmallestShown],
     "profile": [Profile],
     "profile show": [Profile],
     "calibrate": [Calibration],

@@ -10,6 +10,7 @@ import time
 from collections import deque
 from pathlib import Path
 
+from poise import threads
 from poise.units import counted
 
 _RETRY_AFTER = 1.0
@@ -67,7 +68,7 @@ class BackgroundFile:
         self._fd = -1
         self._error = ""
         self._began: float | None = None
-        self._thread = threading.Thread(target=self._main, name=name, daemon=True)
+        self._thread = threads.daemon(self._main, name, again=True)
 
     def start(self) -> None:
         """Begin to write."""
@@ -129,7 +130,8 @@ class BackgroundFile:
                     break
             else:
                 self._note_written(len(records))
-            self._began = None
+            finally:
+                self._began = None
         if self._fd >= 0:
             os.close(self._fd)
 

@@ -53,6 +53,7 @@ from poise.manage.observe.deadline_misses import DeadlineMisses
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.manager_troubles import ManagerTroubles
 from poise.manage.observe.recording import Recording, RecordingFile
+from poise.manage.observe.thread_failures import ThreadFailures
 from poise.manage.observe.watch import Watch
 from poise.manage.prefetch.prefetch import Prefetcher
 from poise.manage.tasks.progress import Saved
@@ -83,6 +84,11 @@ class Manager:
         Why not all that the task needs runs; empty: it does.
     recording
         Keeps the samples, and what policies see; None: nothing does.
+
+    Attributes
+    ----------
+    failures
+        Is to hear of threads of this process that fail.
     """
 
     def __init__(
@@ -114,6 +120,7 @@ class Manager:
         self._troubles = ManagerTroubles(
             run.journal, others=(samples, *([recording.file] if recording else []))
         )
+        self.failures = ThreadFailures(run.journal)
         self._lost = LostComputers(run)
         self._misses = DeadlineMisses()
         self._ages = ChainAges()
@@ -166,6 +173,7 @@ class Manager:
                 *self._tick.deviations(),
                 *known.deviations,
                 *self._troubles.deviations(),
+                *self.failures.deviations(),
                 *self._lost.deviations(),
                 *self._watch.deviations,
                 *self._watch.code_errors.deviations(),

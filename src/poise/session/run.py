@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from poise import threads
 from poise.clock import wall_time
 from poise.errors import PoiseError, RunError
 from poise.manage.control_socket.server import ControlServer
@@ -122,6 +123,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
             aside=placed.why_aside,
             recording=kept.recorder,
         )
+        stack.enter_context(threads.failures_heard(manager.failures.note))
         answering.callback(manager.end)
         shows = ""
         if server is not None:

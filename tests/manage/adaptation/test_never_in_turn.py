@@ -17,11 +17,12 @@ from hypothesis import strategies as st
 from msgspec import Struct
 
 from poise.estimate.online import Estimate
-from poise.manage.adaptation import loop
+from poise.manage.adaptation import transitions
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.move_limits import STAY_AWAY
 from poise.manage.adaptation.shortages.put_aside import PutAside
 from poise.manage.adaptation.situation import Situation
+from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.report import TransitionReport, TransitionStep
 from poise.manage.observe.estimates import DemandEstimate
@@ -181,12 +182,21 @@ class Robotless:
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
         self.journal = Nothing()
+        self.desired = Desired()
+        self.tick = Unsupervised()
+
+
+class Unsupervised:
+    """A tick in which an error of a responder fails the test."""
+
+    def run(self, _: str, work: Callable[[], object], **__: object) -> object:
+        return work()
 
 
 def run(world: World, seconds: float) -> World:
     """Let the loop look after a world for some time, then keep its load as it is."""
     patch = pytest.MonkeyPatch()
-    patch.setattr(loop, "transit", world.transit)
+    patch.setattr(transitions, "transit", world.transit)
     try:
         adaptation = Adaptation(
             cast(RunningComponents, Robotless(world.robot)),

@@ -17,6 +17,7 @@ from concurrent.futures import CancelledError, Future, wait
 from pathlib import Path
 from typing import Self
 
+from poise import threads
 from poise.clock import wall_time
 from poise.errors import RunError, UsageError
 from poise.manage.control_socket.location import is_alive, make_folder, path_of
@@ -56,9 +57,7 @@ class ControlServer:
         self._is_closed = threading.Event()
         self._free = threading.Semaphore(MOST_CLIENTS)
         self._threads: set[threading.Thread] = set()
-        self._acceptor = threading.Thread(
-            target=self._accept, name="control", daemon=True
-        )
+        self._acceptor = threads.daemon(self._accept, "control", again=True)
         self._since = wall_time()
         self._submit: Submit | None = None
         self._is_up = threading.Event()
@@ -116,9 +115,7 @@ class ControlServer:
                 connection, _ = self._listener.accept()
             except OSError:  # it was closed
                 return
-            thread = threading.Thread(
-                target=self._serve, args=(connection,), daemon=True
-            )
+            thread = threads.daemon(self._serve, "client", connection)
             self._threads.add(thread)
             thread.start()
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import zenoh
-
 from poise.clock import wall_time
 from poise.wire.records.requests import Claim, ManagerId, Refused
 
@@ -28,6 +26,8 @@ class Fence:
     manager, token
         What an agent before it obeyed. That manager counts as gone until its
         liveliness token is seen.
+    wall
+        Returns the time [s since 1970].
 
     Attributes
     ----------
@@ -49,13 +49,15 @@ class Fence:
         say: Callable[[str], object],
         manager: ManagerId | None = None,
         token: int = 0,
+        wall: Callable[[], float] = wall_time,
     ) -> None:
         self._wake = wake
+        self._wall = wall
         self._say = say
         self.arrivals = 0
         self.is_cut_off = False
         self.cut_off = 0.0
-        self.unmanaged = wall_time()
+        self.unmanaged = wall()
         self._robot = robot
         self._computer = computer
         self._gone: set[str] = set() if manager is None else {manager.key}
@@ -71,13 +73,13 @@ class Fence:
         is_gone = manager is None or manager.key in self._gone
         self._present = None if is_gone else manager
         if self._present != before:
-            self.unmanaged = wall_time() if is_gone else 0.0
+            self.unmanaged = self._wall() if is_gone else 0.0
             if before is not None:
                 self._say(f"{before} is gone; containers go on")
             if self._present is not None:
                 self._say(f"managed by {self._present}")
         if self.is_cut_off and not self.cut_off:
-            self.cut_off = wall_time()
+            self.cut_off = self._wall()
             # the present manager is refused, too, until it claims the agent again
             self.token += 1
             self._is_expired = True
@@ -101,10 +103,9 @@ class Fence:
         """Return whether a manager may be at work, for all that is known."""
         return self.manager is not None and self.manager.key not in self._ended
 
-    def note_liveliness(self, sample: zenoh.Sample) -> None:
-        """Note that a manager's liveliness token came or went; for zenoh's threads."""
-        key = str(sample.key_expr).rpartition("/")[2]
-        if sample.kind == zenoh.SampleKind.PUT:
+    def note_liveliness(self, key: str, *, is_there: bool) -> None:
+        """Note that a manager's liveliness token came or went; from any thread."""
+        if is_there:
             self._gone.discard(key)
             self._ended.discard(key)
             self.arrivals += 1

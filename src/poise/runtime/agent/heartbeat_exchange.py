@@ -6,18 +6,15 @@ one of who heard it, make a round trip.
 
 from __future__ import annotations
 
-import logging
 import threading
-import uuid
 from collections.abc import Callable, Mapping
 from math import inf
 
-from poise.clock import Clock, time_asleep
-from poise.endpoint import Endpoint
-from poise.runtime._calls import LeaseEnd
+from poise.clock import Clock
 from poise.runtime.agent.clock_offset import ClockOffset
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.lease import Lease
+from poise.runtime.agent.surroundings import Hear, HeartbeatTransport, NextBeat
 from poise.wire.control_session import endpoint_of
 from poise.wire.failure_detector import (
     ASK_AFTER,
@@ -26,11 +23,9 @@ from poise.wire.failure_detector import (
     UNCUT_LEASE,
     Contacts,
 )
-from poise.wire.heartbeats import Address, Heartbeats
+from poise.wire.heartbeats import Address
 from poise.wire.records.clocks import ClockStatus
 from poise.wire.records.heartbeats import MANAGER, Heartbeat, LinkQuality
-
-log = logging.getLogger(__name__)
 
 _STALLED = 0.3
 """An agent that did not run for so long [s] asks before it judges who is silent."""
@@ -48,13 +43,17 @@ class HeartbeatExchange:
 
     Parameters
     ----------
+    contacts
+        Whom this start of the agent hears.
     fence
         Says whom it obeys; is told when the lease has ended.
+    transport
+        As in `Surroundings.heartbeats`.
     extend
         Called with the moment when the lease ends [s, CLOCK_BOOTTIME], with each
         heartbeat and claim; infinite: there is no other computer, or no heartbeat.
     asleep
-        Returns for how long the computer has been suspended in all [s].
+        As in `Surroundings`.
 
     Attributes
     ----------
@@ -66,13 +65,13 @@ class HeartbeatExchange:
 
     def __init__(
         self,
-        robot: str,
         computer: str,
-        listen: Endpoint,
+        contacts: Contacts,
         fence: Fence,
         clock: Clock,
+        transport: Callable[[Hear, NextBeat], HeartbeatTransport | None],
         extend: Callable[[float], None],
-        asleep: Callable[[], float] = time_asleep,
+        asleep: Callable[[], float],
     ) -> None:
         self.agents: Mapping[str, str] = {}
         self.is_leased = False
@@ -83,7 +82,7 @@ class HeartbeatExchange:
         self._extend = extend
         self._asleep = asleep
         self._slept = asleep()
-        self._contacts = Contacts(robot, computer, uuid.uuid4().hex)
+        self._contacts = contacts
         self._lease = Lease(self._contacts)
         self._offsets: dict[str, ClockOffset] = {}
         self._clocks_due = 0.0
@@ -93,13 +92,7 @@ class HeartbeatExchange:
         self._lock = threading.Lock()
         self._looked_at = clock.now()
         self._grace_until = 0.0
-        self._heartbeats: Heartbeats | None = None
-        try:
-            self._heartbeats = Heartbeats(
-                clock, self._hear, self._next_beat, listen, is_ipv6=":" in listen.host
-            )
-        except OSError as error:
-            log.warning("no heartbeats: UDP port %d: %s", listen.port, error)
+        self._heartbeats = transport(self._hear, self._next_beat)
 
     def close(self) -> None:
         """Send no more."""
@@ -155,13 +148,13 @@ class HeartbeatExchange:
             self._heartbeats.send_to(self._targets)
             self._heartbeats.start()
 
-    def note_adopted(self, lease: LeaseEnd) -> None:
-        """Note until when a container of an earlier agent could act.
+    def note_lapsed(self) -> None:
+        """Note that a container of an earlier agent was without a lease already.
 
-        What has ended while nobody was there, and no heartbeat can extend, may run
+        If no heartbeat can extend that lease, the container's components may run
         elsewhere by now.
         """
-        if not self.is_leased and lease.is_past():
+        if not self.is_leased:
             self._fence.cut()
             self._extend(-inf)
 

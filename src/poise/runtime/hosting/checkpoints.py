@@ -129,7 +129,7 @@ class Checkpoints:
         """
         try:
             data = self._path.read_bytes()
-            age = age_of(self._path)
+            age = age_of(self._path.stat().st_mtime)
         except FileNotFoundError:
             return None
         kept: _Checkpoint = frame.parse(data).value(_CHECKPOINT)

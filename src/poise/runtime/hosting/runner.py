@@ -8,12 +8,12 @@ others run on theirs, under the component's exclusion. `ExecutionGate` pauses bo
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Callable
 from contextlib import nullcontext
 from functools import partial
 from typing import Any
 
+from poise import threads
 from poise.clock import ComponentClock
 from poise.errors import Timeout
 from poise.priority import ahead
@@ -119,9 +119,7 @@ class Runner:
         # one that comes to take over from another goes on with its action
         is_new = spec.goal == "active" or spec.fresh
         self._turn_taken = 0 if is_new else spec.turn
-        self._thread = threading.Thread(
-            target=self._main, name=spec.name[:15], daemon=True
-        )
+        self._thread = threads.daemon(self._main, spec.name[:15])
         self.asked_at = clock.now()
         self.reason_to_end = ""
         self.checkpoints: Checkpoints | None = None

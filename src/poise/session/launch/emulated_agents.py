@@ -9,18 +9,19 @@ import contextlib
 import os
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Self
 
+from poise import threads
+from poise.back_off import BackOff
 from poise.emulate import EmulatedComputer, EmulatedSet, Emulation, find_set
 from poise.emulate.registry import locked
 from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import PoiseError
 from poise.model.robot import Robot
-from poise.runtime.agent.supervision.back_off import BackOff
+from poise.runtime.agent.agent_setup import BROKEN
 from poise.runtime.waker import Waker, wait_readable
 from poise.session.callbacks import Say
 from poise.session.launch.printer import STDERR, Printer, relay
@@ -76,7 +77,7 @@ class EmulatedAgents:
         self._ended = {name: BackOff() for name in emulation.computers}
         self._down: set[str] = set()
         self._closing = Waker()
-        self._keeper = threading.Thread(target=self._keep, name="keeper", daemon=True)
+        self._keeper = threads.daemon(self._keep, "keeper", again=True)
 
     def __enter__(self) -> Self:
         for name in self.emulation.computers:
@@ -128,7 +129,8 @@ class EmulatedAgents:
             return
         try:
             with locked():  # or it might start while its computer is being crashed
-                stays_down = self._kept.is_crashed(name) if self._kept else code >= 0
+                ended = 0 <= code != BROKEN  # as it was asked, or as it had to
+                stays_down = self._kept.is_crashed(name) if self._kept else ended
                 if stays_down:
                     return
                 self._start(name)

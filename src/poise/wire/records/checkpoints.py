@@ -41,11 +41,16 @@ def set_age(path: Path, age: float = 0.0) -> None:
     """Let a checkpoint be so old [s]; raises OSError.
 
     Its file's time of change is on the clock of `boot_time`, for the time of day may
-    step. An agent begins without the files of an earlier boot.
+    step.
     """
     os.utime(path, (boot_time() - age,) * 2)
 
 
-def age_of(path: Path) -> float:
-    """Return how old a checkpoint is [s]; raises OSError."""
-    return max(0.0, boot_time() - path.stat().st_mtime)
+def age_of(modified: float) -> float:
+    """Return how old a checkpoint is [s] by the ``st_mtime`` of its file.
+
+    Of one from before the computer started last, it is what is sure: the time since
+    then.
+    """
+    now = boot_time()
+    return now - modified if modified <= now else now

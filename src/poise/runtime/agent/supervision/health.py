@@ -27,10 +27,17 @@ class HealthRecords:
     ----------
     clock
         Returns the time [s] by which restarts of the last minute are counted.
+    wall
+        Returns the time [s since 1970].
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        clock: Callable[[], float] = time.monotonic,
+        wall: Callable[[], float] = wall_time,
+    ) -> None:
         self._clock = clock
+        self._wall = wall
         self._born = clock()
         self._restarts: dict[str, deque[float]] = {}
         self._faults: deque[Fault] = deque(maxlen=_MOST_FAULTS)
@@ -63,7 +70,7 @@ class HealthRecords:
             container=container,
             message=message,
             number=self._number,
-            at=wall_time(),
+            at=self._wall(),
             uptime=self._clock() - self._born,
             restarts=known.restarts if known else 0,
             is_over=is_over,
@@ -114,7 +121,7 @@ class HealthRecords:
         self._of[container] = structs.replace(
             known,
             state=state,
-            since=wall_time(),
+            since=self._wall(),
             reason=reason,
             restarts=known.restarts if restarts is None else restarts,
         )

@@ -1,0 +1,138 @@
+"""Threads whose failures are known.
+
+Python prints the exception that ends a thread, and goes on without the thread. Here the
+program that owns the threads hears of it, and a thread whose work must go on is started
+again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+from poise.back_off import BackOff
+
+log = logging.getLogger(__name__)
+
+SHOWN_FOR = 60.0
+"""A failure is shown for this time [s]."""
+
+Hook = Callable[[threading.ExceptHookArgs], object]
+
+
+def hear_failures(report: Callable[[str, BaseException], object]) -> None:
+    """Let a program hear of the exceptions that end threads of its process.
+
+    It hears of all threads, also those that libraries started. The last call counts.
+
+    Parameters
+    ----------
+    report
+        Called on the thread, with its name and the exception; must not block.
+    """
+    threading.excepthook = _hook(report)
+
+
+@contextlib.contextmanager
+def failures_heard(report: Callable[[str, BaseException], object]) -> Iterator[None]:
+    """Hear of them inside the ``with`` block, as `hear_failures` does.
+
+    The process is another's: what it has installed itself hears of them, too.
+    """
+    before = threading.excepthook
+    is_default = before is threading.__excepthook__  # it prints what the log has
+    mine = threading.excepthook = _hook(report, None if is_default else before)
+    try:
+        yield
+    finally:
+        if threading.excepthook is mine:
+            threading.excepthook = before
+
+
+def _hook(
+    report: Callable[[str, BaseException], object], others: Hook | None = None
+) -> Hook:
+    def hook(args: threading.ExceptHookArgs) -> None:
+        name = args.thread.name if args.thread is not None else "unknown"
+        error = args.exc_value or args.exc_type()
+        if isinstance(error, SystemExit):
+            return
+        log.error("thread '%s' failed", name, exc_info=error)
+        try:
+            report(name, error)
+        except Exception:  # the log has both
+            log.exception("the failure of thread '%s' could not be reported", name)
+        if others is not None:
+            others(args)
+
+    return hook
+
+
+class Failures:
+    """The failures of a program's threads, for its status.
+
+    Parameters
+    ----------
+    program
+        Whose threads, for people.
+    """
+
+    def __init__(self, program: str) -> None:
+        self._program = program
+        self._last = "", float("-inf")
+
+    def note(self, thread: str, error: BaseException) -> None:
+        """Take note of a failure, as `hear_failures` reports it."""
+        text = f"in {self._program} the thread '{thread}' failed: {error!r}"
+        self._last = f"{text} (its log has the traceback)", time.monotonic()
+
+    def trouble(self) -> str:
+        """Return the last failure, if it was within `SHOWN_FOR`; else nothing."""
+        text, at = self._last
+        return text if time.monotonic() - at < SHOWN_FOR else ""
+
+
+def daemon(
+    work: Callable[..., object], name: str, *args: object, again: bool = False
+) -> threading.Thread:
+    """Return a thread, which is to be started, that ends with the process.
+
+    Parameters
+    ----------
+    name
+        What it does, for reports of its failure.
+    args
+        Of `work`.
+    again
+        Whether to do the work again after an exception, with a delay that grows to
+        some seconds. Each one is reported.
+    """
+    target = keep_at if again else work
+    given = (work, *args) if again else args
+    return threading.Thread(target=target, name=name, args=given, daemon=True)
+
+
+def report_failure() -> None:
+    """Report the exception that is being handled, though its thread goes on."""
+    failure = (*sys.exc_info(), threading.current_thread())
+    threading.excepthook(threading.ExceptHookArgs(failure))
+
+
+def keep_at(work: Callable[..., object], *args: object) -> None:
+    """Do work on this thread until it returns; again after each exception."""
+    back_off = BackOff()
+    while True:
+        try:
+            work(*args)
+        except Exception:  # noqa: BLE001, it is reported
+            report_failure()
+        else:
+            return
+        now = time.monotonic()
+        back_off.note_end(now)
+        if back_off.again_at > now:
+            time.sleep(back_off.again_at - now)
