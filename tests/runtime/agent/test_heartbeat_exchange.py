@@ -13,6 +13,8 @@ from poise.runtime.agent.surroundings import Hear, NextBeat
 from poise.testing.clock import VirtualClock
 from poise.wire.failure_detector import LEASE, UNCUT_LEASE, Contacts
 from poise.wire.heartbeats import Address
+from poise.wire.records.heartbeats import MANAGER as THE_MANAGER
+from poise.wire.records.heartbeats import Echo, Heartbeat
 from poise.wire.records.requests import Claim, ManagerId
 
 AGENTS = {"left": "tcp/127.0.0.1:1", "right": "tcp/127.0.0.1:2"}
@@ -129,3 +131,66 @@ def test_the_next_agent_of_a_robot_without_others_lets_components_go_on(
 ) -> None:
     rig.exchange.begin_again({}, is_leased=False)
     assert rig.ends == [inf]
+
+
+def heard(rig: Rig, number: int) -> None:
+    """Let the manager be heard, which has heard this agent."""
+    now = rig.clock.now()
+    beat = Heartbeat(
+        robot="robot",
+        sender=THE_MANAGER,
+        key="k",
+        number=number,
+        sent=now,
+        heard={"left": Echo(now, 0.0)},
+        managed=0.0,
+    )
+    rig.exchange._hear(beat, ("127.0.0.1", 3))
+
+
+def test_a_manager_that_was_heard_a_moment_before_has_ended(rig: Rig) -> None:
+    """While there is none, nothing is started elsewhere."""
+    rig.exchange.begin("k", AGENTS, is_leased=True)
+    heard(rig, 1)
+    rig.exchange.note_liveliness("k", is_there=False)
+    assert not rig.fence.is_managed()
+    for _ in range(100):
+        assert rig.beat(0.1) > 0
+
+
+def test_one_whose_token_goes_long_after_its_last_heartbeat_may_be_cut_off(
+    rig: Rig,
+) -> None:
+    """Then it may start elsewhere what runs here: the lease ends."""
+    rig.exchange.begin("k", AGENTS, is_leased=True)
+    heard(rig, 1)
+    for _ in range(5):
+        rig.beat(0.1)
+    rig.exchange.note_liveliness("k", is_there=False)
+    assert rig.fence.is_managed()
+    for _ in range(5):
+        rig.beat(0.1)
+    assert rig.ends[-1] == -inf
+    assert rig.fence.is_cut_off
+
+
+def test_a_claim_after_the_lease_ended_lets_nothing_run_until_it_is_said_what(
+    rig: Rig,
+) -> None:
+    """What the agent was told before may run elsewhere by now."""
+    rig.exchange.begin_again(AGENTS, is_leased=True)
+    assert rig.beat(0.1) == -inf
+    rig.exchange.begin("k", AGENTS, is_leased=True)
+    heard(rig, 1)
+    assert rig.beat(0.1) == -inf
+    rig.fence.look()
+    assert not rig.fence.refusal(1)  # the manager need not claim it again
+    rig.fence.note_told()
+    assert rig.beat(0.01) > 0
+
+
+def test_a_claim_while_the_lease_lasts_interrupts_nothing(rig: Rig) -> None:
+    rig.exchange.begin("k", AGENTS, is_leased=True)
+    heard(rig, 1)
+    rig.exchange.begin("l", AGENTS, is_leased=True)
+    assert rig.beat(0.1) > 0

@@ -265,7 +265,7 @@ class Agent:
     def _note_liveliness(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr).rpartition("/")[2]
         is_there = sample.kind == zenoh.SampleKind.PUT
-        self._core.fence.note_liveliness(key, is_there=is_there)
+        self._core.heartbeats.note_liveliness(key, is_there=is_there)
 
     def _note_thread(self, name: str, error: BaseException) -> None:
         self._core.supervised.report(f"thread '{name}'", error)

@@ -103,8 +103,20 @@ class Fence:
         """Return whether a manager may be at work, for all that is known."""
         return self.manager is not None and self.manager.key not in self._ended
 
-    def note_liveliness(self, key: str, *, is_there: bool) -> None:
-        """Note that a manager's liveliness token came or went; from any thread."""
+    def lapse(self) -> None:
+        """Let nothing leased run until the manager that claims says what runs."""
+        self.is_cut_off = True
+        self.cut_off = self.cut_off or self._wall()
+
+    def note_liveliness(self, key: str, *, is_there: bool, has_ended: bool) -> None:
+        """Note that a manager's liveliness token came or went; from any thread.
+
+        Parameters
+        ----------
+        has_ended
+            Whether that manager has surely ended, when its token went; else it may
+            only be cut off.
+        """
         if is_there:
             self._gone.discard(key)
             self._ended.discard(key)
@@ -112,7 +124,8 @@ class Fence:
             self._wake()
         else:
             self._gone.add(key)
-            self._ended.add(key)
+            if has_ended:
+                self._ended.add(key)
 
     def claim(self, claim: Claim, token: int) -> Refused | None:
         """Obey a manager from now on; return why not.

@@ -19,6 +19,7 @@ from poise.wire.control_session import endpoint_of
 from poise.wire.failure_detector import (
     ASK_AFTER,
     ASK_EVERY,
+    DETECTED,
     LEASE,
     UNCUT_LEASE,
     Contacts,
@@ -127,13 +128,16 @@ class HeartbeatExchange:
         began
             As for `Lease.begin`.
         """
-        self.agents, self.is_leased = agents, is_leased
         others = {
             name: endpoint_of(where)
             for name, where in agents.items()
             if name != self._computer
         }
         with self._lock:
+            now = self._clock.now()
+            if began is None and self.is_leased and self._until(now) <= now:
+                self._fence.lapse()  # what ran here may run elsewhere by now
+            self.agents, self.is_leased = agents, is_leased
             is_new = key != self._claimed_by
             self._claimed_by = key
             self._lease.begin(others.keys(), began)
@@ -157,6 +161,19 @@ class HeartbeatExchange:
         if not self.is_leased:
             self._fence.cut()
             self._extend(-inf)
+
+    def note_liveliness(self, key: str, *, is_there: bool) -> None:
+        """Note that a manager's liveliness token came or went; from any thread.
+
+        The token of one that is cut off goes, too, but a while after its last
+        heartbeat: only one that was heard a moment before has surely ended.
+        """
+        with self._lock:
+            manager = self._contacts.get(MANAGER)
+            silent = inf if manager is None else self._clock.now() - manager.heard_at
+            is_mine = key == self._claimed_by and self.is_leased
+        has_ended = not is_mine or silent < DETECTED
+        self._fence.note_liveliness(key, is_there=is_there, has_ended=has_ended)
 
     def links(self) -> Mapping[str, LinkQuality]:
         """Return how the ways to the other computers are, where that matters."""
