@@ -14,7 +14,6 @@ from tests.chaos.chaos import Chaos
 
 @pytest.mark.slow
 @pytest.mark.timeout(400)
-@pytest.mark.xfail(strict=False, reason="nearly always: containers keep no lease")
 def test_comes_back_each_time_with_nothing_active_twice(tmp_path: Path) -> None:
     said: list[str] = []
     chaos = Chaos(tmp_path, 7, said.append)

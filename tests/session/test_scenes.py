@@ -63,7 +63,6 @@ def test_what_was_cut_off_is_active_elsewhere_and_never_twice() -> None:
 
 @pytest.mark.slow
 @pytest.mark.exhaustive
-@pytest.mark.xfail(strict=True, reason="a move waits for late data over a cut link")
 def test_the_middle_of_a_chain_leaves_a_link_that_is_cut() -> None:
     scene = played("cut-one-link")
     assert scene["active_twice"] == scene["doubled"] == scene["reordered"] == 0
@@ -76,7 +75,6 @@ def test_the_middle_of_a_chain_leaves_a_link_that_is_cut() -> None:
 
 @pytest.mark.slow
 @pytest.mark.exhaustive
-@pytest.mark.xfail(strict=True, reason="containers do not keep the lease themselves")
 def test_nothing_is_active_twice_while_an_agent_is_stopped() -> None:
     scene = played("frozen-agent")
     assert scene["active_twice"] == scene["beside_s"] == 0
