@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -19,11 +20,13 @@ from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
 from poise.runtime.agent.sampling.watchdog import Silence
 from poise.runtime.agent.supervision.container_processes import ContainerProcess
+from poise.runtime.agent.supervision.control_link import ControlLink
 from poise.runtime.execution.clocks import ComputerClock
 from poise.runtime.waker import wait_readable
 from poise.session.launch.start import Sampling, started
 from poise.wire import record_channel
 from poise.wire.control_session import locator
+from poise.wire.heartbeats import Heartbeats
 from poise.wire.records.clocks import Clocks, ClockStatus
 from poise.wire.records.container import ToContainer
 from poise.wire.records.deployment import ContainerSpec
@@ -82,7 +85,7 @@ def test_a_container_is_told_what_is_new_while_it_responds() -> None:
     agent, container = socket.socketpair()
     spec = ContainerSpec(name="one", folder="", components=(), connectors=())
     with agent, container:
-        process = ContainerProcess(spec, agent, -1)
+        process = ContainerProcess(spec, ControlLink("one", agent, -1))
         assert record_channel.receive(container, ToContainer) == spec
         for known in ({}, {"vision": NOON}, {"vision": NOON}):
             process.tell_clocks(known)
@@ -111,9 +114,10 @@ def test_two_agents_learn_of_each_others_clocks() -> None:
             exchanges[name] = each = HeartbeatExchange(
                 "test",
                 name,
-                where[name],
                 Fence("test", name, lambda: None, lambda _: None),
                 clock,
+                name,
+                partial(Heartbeats, clock, listen=where[name]),
             )
             stack.callback(each.close)
             each.begin("manager", agents, is_leased=False)

@@ -715,18 +715,22 @@ def test_ends_in_order_when_asked(doomed: Manager, sent: signal.Signals) -> None
     assert not list(doomed.folder.glob("*.sock"))
 
 
-def test_without_its_zygote_it_ends_and_the_next_one_goes_on(doomed: Manager) -> None:
-    doomed.deploy("quiet")
-    container = doomed.wait_active("quiet")
+def test_without_its_zygote_what_runs_goes_on_and_the_status_says_so(
+    doomed: Manager,
+) -> None:
+    doomed.deploy("quiet", "stubborn")
+    pids = [doomed.wait_active(name).pid for name in ("quiet", "stubborn")]
     (zygote,) = children(doomed.process.pid)
     os.kill(zygote, signal.SIGKILL)
-    assert doomed.process.wait(LIMIT) == 1
-    assert doomed.process.stderr
-    said = doomed.process.stderr.readline()
-    doomed.process.stderr.close()  # the container has it, too: it does not end
-    assert "agent 'main': the zygote is gone: no container can be started" in said
+    status = doomed.wait_for(lambda status: "zygote is gone" in status.trouble)
+    assert {each.pid for each in status.containers} == set(pids)
+    os.kill(pids[1], signal.SIGKILL)  # its end is seen though it is nobody's child
+    doomed.wait_for(lambda status: any(doomed.faults(status)))
+    doomed.process.kill()
+    doomed.process.wait()
     doomed.process = doomed.start_agent()
-    assert doomed.wait_adopted("quiet").pid == container.pid
+    assert doomed.wait_adopted("quiet").pid == pids[0]
+    doomed.wait_active("stubborn", but_not=pids[1])
 
 
 def test_no_container_holds_anothers_end(manager: Manager) -> None:

@@ -141,6 +141,12 @@ def _of_containers(wanted: AbstractSet[str], status: AgentStatus) -> Iterator[st
     """Yield what is wrong with containers, and with the gateway to them."""
     if status.trouble:
         yield f"on '{status.computer}' {status.trouble}"
+    for error in status.errors:
+        last = error.text.rstrip().rpartition("\n")[2]
+        yield (
+            f"agent of '{status.computer}': an error of Poise in its part "
+            f'"{error.where}": {last} (traceback in its log); the rest goes on'
+        )
     for running in status.containers:
         if running.trouble:
             yield f"on '{status.computer}' {running.trouble}"

@@ -1,9 +1,10 @@
 """The agent: on each computer, the program that runs its containers.
 
-It takes requests from the manager, lets its supervisor run the containers, and reports
-their status. When the manager is gone the containers go on. When the agent is killed
-they go on, too, and the next agent in the same folder adopts them. One thread owns all
-of this; zenoh's threads only queue requests.
+It owns sockets, files, signals and the zenoh session, and tells its core what happens;
+the core decides (`AgentCore`). When the manager is gone the containers go on. When the
+agent is killed, or ends by an error of its own, they go on, too, and the next agent in
+the same folder adopts them. They end with it by a signal, or at the end of its
+lifeline. One thread owns all of this; zenoh's threads only queue requests.
 """
 
 from __future__ import annotations
@@ -11,8 +12,10 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import random
 import signal
 import time
+import uuid
 from collections.abc import Callable
 from functools import partial
 from importlib.metadata import version
@@ -22,53 +25,45 @@ from types import FrameType
 import zenoh
 from msgspec.msgpack import encode
 
+from poise import threads
 from poise.clock import SystemClock
 from poise.endpoint import Endpoint
-from poise.errors import RunError, UsageError
+from poise.errors import RunError, Unavailable, UsageError
 from poise.priority import ahead, go_first
-from poise.runtime._calls import PageSampler
+from poise.runtime.agent.agent_folder import AgentFolder
 from poise.runtime.agent.agent_setup import AgentSetup
 from poise.runtime.agent.checkpoint_files import CheckpointFiles
-from poise.runtime.agent.fence import Fence
-from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
-from poise.runtime.agent.inbox import AgentInbox, answer
+from poise.runtime.agent.core import AgentCore
+from poise.runtime.agent.disk_thread import DiskThread
+from poise.runtime.agent.inbox import AgentInbox
 from poise.runtime.agent.sampling.sampler import Sampler
 from poise.runtime.agent.sampling.watchdog import Silence
-from poise.runtime.agent.status_reports import StatusReports
-from poise.runtime.agent.supervision.adoption import (
-    ADOPT_LIMIT,
-    AdoptedContainers,
-    AgentFolder,
-    AgentState,
+from poise.runtime.agent.supervision.adoption import AdoptedContainers
+from poise.runtime.agent.supervision.container_processes import ProcessEnd
+from poise.runtime.agent.supervision.control_link import ControlLink
+from poise.runtime.agent.supervision.process_host import ProcessHost
+from poise.runtime.agent.supervision.supervisor import part_of
+from poise.runtime.agent.surroundings import (
+    Hear,
+    HeartbeatTransport,
+    NextBeat,
+    Surroundings,
 )
-from poise.runtime.agent.supervision.container_processes import STOP_LIMIT
-from poise.runtime.agent.supervision.health import Usage
-from poise.runtime.agent.supervision.migration_relay import MigrationRelay
-from poise.runtime.agent.supervision.supervisor import Supervisor
 from poise.runtime.container import zygote
 from poise.runtime.container.descendants import kill_all
-from poise.runtime.hosting.output import forget_output, read_output
 from poise.runtime.waker import Waker, wait_readable
+from poise.wire.codec import WireError
 from poise.wire.connections.gateway import Gateway
 from poise.wire.connections.socket_path import socket_path
 from poise.wire.control_session import identity_key, locator, open_session
-from poise.wire.records.checkpoints import CheckpointCopy
-from poise.wire.records.container import Order
-from poise.wire.records.deployment import Deployment
-from poise.wire.records.migration import StepsFailed
-from poise.wire.records.output import ReadOutput
-from poise.wire.records.requests import (
-    PROTOCOL,
-    Accepted,
-    Answer,
-    Claim,
-    Claimed,
-    ManagerRequest,
-    Refused,
-)
-from poise.wire.records.status import AgentStatus
+from poise.wire.heartbeats import Heartbeats
+from poise.wire.records.requests import PROTOCOL
 
 log = logging.getLogger(__name__)
+
+_ORPHANS = "requests for adoption"
+_ENDING_EVERY = 0.1
+"""While containers end, the agent looks this often [s]."""
 
 
 class Agent:
@@ -88,45 +83,29 @@ class Agent:
 
     def __init__(self, setup: AgentSetup, say: Callable[[str], object]) -> None:
         self._setup = setup
+        self._say = say
         self._clock = SystemClock()
-        self._born = self._clock.now()
-        self._stopping = False
-        self._trouble: Callable[[], str] = str
-        self._usage: Callable[[], Usage] = dict
+        self._is_asked_to_end = False
         try:
             socket_path(Path(setup.folder), "")
         except ValueError as error:
             raise UsageError(f"folder of agent '{setup.computer}': {error}") from error
-        folder = Path(setup.folder)
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        self._folder = AgentFolder(folder)
-        left = self._folder.left()
-        self._gateway = left.gateway
+        self._path = Path(setup.folder)
+        self._path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        self._folder = AgentFolder(self._path)
+        self._left = self._folder.left()
         # before any thread, zenoh session or descriptor of the agent's own exists
         held = () if setup.lifeline is None else (setup.lifeline,)
         self._zygote, self._zygote_pid = zygote.start(closing=held)
-        self._adoption = AdoptedContainers(folder, self._clock)
-        self._supervisor = Supervisor(
-            self._zygote, setup.computer, folder, self._clock, self._adoption.awaits
-        )
-        if left.wanted is not None:
-            self._supervisor.take(left.wanted)
-        self._relay = MigrationRelay(self._supervisor.processes)
+        self._has_zygote = True
+        self._adoption = AdoptedContainers(self._path, self._clock)
+        self._host = ProcessHost(self._zygote, setup.computer, self._path)
         self._waker = Waker()
-        self._inbox = AgentInbox(setup.computer, self._attend, self._waker.wake)
-        self._fence = Fence(
-            setup.robot,
-            setup.computer,
-            self._waker.wake,
-            say,
-            left.manager,
-            left.token,
-        )
-        self._agents_before = left.agents, left.is_leased
         self._endpoint = Endpoint(setup.address, setup.port)
         self._locator = locator(self._endpoint)
-        self._heartbeats: HeartbeatExchange
-        self._say = say
+        self._tokens: list[zenoh.LivelinessToken] = []
+        self._core: AgentCore
+        self._inbox: AgentInbox
 
     def run(self) -> None:
         """Work until asked to end by a signal or by the end of the lifeline.
@@ -134,7 +113,10 @@ class Agent:
         Raises
         ------
         RunError
-            It cannot listen at its address, or the zygote ended.
+            It cannot listen at its address.
+        Exception
+            An error of Poise that no part of the agent could be blamed for: the
+            containers go on, and wait for the next agent.
         """
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             if signal.getsignal(number) != signal.SIG_IGN:  # as under `nohup`
@@ -143,256 +125,240 @@ class Agent:
             with ahead():  # zenoh's threads inherit that
                 self._run_in(self._setup)
         finally:
-            zygote.end(self._zygote, self._zygote_pid)
-        if trouble := self._supervisor.trouble:
-            raise RunError(f"agent '{self._setup.computer}': {trouble}")
+            if self._is_asked_to_end:
+                zygote.end(self._zygote, self._zygote_pid)
+            else:  # it stays until the containers have ended
+                self._zygote.close()
 
     def _run_in(self, setup: AgentSetup) -> None:
-        prefix = f"poise/{setup.robot}"
         with (
+            contextlib.ExitStack() as closing,
             self._open_gateway() as gateway,
             open_session(listen=[self._locator], lease=setup.lease) as session,
         ):
-            self._gateway, self._trouble = str(gateway), gateway.warning.trouble
             self._say(
                 f"agent of computer '{setup.computer}' of robot '{setup.robot}' at "
                 f"{self._locator.removeprefix('tcp/')}, gateway {gateway}; "
                 f"Poise {version('poise')}, protocol {PROTOCOL}"
             )
-            publisher = session.declare_publisher(f"{prefix}/status/{setup.computer}")
-            key = f"{prefix}/agent/{setup.computer}"
-            answers = session.declare_queryable(key, self._inbox.hear)
-            managers = session.liveliness().declare_subscriber(
-                f"{prefix}/manager/*", self._fence.note_liveliness, history=True
-            )
-            tokens: list[zenoh.LivelinessToken] = []
+            self._work(session, gateway, closing)
 
-            def appear() -> None:
-                tokens.extend(
-                    session.liveliness().declare_token(key)
-                    for key in (
-                        f"{prefix}/alive/{setup.computer}",
-                        identity_key(self._locator, setup.robot, setup.computer),
-                    )
-                )
-
-            samples = session.declare_publisher(f"{prefix}/samples/{setup.computer}")
-            copies = session.declare_publisher(
-                f"{prefix}/checkpoint/{setup.computer}",
-                congestion_control=zenoh.CongestionControl.BLOCK,
-                priority=zenoh.Priority.BACKGROUND,
-            )
-            checkpoints = self._checkpoints = CheckpointFiles(
-                Path(setup.folder), lambda copy: copies.put(encode(copy))
-            )
-            if self._supervisor.wanted is not None:
-                checkpoints.keep_only(self._supervisor.wanted)
-            sampler = self._sampler(samples)
-            heartbeats = self._heartbeats = HeartbeatExchange(
-                setup.robot, setup.computer, self._endpoint, self._fence, self._clock
-            )
-            heartbeats.begin_again(*self._agents_before)
-            go_first()
-            try:
-                sampler.start()
-                self._usage = sampler.usage
-                checkpoints.start()
-                self._serve(publisher, appear)
-            finally:
-                heartbeats.close()
-                checkpoints.stop()
-                sampler.stop()
-                managers.undeclare()  # type: ignore[no-untyped-call]
-                answers.undeclare()  # type: ignore[no-untyped-call]
-                self._end_all()
-                for token in tokens:
-                    token.undeclare()  # type: ignore[no-untyped-call]
+    def _work(
+        self, session: zenoh.Session, gateway: Gateway, closing: contextlib.ExitStack
+    ) -> None:
+        """Work with an open session; what is opened here is closed by `closing`."""
+        setup, prefix = self._setup, f"poise/{self._setup.robot}"
+        sampler = self._sampler(session)
+        disk = self._disk(session)
+        statuses = session.declare_publisher(f"{prefix}/status/{setup.computer}")
+        world = Surroundings(
+            clock=self._clock,
+            wall=time.time,
+            random=random.Random(),  # noqa: S311, no secret
+            say=self._say,
+            publish=lambda status: statuses.put(encode(status)),
+            appear=lambda: self._appear(session),
+            wake=self._waker.wake,
+            host=self._host,
+            adoption=self._adoption,
+            disk=disk,
+            heartbeats=self._heartbeats,
+            usage=sampler.usage,
+            cpu=time.process_time,
+            gateway=str(gateway),
+            gateway_trouble=gateway.warning.trouble,
+            pid=os.getpid(),
+            key=uuid.uuid4().hex,
+        )
+        core = self._core = AgentCore(setup, world, self._left)
+        self._inbox = AgentInbox(
+            setup.computer, core.on_request, self._waker.wake, core.supervised
+        )
+        threads.hear_failures(self._note_thread)
+        answers = session.declare_queryable(
+            f"{prefix}/agent/{setup.computer}", self._inbox.hear
+        )
+        managers = session.liveliness().declare_subscriber(
+            f"{prefix}/manager/*", self._note_liveliness, history=True
+        )
+        go_first()
+        closing.callback(disk.stop)
+        with contextlib.ExitStack() as working:
+            working.callback(answers.undeclare)
+            working.callback(managers.undeclare)
+            working.callback(sampler.stop)
+            working.callback(core.heartbeats.close)
+            for thread in (sampler, disk):
+                thread.start()
+            while not self._is_asked_to_end:
+                self._inbox.work()
+                core.tick()
+                self._take_news(core.moment())
+        self._end_all()
+        for token in self._tokens:
+            token.undeclare()  # type: ignore[no-untyped-call]
 
     def _open_gateway(self) -> Gateway:
         """Open it where the agent before had it, so that connectors find it again."""
-        folder, setup = Path(self._setup.folder), self._setup
-        before = Endpoint.parse(self._gateway).port if self._gateway else 0
+        setup, left = self._setup, self._left.gateway
+        before = Endpoint.parse(left).port if left else 0
         if before and not setup.gateway:
             with contextlib.suppress(RunError):  # the port is another's now
-                return Gateway(folder, setup.address, before)
-        return Gateway(folder, setup.address, setup.gateway)
+                return Gateway(self._path, setup.address, before)
+        return Gateway(self._path, setup.address, setup.gateway)
 
-    def _keep_state(self) -> None:
-        self._folder.keep(
-            AgentState(
-                gateway=self._gateway,
-                manager=self._fence.manager,
-                token=self._fence.token,
-                wanted=self._supervisor.wanted,
-                agents=self._heartbeats.agents,
-                is_leased=self._heartbeats.is_leased,
+    def _heartbeats(self, hear: Hear, next_beat: NextBeat) -> HeartbeatTransport | None:
+        listen = self._endpoint
+        try:
+            return Heartbeats(
+                self._clock, hear, next_beat, listen, is_ipv6=":" in listen.host
             )
-        )
+        except OSError as error:
+            log.warning("no heartbeats: UDP port %d: %s", listen.port, error)
+            return None
 
-    def _sampler(self, samples: zenoh.Publisher) -> Sampler:
-        def containers() -> list[tuple[str, int, PageSampler]]:
-            processes = list(self._supervisor.processes.values())
-            return [(p.name, p.pid, p.counted) for p in processes if p.counted]
-
+    def _sampler(self, session: zenoh.Session) -> Sampler:
         def on_silence(silence: Silence) -> None:
-            self._inbox.put(partial(self._supervisor.note_silence, silence))
+            self._inbox.put(partial(self._core.on_silence, silence))
 
-        every, computer = self._setup.sample_every, self._setup.computer
-        return Sampler(computer, every, containers, samples.put, on_silence)
+        setup = self._setup
+        samples = session.declare_publisher(
+            f"poise/{setup.robot}/samples/{setup.computer}"
+        )
+        every, pages = setup.sample_every, self._host.pages
+        return Sampler(setup.computer, every, pages, samples.put, on_silence)
 
-    def _on_signal(self, _signal: int, _frame: FrameType | None) -> None:
-        self._stopping = True
+    def _disk(self, session: zenoh.Session) -> DiskThread:
+        copies = session.declare_publisher(
+            f"poise/{self._setup.robot}/checkpoint/{self._setup.computer}",
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            priority=zenoh.Priority.BACKGROUND,
+        )
+        checkpoints = CheckpointFiles(self._path, lambda copy: copies.put(encode(copy)))
+        return DiskThread(self._path, self._folder, checkpoints, self._clock)
+
+    def _appear(self, session: zenoh.Session) -> None:
+        """Let managers see the agent."""
+        robot, computer = self._setup.robot, self._setup.computer
+        identity = identity_key(self._locator, robot, computer)
+        for key in (f"poise/{robot}/alive/{computer}", identity)[len(self._tokens) :]:
+            self._tokens.append(session.liveliness().declare_token(key))
+
+    def _note_liveliness(self, sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr).rpartition("/")[2]
+        is_there = sample.kind == zenoh.SampleKind.PUT
+        self._core.fence.note_liveliness(key, is_there=is_there)
+
+    def _note_thread(self, name: str, error: BaseException) -> None:
+        self._core.supervised.report(f"thread '{name}'", error)
         self._waker.wake()
 
-    def _attend(self, asked: ManagerRequest, query: zenoh.Query) -> None:
-        request, refusal = asked.request, self._fence.refusal(asked.token)
-        wanted = self._supervisor.wanted
-        if isinstance(request, Claim):
-            refused = self._fence.claim(request, asked.token)
-            if refused is None:
-                self._heartbeats.begin(
-                    request.manager.key, request.agents, is_leased=request.is_leased
-                )
-                self._checkpoints.resend()
-            answer(query, refused or Claimed(wanted))
-        elif isinstance(request, Order):
-            if refusal:
-                answer(query, StepsFailed(request.number, refusal))
-            else:
-                self._relay.pass_on(request, query, self._clock.now())
-        elif refusal:
-            answer(query, Refused(refusal))
-        elif isinstance(request, ReadOutput | CheckpointCopy):
-            answer(query, self._use_folder(request))
-        elif wanted and request.generation < wanted.generation:
-            older = f"generation {request.generation} is older than "
-            answer(query, Refused(f"{older}{wanted.generation}"))
-        else:
-            self._supervisor.take(request)
-            self._fence.note_told()
-            self._checkpoints.keep_only(request)
-            answer(query, Accepted())
+    def _on_signal(self, _signal: int, _frame: FrameType | None) -> None:
+        self._is_asked_to_end = True
+        self._waker.wake()
 
-    def _use_folder(self, request: ReadOutput | CheckpointCopy) -> Answer:
-        try:
-            if isinstance(request, ReadOutput):
-                return read_output(Path(self._setup.folder), request)
-            self._checkpoints.write(request)
-        except OSError as error:
-            return Refused(f"it cannot use its folder: {error}")
-        return Accepted()
-
-    def _serve(self, publisher: zenoh.Publisher, appear: Callable[[], None]) -> None:
-        """Work until asked to end; managers see the agent from `appear` on."""
-        reports = StatusReports(publisher.put, self._clock, self._status())
-        is_there = False
-        while not self._stopping:
-            if not is_there and self._knows_containers():
-                is_there = True
-                appear()
-            self._wait(reports.due if is_there else self._born + ADOPT_LIMIT)
-            self._inbox.work()
-            self._keep_state()
-            self._fence.look()
-            self._supervisor.is_cut_off = bool(self._fence.cut_off)
-            self._relay.give_up(self._clock.now())
-            self._adoption.give_up()
-            self._supervisor.reconcile()
-            for process in self._supervisor.processes.values():
-                process.tell_clocks(self._heartbeats.clocks)
-            if is_there:
-                reports.note(self._status(), self._fence.arrivals)
-
-    def _knows_containers(self) -> bool:
-        """Return whether all that an earlier agent left have said how they are.
-
-        Before, a manager would take what runs for gone. It waits no longer than
-        `ADOPT_LIMIT`.
-        """
-        processes = self._supervisor.processes.values()
-        is_known = self._adoption.is_settled() and all(p.status for p in processes)
-        return is_known or self._clock.now() >= self._born + ADOPT_LIMIT
-
-    def _wait(self, until: float) -> None:
-        """Wait for news until some moment [s], and take them in."""
-        supervisor = self._supervisor
-        processes = [p for p in supervisor.processes.values() if not p.is_deaf]
-        by_fd = {process.connection.fileno(): process for process in processes}
-        zygote_fd, lifeline = self._zygote.fileno(), self._setup.lifeline
-        of_adoption = self._adoption.files()
-        fixed = [self._waker.fileno(), *of_adoption]
-        fixed += [] if supervisor.trouble else [zygote_fd]
-        fixed += [] if self._stopping or lifeline is None else [lifeline]
-        moments = [until, *self._relay.limits(), *supervisor.moments()]
-        moments.append(self._adoption.moment())
-        limit = max(0.0, min(moments) - self._clock.now())
-        ready = wait_readable([*fixed, *by_fd], limit)
-        self._adopt(ready)
-        for fd in ready.difference(of_adoption):
-            if fd in by_fd:
-                outcome = supervisor.hear(by_fd[fd])
-                if outcome is not None:
-                    self._relay.end(outcome)
+    def _take_news(self, until: float) -> None:
+        """Wait for news until some moment [s], and tell the core of it."""
+        supervised, lifeline = self._core.supervised, self._setup.lifeline
+        is_heard = self._core.supervisor.is_heard
+        links = {x.fileno(): x for x in self._host.links() if is_heard(x.name)}
+        pidfds, asking = self._adoption.pidfds(), self._adoption.fileno()
+        waits_for = {
+            self._waker.fileno(): True,
+            self._zygote.fileno(): self._has_zygote,
+            asking: asking >= 0 and not supervised.is_resting(_ORPHANS),
+            lifeline: lifeline is not None and not self._is_asked_to_end,
+        }
+        fds = [
+            fd for fd, does_wait in waits_for.items() if fd is not None and does_wait
+        ]
+        ready = wait_readable(
+            [*fds, *pidfds, *links], max(0.0, until - self._clock.now())
+        )
+        supervised.attempt("adoption", self._note_ends, ready)
+        for fd in ready.difference(pidfds):
+            if fd in links:
+                link = links[fd]
+                supervised.attempt(part_of(link.name), self._hear, link)
             elif fd == self._waker.fileno():
                 self._waker.clear()
-            elif fd == zygote_fd:
-                supervisor.hear_zygote()
-                self._stopping = self._stopping or bool(supervisor.trouble)
+            elif fd == asking:
+                supervised.attempt(_ORPHANS, self._adopt)
+            elif fd == lifeline:
+                self._is_asked_to_end = True
             else:
-                self._stopping = True
+                supervised.attempt("zygote", self._hear_zygote)
 
-    def _adopt(self, ready: set[int]) -> None:
-        """Take over containers of an earlier agent, and note the ends of such."""
+    def _hear(self, link: ControlLink, *, to_the_end: bool = False) -> None:
+        """Tell the core what a container says: a record, or all that it has sent."""
+        try:
+            while (said := link.next()) is not None:
+                self._core.on_record(link.name, said)
+                if not to_the_end:
+                    return
+        except Unavailable:
+            why = ""  # its end is reported
+        except WireError as error:  # not of this version, or damaged
+            why = str(error)
+        else:
+            return
+        if not to_the_end:
+            self._core.on_deaf(link.name, why)
+
+    def _note_end(self, pid: int, how: ProcessEnd | str) -> None:
+        """Tell the core that a process ended, and before that what it said last."""
+        for link in self._host.links():
+            if link.pid == pid:
+                self._hear(link, to_the_end=True)
+        self._core.on_ended(pid, how)
+
+    def _note_ends(self, ready: set[int]) -> None:
+        how = "an earlier agent had started it" if self._has_zygote else "no zygote"
         for pid in self._adoption.ended(ready):
-            self._supervisor.note_ended(pid, "ended (an earlier agent had started it)")
-        for orphan, connection, stats_page in self._adoption.orphans(ready):
-            name, pid = orphan.container, orphan.pid
-            if not self._supervisor.adopt(name, pid, connection, stats_page):
-                log.warning("container '%s' (process %d) is not adopted", name, pid)
-                kill_all({pid})
+            self._note_end(pid, f"ended ({how})")
 
-    def _status(self) -> AgentStatus:
-        supervisor = self._supervisor
-        statuses = supervisor.statuses()
-        used = time.process_time() + supervisor.cpu_of_ended
-        usage = self._usage()
-        wanted = supervisor.wanted
-        return AgentStatus(
-            computer=self._setup.computer,
-            pid=os.getpid(),
-            adopted=self._adoption.num_adopted,
-            generation=wanted.generation if wanted else 0,
-            token=self._fence.token,
-            manager=self._fence.manager,
-            uptime=self._clock.now() - self._born,
-            cpu=used + sum(status.cpu for status in statuses),
-            load=sum(cores for cores, _ in usage.values()),
-            memory=sum(size for _, size in usage.values()),
-            gateway=self._gateway,
-            trouble=self._trouble() or self._folder.trouble,
-            cpu_weights=self._supervisor.cpu_weights.means,
-            containers=statuses,
-            faults=supervisor.health.faults(),
-            health=supervisor.records(usage),
-            clocks=self._heartbeats.clocks,
-            cut_off=self._fence.cut_off,
-            links=self._heartbeats.links(),
-        )
+    def _hear_zygote(self) -> None:
+        try:
+            event = zygote.hear(self._zygote)
+        except Unavailable as error:
+            # one with threads, as the agent is by now, must not fork another
+            self._has_zygote = False
+            self._core.on_no_more_starts(
+                f"{error}: containers go on, but none can be started until the agent "
+                "is started again"
+            )
+            return
+        if isinstance(event, zygote.ContainerEnded):
+            self._note_end(event.pid, ProcessEnd(event.status))
+        elif isinstance(event, zygote.NotForked):
+            self._core.on_not_born(event.name, event.reason)
+        else:
+            self._core.on_born(event.name, event.pid)
+
+    def _adopt(self) -> None:
+        """Take over containers of an earlier agent."""
+        try:
+            while (found := self._adoption.next_orphan()) is not None:
+                orphan, connection, stats_page = found
+                name, pid = orphan.container, orphan.pid
+                link = self._host.link(name, connection, stats_page)
+                if not self._core.on_orphan(name, pid, link):
+                    log.warning("container '%s' (process %d) is not adopted", name, pid)
+                    link.close()
+                    kill_all({pid})
+        except WireError as error:
+            raise RunError(
+                f"something that is no container of this version of Poise asked to be "
+                f"adopted: {error}"
+            ) from error
 
     def _end_all(self) -> None:
-        """End every container in stages; in trouble leave them to the next agent."""
-        self._stopping = True
-        if self._supervisor.trouble:
-            return
-        self._adoption.close()
-        self._folder.forget()
-        forget_output(Path(self._setup.folder))
-        self._checkpoints.keep_only(Deployment(generation=0, containers=()))
-        self._supervisor.end()
-        self._supervisor.reconcile()
-        limit = self._clock.now() + STOP_LIMIT + 1
-        while self._supervisor.processes and self._clock.now() < limit:
-            self._wait(self._clock.now() + 0.1)
-            self._supervisor.reconcile()
-        for process in self._supervisor.processes.values():
-            process.kill()
+        """End every container in stages."""
+        core = self._core
+        try:
+            core.end()
+            while not core.has_ended():
+                core.tick()
+                self._take_news(self._clock.now() + _ENDING_EVERY)
+        finally:
+            core.kill_all()

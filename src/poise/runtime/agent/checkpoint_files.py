@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from poise import threads
+from poise.runtime.file_age import age_of, stamp
 from poise.wire.records.checkpoints import CheckpointCopy, checkpoint_path
 from poise.wire.records.deployment import Deployment
 
@@ -41,9 +41,8 @@ class CheckpointFiles:
         self._sent: dict[tuple[str, int], tuple[int, int]] = {}
         self._ended = threading.Event()
         self._has_work = threading.Event()
-        self._thread = threading.Thread(
-            target=self._main, name="checkpoints", daemon=True
-        )
+        self._modified: dict[tuple[str, int], int] = {}
+        self._thread = threads.daemon(self._main, "checkpoints", again=True)
 
     def start(self) -> None:
         """Begin to send."""
@@ -56,21 +55,19 @@ class CheckpointFiles:
         if self._thread.is_alive():
             self._thread.join(_JOIN_LIMIT)
 
-    def keep_only(self, wanted: Deployment) -> None:
-        """Remove the checkpoints of all that is not wanted any more.
-
-        What cannot be removed is said, and stays until the next time.
-        """
+    def send_only(self, wanted: Deployment) -> None:
+        """Send the checkpoints of what is wanted from now on."""
         components = [c for each in wanted.containers for c in each.components]
-        kept = {checkpoint_path(self._folder, c.name, c.epoch) for c in components}
-        try:
-            for path in set(self._folder.glob("*.checkpoint")) - kept:
-                path.unlink(missing_ok=True)
-        except OSError as error:  # no descriptor is free, say
-            log.warning("checkpoints that nobody needs stay for now: %s", error)
         self._wanted = tuple((c.name, c.epoch) for c in components if c.checkpoint)
         if self._wanted:
             self._has_work.set()
+
+    def remove_all_but(self, wanted: Deployment) -> None:
+        """Remove the checkpoints of what is not wanted; raises OSError."""
+        components = [c for each in wanted.containers for c in each.components]
+        kept = {checkpoint_path(self._folder, c.name, c.epoch) for c in components}
+        for path in set(self._folder.glob("*.checkpoint")) - kept:
+            path.unlink(missing_ok=True)
 
     def resend(self) -> None:
         """Send all again: there is another manager."""
@@ -80,7 +77,12 @@ class CheckpointFiles:
         """Keep a copy for a component that is to start here; raises OSError."""
         path = checkpoint_path(self._folder, copy.component, copy.epoch)
         path.write_bytes(copy.data or b"")
-        os.utime(path, (time.time() - copy.age,) * 2)
+        stamp(path, copy.age)
+
+    def age(self, component: str, epoch: int) -> float | None:
+        """Return the age of a checkpoint [s]; None: there is none. No disk is used."""
+        modified = self._modified.get((component, epoch))
+        return None if modified is None else age_of(modified)
 
     def _main(self) -> None:
         self._has_work.wait()  # most robots have no checkpoints
@@ -93,11 +95,13 @@ class CheckpointFiles:
 
     def _news(self) -> Iterator[CheckpointCopy]:
         sent, self._sent = self._sent, dict(self._sent)
+        self._modified = {k: v for k, v in self._modified.items() if k in self._wanted}
         for component, epoch in self._wanted:
             path = checkpoint_path(self._folder, component, epoch)
             with contextlib.suppress(OSError):  # there is none yet
                 found = path.stat()
                 at = found.st_ino, found.st_mtime_ns
+                self._modified[component, epoch] = found.st_mtime_ns
                 before = sent.get((component, epoch))
                 if at == before:
                     continue
@@ -107,6 +111,6 @@ class CheckpointFiles:
                     component=component,
                     epoch=epoch,
                     data=None if is_same else path.read_bytes(),
-                    age=max(0.0, time.time() - found.st_mtime),
+                    age=age_of(found.st_mtime_ns),
                 )
                 self._sent[component, epoch] = at

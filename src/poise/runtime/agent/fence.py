@@ -5,8 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-import zenoh
-
 from poise.wire.records.requests import Claim, ManagerId, Refused
 
 
@@ -28,6 +26,8 @@ class Fence:
     manager, token
         What an agent before it obeyed. That manager counts as gone until its
         liveliness token is seen.
+    wall
+        Returns the time [s since 1970].
 
     Attributes
     ----------
@@ -47,8 +47,10 @@ class Fence:
         say: Callable[[str], object],
         manager: ManagerId | None = None,
         token: int = 0,
+        wall: Callable[[], float] = time.time,
     ) -> None:
         self._wake = wake
+        self._wall = wall
         self._say = say
         self.arrivals = 0
         self.is_cut_off = False
@@ -73,7 +75,7 @@ class Fence:
             if self._present is not None:
                 self._say(f"managed by {self._present}")
         if self.is_cut_off and not self.cut_off:
-            self.cut_off = time.time()
+            self.cut_off = self._wall()
             # the present manager is refused, too, until it claims the agent again
             self.token += 1
             self._is_expired = True
@@ -97,10 +99,9 @@ class Fence:
         """Return whether a manager may be at work, for all that is known."""
         return self.manager is not None and self.manager.key not in self._ended
 
-    def note_liveliness(self, sample: zenoh.Sample) -> None:
-        """Note that a manager's liveliness token came or went; for zenoh's threads."""
-        key = str(sample.key_expr).rpartition("/")[2]
-        if sample.kind == zenoh.SampleKind.PUT:
+    def note_liveliness(self, key: str, *, is_there: bool) -> None:
+        """Note that a manager's liveliness token came or went; from any thread."""
+        if is_there:
             self._gone.discard(key)
             self._ended.discard(key)
             self.arrivals += 1

@@ -6,23 +6,19 @@ one of who heard it, make a round trip.
 
 from __future__ import annotations
 
-import logging
 import threading
-import uuid
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from poise.clock import Clock
-from poise.endpoint import Endpoint
 from poise.runtime.agent.clock_offset import ClockOffset
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.lease import Lease
+from poise.runtime.agent.surroundings import Hear, HeartbeatTransport, NextBeat
 from poise.wire.control_session import endpoint_of
 from poise.wire.failure_detector import ASK_AFTER, ASK_EVERY, Contacts
-from poise.wire.heartbeats import Address, Heartbeats
+from poise.wire.heartbeats import Address
 from poise.wire.records.clocks import ClockStatus
 from poise.wire.records.heartbeats import MANAGER, Heartbeat, LinkQuality
-
-log = logging.getLogger(__name__)
 
 _STALLED = 0.3
 """An agent that did not run for so long [s] asks before it judges who is silent."""
@@ -40,6 +36,10 @@ class HeartbeatExchange:
     ----------
     fence
         Says whom it obeys; is told when the lease has ended.
+    key
+        Of this start of the agent.
+    transport
+        As in `Surroundings.heartbeats`.
 
     Attributes
     ----------
@@ -53,9 +53,10 @@ class HeartbeatExchange:
         self,
         robot: str,
         computer: str,
-        listen: Endpoint,
         fence: Fence,
         clock: Clock,
+        key: str,
+        transport: Callable[[Hear, NextBeat], HeartbeatTransport | None],
     ) -> None:
         self.agents: Mapping[str, str] = {}
         self.is_leased = False
@@ -63,7 +64,7 @@ class HeartbeatExchange:
         self._computer = computer
         self._fence = fence
         self._clock = clock
-        self._contacts = Contacts(robot, computer, uuid.uuid4().hex)
+        self._contacts = Contacts(robot, computer, key)
         self._lease = Lease(self._contacts)
         self._offsets: dict[str, ClockOffset] = {}
         self._clocks_due = 0.0
@@ -73,13 +74,7 @@ class HeartbeatExchange:
         self._lock = threading.Lock()
         self._looked_at = clock.now()
         self._grace_until = 0.0
-        self._heartbeats: Heartbeats | None = None
-        try:
-            self._heartbeats = Heartbeats(
-                clock, self._hear, self._next_beat, listen, is_ipv6=":" in listen.host
-            )
-        except OSError as error:
-            log.warning("no heartbeats: UDP port %d: %s", listen.port, error)
+        self._heartbeats = transport(self._hear, self._next_beat)
 
     def close(self) -> None:
         """Send no more."""

@@ -10,6 +10,8 @@ import msgspec
 import zenoh
 from msgspec import Struct
 
+from poise.runtime.agent.supervised import Supervised
+from poise.runtime.agent.surroundings import Reply
 from poise.wire.records.requests import PROTOCOL, Answer, ManagerRequest, Refused
 
 _MOST = 100
@@ -26,17 +28,21 @@ class AgentInbox:
         Attends to a request, and answers it.
     wake
         Called when something waits, on any thread; must not block.
+    supervised
+        Does what waits.
     """
 
     def __init__(
         self,
         computer: str,
-        attend: Callable[[ManagerRequest, zenoh.Query], None],
+        attend: Callable[[ManagerRequest, Reply], None],
         wake: Callable[[], None],
+        supervised: Supervised,
     ) -> None:
         self._computer = computer
         self._attend = attend
         self._wake = wake
+        self._supervised = supervised
         self._waiting: deque[Callable[[], None]] = deque()
 
     def put(self, work: Callable[[], None]) -> None:
@@ -62,12 +68,12 @@ class AgentInbox:
         if len(self._waiting) >= _MOST:
             answer(query, Refused(f"over {_MOST} requests wait"))
             return
-        self.put(partial(self._attend, request, query))
+        self.put(partial(self._attend, request, partial(answer, query)))
 
     def work(self) -> None:
         """Do all that waits."""
         while self._waiting:
-            self._waiting.popleft()()
+            self._supervised.attempt("requests", self._waiting.popleft())
 
 
 class _Spoken(Struct, frozen=True):

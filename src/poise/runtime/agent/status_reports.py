@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from msgspec.msgpack import encode
-
 from poise.clock import Clock
 from poise.wire.records.status import AgentStatus, ContainerStatus
 
@@ -31,7 +29,7 @@ class StatusReports:
     """
 
     def __init__(
-        self, publish: Callable[[bytes], object], clock: Clock, first: AgentStatus
+        self, publish: Callable[[AgentStatus], object], clock: Clock, first: AgentStatus
     ) -> None:
         self._publish = publish
         self._clock = clock
@@ -53,7 +51,7 @@ class StatusReports:
         if missed != self._missed:
             self.due = min(self.due, self._sent + _MISSES_EVERY)
         if seen != self._seen or self._clock.now() >= self.due:
-            self._publish(encode(status))
+            self._publish(status)
             self._seen, self._missed = seen, missed
             self._sent = self._clock.now()
             self.due = self._sent + REPORT_EVERY
@@ -69,7 +67,8 @@ class StatusReports:
             self._known[container.name] = known
         health = [(health.name, health.state) for health in status.health]
         last = status.faults[-1].number if status.faults else 0
-        found = (status.generation, status.token, last, bool(status.cut_off))
+        errors = [(error.where, error.count) for error in status.errors]
+        found = (status.generation, status.token, last, bool(status.cut_off), errors)
         states = [known.states for known in self._known.values()]
         return (*found, health, states)
 

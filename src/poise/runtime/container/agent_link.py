@@ -170,14 +170,22 @@ def take_over(
 ) -> tuple[Any, socket.socket | None, int]:
     """Return what `hand_over` has sent; None and -1: no descriptor was free for them.
 
-    OSError when nothing has come, or the other end is gone.
+    Raises
+    ------
+    OSError
+        Nothing has come, or the other end is gone.
+    WireError
+        Something else came, perhaps from another version of Poise.
     """
     body, files, _, _ = socket.recv_fds(way, _INBOX, _PASSED)
-    if not body:
-        raise ConnectionResetError("the other end is gone")
-    record = record_channel.unpack(body, type_)
-    if len(files) == _PASSED:
-        return record, socket.socket(fileno=files[0]), files[1]
-    for file in files:
-        os.close(file)
-    return record, None, -1
+    with contextlib.ExitStack() as unused:
+        for file in files:
+            unused.callback(os.close, file)
+        if not body:
+            raise ConnectionResetError("the other end is gone")
+        record = record_channel.unpack(body, type_)
+        if len(files) < _PASSED:
+            return record, None, -1
+        connection = socket.socket(fileno=files[0])
+        unused.pop_all()
+    return record, connection, files[1]

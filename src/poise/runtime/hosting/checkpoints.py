@@ -8,8 +8,6 @@ was kept last.
 from __future__ import annotations
 
 import contextlib
-import os
-import time
 from pathlib import Path
 
 from msgspec import Struct
@@ -17,6 +15,7 @@ from msgspec import Struct
 from poise.clock import Clock
 from poise.errors import RunError
 from poise.runtime.component.component import Component
+from poise.runtime.file_age import age_of, stamp
 from poise.runtime.migration.state_check import check_fits, describe_type, type_taken_by
 from poise.wire import frame
 from poise.wire.codec import Codec, codec
@@ -90,10 +89,11 @@ class Checkpoints:
             )
         if data == self._before:
             with contextlib.suppress(OSError):  # it is as old as this moment
-                os.utime(self._path)
+                stamp(self._path)
         else:
             new = self._path.with_suffix(".new")
             new.write_bytes(data)
+            stamp(new)
             new.replace(self._path)
             self._before = data
         self.cost = self._clock.now() - began
@@ -117,7 +117,7 @@ class Checkpoints:
         """
         try:
             data = self._path.read_bytes()
-            age = time.time() - self._path.stat().st_mtime
+            age = age_of(self._path.stat().st_mtime_ns)
         except FileNotFoundError:
             return None
         kept: _Checkpoint = frame.parse(data).value(_CHECKPOINT)
@@ -125,4 +125,4 @@ class Checkpoints:
         check_fits(kept.state_type, taken, type(component).restore.__qualname__)
         component.restore(frame.parse(kept.state).value(codec(taken)))
         self._before = data
-        return max(0.0, age)
+        return age

@@ -15,12 +15,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Self
 
+from poise.back_off import BackOff
 from poise.emulate import EmulatedComputer, EmulatedSet, Emulation, find_set
 from poise.emulate.registry import locked
 from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import PoiseError
 from poise.model.robot import Robot
-from poise.runtime.agent.supervision.back_off import BackOff
 from poise.runtime.waker import Waker, wait_readable
 from poise.session.callbacks import Say
 from poise.session.launch.printer import STDERR, Printer, relay

@@ -29,6 +29,8 @@ constexpr double look_after = 1.0;
 // Retransmissions before a computer counts as silent: one that was itself suspended has heard
 // nothing for long, and is answered at once.
 constexpr int in_vain = 2;
+// Files that came and belong to frames which were not taken yet.
+constexpr std::size_t most_files = 8;
 
 // The meaning of a failed system call; `done` when it is to be tried again.
 Outcome failed() {
@@ -51,7 +53,8 @@ class FileRights {
  public:
   void expect(msghdr& message) {
     message.msg_control = memory_;
-    message.msg_controllen = sizeof memory_;
+    // not all of the memory, which is rounded up and would have room for a second file
+    message.msg_controllen = CMSG_LEN(sizeof(int));
   }
 
   void attach(msghdr& message, int file) {
@@ -221,6 +224,10 @@ Outcome Channel::read(char* target, std::size_t size, double deadline, std::size
     const ssize_t count = recvmsg(file_, &message, MSG_DONTWAIT | MSG_CMSG_CLOEXEC);
     if (count > 0) {
       if (const int file = FileRights::found(message); file != no_file) files_.push_back(file);
+      if (files_.size() > most_files) {  // nobody asks for them: the other end leaks
+        errno = EPROTO;
+        return Outcome::gone;
+      }
       got = static_cast<std::size_t>(count);
       return Outcome::done;
     }

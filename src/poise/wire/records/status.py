@@ -326,7 +326,10 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
     gateway
         IP address and TCP port of its gateway.
     trouble
-        Why that accepts no connection now, and what to do; empty: it does.
+        What the agent cannot do now, and what to do; empty: it can do all.
+    errors
+        Errors of its own code within the last minute: the part that is tried again
+        later, and the traceback. The rest goes on.
     cpu_weights
         What gives containers their CPU weights: ``cgroup v2``, ``cgroup v1`` or
         ``nice``; empty: all have the same.
@@ -350,6 +353,7 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
     memory: int = 0
     gateway: str = ""
     trouble: str = ""
+    errors: tuple[ErrorCount, ...] = ()
     cpu_weights: str = ""
     containers: tuple[ContainerStatus, ...] = ()
     faults: tuple[Fault, ...] = ()

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from poise.runtime.agent.supervision.adoption import AgentFolder, AgentState
+from poise.runtime.agent.agent_folder import AgentFolder
+from poise.runtime.agent.supervision.agent_state import AgentState
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.requests import Claim, Refused
 from tests.runtime.agent.test_agent import Manager, children, manager_id, wait_gone

@@ -7,15 +7,13 @@ from collections.abc import Iterator
 
 import pytest
 
-from poise.runtime.agent.supervision.container_processes import ContainerProcess
+from poise.runtime.agent.supervision.control_link import ControlLink
 from poise.runtime.hosting.stats_page import new_memory
 from poise.wire import record_channel
-from poise.wire.records.deployment import ContainerSpec
 from poise.wire.records.status import ContainerStatus
 
 pytestmark = pytest.mark.slow
 
-SPEC = ContainerSpec(name="see", folder="", components=(), connectors=())
 STATUS = ContainerStatus(name="see", pid=7, cpu=1.5)
 
 
@@ -39,13 +37,11 @@ def test_a_record_may_come_in_pieces_and_nobody_waits_for_the_rest(
     ends: tuple[socket.socket, socket.socket],
 ) -> None:
     ours, theirs = ends
-    process = ContainerProcess(SPEC, ours, new_memory())
+    link = ControlLink("see", ours, new_memory())
     *pieces, last = [bytes([each]) for each in record()]
     for piece in pieces:
         theirs.send(piece)
-        assert process.hear() is None
-        assert process.status is None
+        assert link.next() is None
     theirs.send(last)
-    process.hear()
-    assert process.status == STATUS
-    process.close()
+    assert link.next() == STATUS
+    link.close()

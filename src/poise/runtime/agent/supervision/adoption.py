@@ -8,114 +8,23 @@ that do not within `ADOPT_LIMIT`, so that nothing runs twice.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import logging
 import os
 import signal
 import socket
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
-import msgspec
-from msgspec import Struct
-
 from poise.clock import Clock
-from poise.errors import UsageError
 from poise.runtime.container.agent_link import Orphan, take_over
 from poise.wire.connections.socket_path import agent_path, socket_path
-from poise.wire.records.deployment import Deployment
-from poise.wire.records.requests import PROTOCOL, ManagerId
 
 log = logging.getLogger(__name__)
 
 ADOPT_LIMIT = 5.0
 """A container of an earlier agent asks to be adopted within this time [s]."""
 _BOOT = Path("/proc/sys/kernel/random/boot_id")
-
-
-class AgentState(Struct, frozen=True, kw_only=True):
-    """What an agent must know after it was killed.
-
-    Parameters
-    ----------
-    gateway
-        Its IP address and TCP port.
-    agents, is_leased
-        With whom it exchanges heartbeats, as in `Claim`.
-    boot
-        When the computer has started since, nothing of it holds.
-    """
-
-    gateway: str = ""
-    manager: ManagerId | None = None
-    token: int = 0
-    wanted: Deployment | None = None
-    agents: Mapping[str, str] = {}
-    is_leased: bool = False
-    boot: str = ""
-    protocol: int = PROTOCOL
-
-
-class AgentFolder:
-    """The folder of an agent, which one process uses at a time.
-
-    Raises
-    ------
-    UsageError
-        Another agent uses it.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._path = folder / "state"
-        self._lock = os.open(folder / "lock", os.O_RDWR | os.O_CREAT, 0o600)
-        self._boot = _BOOT.read_text().strip()
-        self._kept = AgentState()
-        self.trouble = ""
-        try:
-            # a lock of this process alone: what it forks does not hold it
-            fcntl.lockf(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            os.close(self._lock)
-            raise UsageError(
-                f"another agent uses the folder {folder}: end that one, or choose "
-                "another with --folder"
-            ) from None
-
-    def left(self) -> AgentState:
-        """Return what an agent that was killed has kept here; nothing: as it began."""
-        try:
-            kept = msgspec.msgpack.decode(self._path.read_bytes(), type=AgentState)
-        except FileNotFoundError:
-            return AgentState()
-        except (OSError, msgspec.DecodeError) as error:
-            log.warning("what an earlier agent kept in %s: %s", self._path, error)
-            return AgentState()
-        is_valid = kept.boot == self._boot and kept.protocol == PROTOCOL
-        return kept if is_valid else AgentState()
-
-    def keep(self, state: AgentState) -> None:
-        """Keep what the next agent must know, if it changed; `trouble` says why not."""
-        state = msgspec.structs.replace(state, boot=self._boot)
-        if state == self._kept:
-            return
-        new = self._path.with_suffix(".new")
-        try:
-            new.write_bytes(msgspec.msgpack.encode(state))
-            new.replace(self._path)
-        except OSError as error:
-            self.forget()  # better nothing than what holds no more
-            self._kept = AgentState()
-            self.trouble = (
-                f"the agent cannot keep what should run: {error}; if it is killed, the "
-                "next one waits for its manager"
-            )
-        else:
-            self._kept, self.trouble = state, ""
-
-    def forget(self) -> None:
-        """Leave nothing for the next agent."""
-        self._path.unlink(missing_ok=True)
 
 
 class AdoptedContainers:
@@ -134,7 +43,7 @@ class AdoptedContainers:
         self.num_adopted = 0
         for path in set(folder.glob("*.sock")) - {agent_path(folder)}:
             pid = _listener(path)
-            if pid and self._watch(pid):
+            if pid and self.watch(pid):
                 self._left[pid] = path
         agent_path(folder).unlink(missing_ok=True)
         self._listening = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -149,34 +58,35 @@ class AdoptedContainers:
         """Return whether all that were left have asked, or have ended."""
         return not self._left
 
-    def files(self) -> list[int]:
-        """Return the descriptors to wait for."""
-        listening = self._listening.fileno()
-        return [*([listening] if listening >= 0 else []), *self._pidfds]
+    def fileno(self) -> int:
+        """Return the descriptor where containers ask; negative: it is closed."""
+        return self._listening.fileno()
+
+    def pidfds(self) -> list[int]:
+        """Return the descriptors that tell of ends of processes."""
+        return list(self._pidfds)
 
     def moment(self) -> float:
         """Return when `give_up` has something to do [s]."""
         return self._until if self._left else float("inf")
 
-    def orphans(self, ready: set[int]) -> Iterator[tuple[Orphan, socket.socket, int]]:
-        """Yield containers that ask to be adopted, as `take_over` does.
+    def next_orphan(self) -> tuple[Orphan, socket.socket, int] | None:
+        """Return a container that asks to be adopted, as `take_over` does.
 
-        Parameters
-        ----------
-        ready
-            The descriptors that have something to read.
+        None: none asks now. WireError: something asks that is no container of this
+        version; others may still wait.
         """
-        if self._listening.fileno() not in ready:
-            return
-        with contextlib.suppress(OSError):  # until no more have come
-            while True:
+        while True:
+            try:
                 orphan, connection, stats_page = take_over(self._listening, Orphan)
-                if connection is None:  # no descriptor is free: it asks again
-                    continue
-                is_left = self._left.pop(orphan.pid, None) is not None
-                if is_left or self._watch(orphan.pid):
-                    self.num_adopted += 1
-                yield orphan, connection, stats_page
+            except OSError:
+                return None
+            if connection is None:  # no descriptor is free: it asks again
+                continue
+            is_left = self._left.pop(orphan.pid, None) is not None
+            if is_left or self.watch(orphan.pid):
+                self.num_adopted += 1
+            return orphan, connection, stats_page
 
     def ended(self, ready: set[int]) -> Iterator[int]:
         """Yield the processes that ended, of the descriptors that are ready."""
@@ -207,7 +117,7 @@ class AdoptedContainers:
         self._listening.close()
         agent_path(self._folder).unlink(missing_ok=True)
 
-    def _watch(self, pid: int) -> bool:
+    def watch(self, pid: int) -> bool:
         """Watch a process for its end, from now on; return whether it still runs."""
         if pid in self._pidfds.values():
             return True

@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
-import socket
-import time
-from collections.abc import Mapping
-from pathlib import Path
-from signal import SIGKILL
+from collections.abc import Callable, Mapping
 
 from msgspec import Struct
 
-from poise.clock import Clock
 from poise.errors import Timeout, Unavailable
-from poise.runtime._calls import PageSampler
 from poise.runtime.agent.sampling.watchdog import Silence
-from poise.wire import record_channel
+from poise.runtime.agent.surroundings import ContainerControl
 from poise.wire.codec import WireError
-from poise.wire.records.checkpoints import checkpoint_path
 from poise.wire.records.clocks import Clocks, ClockStatus
 from poise.wire.records.container import (
     ContainerFailure,
@@ -38,34 +30,24 @@ STOP_LIMIT = 2.0
 class ContainerProcess:
     """A running container, from the agent's side.
 
-    `pid` is 0 until the zygote has reported it; from then on `counted` reads the
-    container's stats page. `kill_at` is when it has had time enough to end [s].
-    `silence` says why it does not respond; None: it does.
+    `pid` is 0 until its birth is reported. `kill_at` is when it has had time enough to
+    end [s]. `silence` says why it does not respond; None: it does.
 
     Parameters
     ----------
-    connection
-        Its control socket.
-    stats_page
-        The descriptor of its stats page; closed when it is not needed any more.
+    control
+        Its process, and the connection to it.
     pid
         Of one that runs already, and was told nothing yet; 0: it is being born.
     """
 
     def __init__(
-        self,
-        spec: ContainerSpec,
-        connection: socket.socket,
-        stats_page: int,
-        pid: int = 0,
+        self, spec: ContainerSpec, control: ContainerControl, pid: int = 0
     ) -> None:
         self.name = spec.name
         self.spec = spec
-        self.connection = connection
-        self._reader = record_channel.RecordReader(connection)
+        self._control = control
         self.pid = 0
-        self.counted: PageSampler | None = None
-        self._stats_page = stats_page
         self.status: ContainerStatus | None = None
         self.silence: Silence | None = None
         self.silent_since = 0.0
@@ -80,16 +62,15 @@ class ContainerProcess:
             self._send(spec)
 
     def note_born(self, pid: int) -> None:
-        """Take note of its process id."""
+        """Take note of its process; raises as `ContainerControl.note_born`."""
         self.pid = pid
-        self.counted = PageSampler(self._stats_page, pid)
+        self._control.note_born(pid)
         if self.is_deaf:
             self.kill()
 
     def close(self) -> None:
         """Let go of what leads to it."""
-        self.connection.close()
-        os.close(self._stats_page)
+        self._control.close()
 
     def tell(self, spec: ContainerSpec) -> None:
         """Tell it what it should be now, if that changed."""
@@ -122,35 +103,15 @@ class ContainerProcess:
 
         Its heartbeat is known sooner than the watchdog says that it responds again.
         """
-        silence, counted = self.silence, self.counted
+        silence = self.silence
         return (
             silence is not None
-            and counted is not None
             and not silence.is_starved
-            and silence.heartbeat == counted.heartbeat()
+            and silence.heartbeat == self._control.heartbeat()
         )
 
-    def hear(self) -> Outcome | None:
-        """Take in what it says; return the outcome of a step, if it is one.
-
-        It is no outcome while a part of it is missing. One that cannot be understood is
-        killed.
-        """
-        try:
-            what: FromContainer | None = self._reader.next(FromContainer)
-        except (Unavailable, WireError) as error:
-            # a container that ends closes its end: the zygote reports that
-            self.give_up("" if isinstance(error, Unavailable) else str(error))
-            return None
-        return None if what is None else self._take(what)
-
-    def hear_last(self) -> None:
-        """Take in what it said before it ended: its end may be known sooner."""
-        with contextlib.suppress(Unavailable, WireError):
-            while (what := self._reader.next(FromContainer)) is not None:
-                self._take(what)
-
-    def _take(self, what: FromContainer) -> Outcome | None:
+    def take(self, what: FromContainer) -> Outcome | None:
+        """Take in what it says; return the outcome of a step, if it is one."""
         if isinstance(what, ContainerStatus):
             self.status = what
             return None
@@ -166,18 +127,18 @@ class ContainerProcess:
         if self.silence and self.hung_at <= now:
             self.give_up(f"it does not respond: {self.silence.reason}")
 
-    def stop(self, clock: Clock) -> None:
-        """Ask it to end, or kill one that does not respond; harmless when repeated."""
+    def stop(self, now: float) -> None:
+        """Ask it to end at `now` [s], or kill it if it is silent; once is enough."""
         if self.pid and not self.is_stopping:
             self.is_stopping = True
-            self.kill_at = clock.now() + (0.0 if self.silence else STOP_LIMIT)
-            _signal(self.pid, signal.SIGTERM)
+            self.kill_at = now + (0.0 if self.silence else STOP_LIMIT)
+            self._control.signal(signal.SIGTERM)
 
     def kill(self) -> None:
         """End it now, or as soon as it is born."""
         self.kill_at = float("inf")
         if self.pid:
-            _signal(self.pid, signal.SIGKILL)
+            self._control.signal(signal.SIGKILL)
 
     def last_error(self) -> str:
         """Return the last lines of the errors that it ended with, or nothing."""
@@ -185,16 +146,16 @@ class ContainerProcess:
         said = [f"{c.name}: {c.error.splitlines()[-1]}" for c in failed]
         return "; ".join(filter(None, [*said, self._why_ended]))
 
-    def loss(self, folder: Path) -> str:
+    def loss(self, age_of: Callable[[str, int], float | None]) -> str:
         """Return what became of the states of its components, in words.
 
         Parameters
         ----------
-        folder
-            Where checkpoints are.
+        age_of
+            As `AgentDisk.checkpoint_age`.
         """
         active = [c for c in self._components() if c.state == "active"]
-        ages = {c.name: _age(checkpoint_path(folder, c.name, c.epoch)) for c in active}
+        ages = {c.name: age_of(c.name, c.epoch) for c in active}
         kept = "; ".join(
             f"'{name}' restarts with its state of {age:.1f} s ago"
             for name, age in sorted(ages.items())
@@ -225,7 +186,7 @@ class ContainerProcess:
 
     def _send(self, what: ToContainer) -> None:
         try:
-            record_channel.send(self.connection, what)
+            self._control.send(what)
         except (Timeout, Unavailable, WireError) as error:
             self.give_up("" if isinstance(error, Unavailable) else str(error))
 
@@ -238,22 +199,11 @@ class ProcessEnd(Struct, frozen=True):
     @property
     def is_kill(self) -> bool:
         """Whether it was killed."""
-        return os.WIFSIGNALED(self.status) and os.WTERMSIG(self.status) == SIGKILL
+        return (
+            os.WIFSIGNALED(self.status) and os.WTERMSIG(self.status) == signal.SIGKILL
+        )
 
     def __str__(self) -> str:
         if os.WIFSIGNALED(self.status):
             return f"was killed by {signal.Signals(os.WTERMSIG(self.status)).name}"
         return f"ended with exit code {os.waitstatus_to_exitcode(self.status)}"
-
-
-def _age(checkpoint: Path) -> float | None:
-    """Return the age of a checkpoint [s]; None: there is none."""
-    try:
-        return max(0.0, time.time() - checkpoint.stat().st_mtime)
-    except OSError:
-        return None
-
-
-def _signal(pid: int, number: signal.Signals) -> None:
-    with contextlib.suppress(ProcessLookupError):  # the zygote tells that it ended
-        os.kill(pid, number)

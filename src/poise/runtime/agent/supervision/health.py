@@ -26,10 +26,17 @@ class HealthRecords:
     ----------
     clock
         Returns the time [s] by which restarts of the last minute are counted.
+    wall
+        Returns the time [s since 1970].
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        clock: Callable[[], float] = time.monotonic,
+        wall: Callable[[], float] = time.time,
+    ) -> None:
         self._clock = clock
+        self._wall = wall
         self._restarts: dict[str, deque[float]] = {}
         self._faults: deque[Fault] = deque(maxlen=_MOST_FAULTS)
         self._number = 0
@@ -61,7 +68,7 @@ class HealthRecords:
             container=container,
             message=message,
             number=self._number,
-            at=time.time(),
+            at=self._wall(),
             restarts=known.restarts if known else 0,
             is_over=is_over,
         )
@@ -111,7 +118,7 @@ class HealthRecords:
         self._of[container] = structs.replace(
             known,
             state=state,
-            since=time.time(),
+            since=self._wall(),
             reason=reason,
             restarts=known.restarts if restarts is None else restarts,
         )

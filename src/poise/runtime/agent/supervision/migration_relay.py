@@ -5,20 +5,19 @@ Each batch is answered once: with its outcome, or with why its container is sile
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
-import zenoh
 from msgspec import Struct
 
-from poise.runtime.agent.inbox import answer
 from poise.runtime.agent.supervision.container_processes import ContainerProcess
+from poise.runtime.agent.surroundings import Reply
 from poise.wire.records.container import Order, Outcome
 from poise.wire.records.migration import StepsFailed
 
 
 class _Pending(Struct, frozen=True):
     steps: Order
-    query: zenoh.Query
+    reply: Reply
     limit: float
 
 
@@ -35,24 +34,24 @@ class MigrationRelay:
         self._processes = processes
         self._pending: dict[int, _Pending] = {}
 
-    def pass_on(self, steps: Order, query: zenoh.Query, now: float) -> None:
+    def pass_on(self, steps: Order, reply: Reply, now: float) -> None:
         """Pass steps or a tap, which came at `now` [s], to their container."""
         process = self._processes.get(steps.container)
         if process is None or process.is_deaf:
             reason = f"container '{steps.container}' does not run"
-            answer(query, StepsFailed(steps.number, reason))
+            reply(StepsFailed(steps.number, reason))
             return
         if process.is_stuck():
-            answer(query, StepsFailed(steps.number, _why_silent(process)))
+            reply(StepsFailed(steps.number, _why_silent(process)))
             return
         process.take_steps(steps)
-        self._pending[steps.number] = _Pending(steps, query, now + steps.limit)
+        self._pending[steps.number] = _Pending(steps, reply, now + steps.limit)
 
     def end(self, outcome: Outcome) -> None:
         """Answer with an outcome, unless that was answered before."""
         pending = self._pending.pop(outcome.number, None)
         if pending is not None:
-            answer(pending.query, outcome)
+            pending.reply(outcome)
 
     def give_up(self, now: float) -> None:
         """Answer for containers that are gone, silent or too slow at `now` [s]."""
@@ -70,9 +69,10 @@ class MigrationRelay:
                 continue
             self.end(StepsFailed(pending.steps.number, reason))
 
-    def limits(self) -> Iterator[float]:
-        """Yield the moments at which steps are given up [s]."""
-        return (pending.limit for pending in self._pending.values())
+    def moment(self) -> float:
+        """Return when the next steps are given up [s]."""
+        limits = (pending.limit for pending in self._pending.values())
+        return min(limits, default=float("inf"))
 
 
 def _why_silent(process: ContainerProcess) -> str:

@@ -1,82 +1,80 @@
-"""Starts, watches and ends the container processes of one computer.
+"""Starts, watches and ends the containers of one computer.
 
 It compares the containers that should run with those that run and takes the smallest
 step. A container that ended is started again after a delay that grows. Those that an
-earlier agent left are adopted (`AdoptedContainers`).
+earlier agent left are adopted. An error in the handling of one stops no other.
 """
 
 from __future__ import annotations
 
-import contextlib
 import logging
-import os
-import random
-import socket
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterator, Mapping
+from random import Random
 
 from msgspec import structs
 
+from poise.back_off import BackOff
 from poise.clock import Clock
 from poise.errors import Unavailable
 from poise.runtime.agent.sampling.watchdog import Silence
-from poise.runtime.agent.supervision.back_off import BackOff
+from poise.runtime.agent.supervised import Supervised
 from poise.runtime.agent.supervision.container_processes import (
     ContainerProcess,
     ProcessEnd,
 )
-from poise.runtime.agent.supervision.cpu_weights import CpuWeights, own_group
 from poise.runtime.agent.supervision.health import HealthRecords, Usage
-from poise.runtime.agent.supervision.oom_kills import OomKills
-from poise.runtime.container import zygote
-from poise.runtime.hosting.stats_page import new_memory
-from poise.wire.records.container import Outcome
+from poise.runtime.agent.surroundings import ContainerControl, ContainerHost
+from poise.wire.records.clocks import ClockStatus
+from poise.wire.records.container import FromContainer, Outcome
 from poise.wire.records.deployment import ContainerSpec, Deployment
 from poise.wire.records.status import ContainerHealth, ContainerStatus
 
 log = logging.getLogger(__name__)
 
-_OOM_SCORE = 500
-_PREPARED_OOM_SCORE = 1000
-"""When memory is short, the kernel ends first what is only prepared, then other
-containers, and last the agent."""
-
 
 class Supervisor:
-    """The container processes of an agent; for the agent's own thread.
+    """The containers of an agent; for the agent's own thread.
 
     Parameters
     ----------
-    zygote_socket
-        The socket of the zygote, from `poise.runtime.container.zygote.start`.
-    computer, folder
-        The name of the computer, and the folder of the agent.
+    supervised
+        Runs what is done for one container.
+    random
+        Spreads restarts over time.
     awaits
         Returns whether a container of an earlier agent still runs: then it is adopted.
+    checkpoint_age
+        As `AgentDisk.checkpoint_age`.
+
+    Attributes
+    ----------
+    trouble
+        Why no container can be started any more; empty: they can.
     """
 
     def __init__(
         self,
-        zygote_socket: socket.socket,
-        computer: str,
-        folder: Path,
+        host: ContainerHost,
         clock: Clock,
-        awaits: Callable[[str], bool] = lambda _: False,
+        supervised: Supervised,
+        health: HealthRecords,
+        random: Random,
+        awaits: Callable[[str], bool],
+        checkpoint_age: Callable[[str, int], float | None],
     ) -> None:
         self.processes: dict[str, ContainerProcess] = {}
-        self.health = HealthRecords()
+        self.health = health
         self.wanted: Deployment | None = None
         self.cpu_of_ended = 0.0
         self.trouble = ""
         self.is_cut_off = False
-        self._zygote = zygote_socket
-        self._computer = computer
-        self._folder = folder
+        self._host = host
         self._clock = clock
-        self._backoffs: dict[str, BackOff] = {}
-        self._oom_kills = OomKills()
-        self.cpu_weights = CpuWeights(own_group())
+        self._supervised = supervised
+        self._random = random
         self._awaits = awaits
+        self._checkpoint_age = checkpoint_age
+        self._backoffs: dict[str, BackOff] = {}
         self._is_ending = False
 
     def take(self, wanted: Deployment) -> None:
@@ -96,82 +94,86 @@ class Supervisor:
     def reconcile(self) -> None:
         """Take the steps from what runs to what should run."""
         now, wanted = self._clock.now(), self._specs()
-        self._oom_kills.look(now)
+        self._supervised.run("count of OOM kills", self._host.count_kills, now)
+        for name in {**self.processes, **wanted}:
+            self._supervised.run(part_of(name), self._step, name, wanted.get(name))
+
+    def tell_clocks(self, clocks: Mapping[str, ClockStatus]) -> None:
+        """Tell all containers what is known of other computers' clocks."""
         for name, process in self.processes.items():
-            if name not in wanted and self.wanted is not None:
-                process.stop(self._clock)
-            process.keep_limits(now)
-        for name, spec in wanted.items():
-            if name in self.processes:
-                self._tell(self.processes[name], spec)
-            elif name in self._backoffs and now < self._backoffs[name].again_at:
-                continue
-            elif not self._awaits(name):
-                self._start(spec)
+            self._supervised.run(part_of(name), process.tell_clocks, clocks)
 
-    def moments(self) -> Iterator[float]:
-        """Yield when something must be done though no news comes [s]."""
-        for name in self._specs().keys() & self._backoffs.keys():
-            if name not in self.processes:
-                yield self._backoffs[name].again_at
-        for process in self.processes.values():
-            yield min(process.kill_at, process.hung_at)
+    def moment(self) -> float:
+        """Return when something must be done though no news comes [s]."""
+        return min(self._moments(), default=float("inf"))
 
-    def hear(self, process: ContainerProcess) -> Outcome | None:
+    def is_heard(self, container: str) -> bool:
+        """Return whether what a container says is to be read now."""
+        process = self.processes.get(container)
+        is_resting = self._supervised.is_resting(part_of(container))
+        return process is not None and not process.is_deaf and not is_resting
+
+    def note(self, container: str, said: FromContainer) -> Outcome | None:
         """Take in what a container says; return the outcome of a step, if it is one."""
-        outcome = process.hear()
-        if process.is_deaf and self.trouble:
-            # the zygote would report its end, but there is none
-            self._forget(process)
-        return outcome
+        process = self.processes.get(container)
+        return None if process is None else process.take(said)
 
-    def hear_zygote(self) -> None:
-        """Take in what the zygote says; when it is gone, `trouble` says so."""
-        try:
-            event = zygote.hear(self._zygote)
-        except Unavailable as error:
-            # one with threads, as the agent is by now, must not fork another
-            self.trouble = f"{error}: no container can be started"
-            return
-        if isinstance(event, zygote.ContainerEnded):
-            self.note_ended(event.pid, ProcessEnd(event.status))
-        elif process := self.processes.get(event.name):
-            if isinstance(event, zygote.NotForked):
-                self._forget(process, event.reason)
-                return
+    def note_deaf(self, container: str, why: str) -> None:
+        """Record that a container cannot be heard any more; it is killed.
+
+        Parameters
+        ----------
+        why
+            In words; empty: it ended its connection.
+        """
+        process = self.processes.get(container)
+        if process is not None:
+            process.give_up(why)
+            if self.trouble and not process.pid:
+                self._forget(process)  # nobody would report its end
+
+    def note_born(self, container: str, pid: int) -> None:
+        """Record that the process of a container began."""
+        process = self.processes.get(container)
+        if process is not None:
             try:
-                self._settle(process.spec, event.pid)
-                process.note_born(event.pid)
+                self._host.settle(process.spec, pid)
+                process.note_born(pid)
             except (OSError, RuntimeError) as error:  # no memory is free
                 process.give_up(f"its counters cannot be read: {error}")
 
+    def note_not_born(self, container: str, why: str) -> None:
+        """Record that the process of a container could not begin."""
+        process = self.processes.get(container)
+        if process is not None:
+            self._forget(process, why)
+
     def note_ended(self, pid: int, how: ProcessEnd | str) -> None:
         """Record that the process of a container ended."""
-        by_pid = {process.pid: process for process in self.processes.values()}
-        if process := by_pid.get(pid):
-            process.hear_last()
-            self._forget(process, how)
+        name = self.name_of(pid)
+        if name:
+            self._forget(self.processes[name], how)
 
-    def adopt(
-        self, name: str, pid: int, connection: socket.socket, stats_page: int
-    ) -> bool:
+    def name_of(self, pid: int) -> str:
+        """Return the container of a process; empty: it is of none."""
+        found = (p.name for p in self.processes.values() if p.pid == pid)
+        return next(found, "")
+
+    def adopt(self, name: str, pid: int, control: ContainerControl) -> bool:
         """Take over a container of an earlier agent; return whether that is done.
 
         It is not when there is another of its name, or no memory is free.
         """
+        if name in self.processes:
+            return False
         # it is told what to run, or to end, once that is known
         unknown = ContainerSpec(name=name, folder="", components=(), connectors=())
-        process = None
-        if name not in self.processes:
-            with contextlib.suppress(OSError, RuntimeError):
-                process = ContainerProcess(unknown, connection, stats_page, pid)
-        if process is None:
-            connection.close()
-            os.close(stats_page)
+        try:
+            process = ContainerProcess(unknown, control, pid)
+        except (OSError, RuntimeError):
             return False
-        if name in (specs := self._specs()):  # its group, if there are groups
-            self.cpu_weights.nice_of(specs[name])
-            self.cpu_weights.settle(specs[name], pid)
+        if name in (specs := self._specs()):
+            self._host.settle(specs[name], pid)
         self.health.enter(name, "running")
         self.processes[name] = process
         return True
@@ -217,40 +219,44 @@ class Supervisor:
             containers = tuple(map(_without_lease, containers))
         return {each.name: each for each in containers}
 
+    def _moments(self) -> Iterator[float]:
+        again_at = self._supervised.again_at
+        for name in self._specs().keys() & self._backoffs.keys():
+            if name not in self.processes and not self.trouble:
+                yield max(self._backoffs[name].again_at, again_at(part_of(name)))
+        for name, process in self.processes.items():
+            yield max(min(process.kill_at, process.hung_at), again_at(part_of(name)))
+
+    def _step(self, name: str, spec: ContainerSpec | None) -> None:
+        now, process = self._clock.now(), self.processes.get(name)
+        if process is not None:
+            if spec is None and self.wanted is not None:
+                process.stop(now)
+            process.keep_limits(now)
+            if spec is not None:
+                self._tell(process, spec)
+        elif spec is not None and not self.trouble and not self._awaits(name):
+            backoff = self._backoffs.get(name)
+            if backoff is None or now >= backoff.again_at:
+                self._start(spec)
+
     def _tell(self, process: ContainerProcess, spec: ContainerSpec) -> None:
         if process.is_stopping:
             return
         if process.pid and process.spec.spare != spec.spare:
-            self._settle(spec, process.pid)
+            self._host.settle(spec, process.pid)
         process.tell(spec)
 
-    def _settle(self, spec: ContainerSpec, pid: int) -> None:
-        """Give a process what its container is to have of the computer."""
-        self.cpu_weights.settle(spec, pid)
-        with contextlib.suppress(OSError):  # it has ended
-            score = _PREPARED_OOM_SCORE if spec.spare else _OOM_SCORE
-            Path(f"/proc/{pid}/oom_score_adj").write_text(str(score))
-
     def _start(self, spec: ContainerSpec) -> None:
-        with contextlib.ExitStack() as undo:
-            try:
-                memory = new_memory()
-                undo.callback(os.close, memory)
-                wanted = zygote.Fork(
-                    name=spec.name,
-                    computer=self._computer,
-                    folder=os.fspath(self._folder),
-                    nice=self.cpu_weights.nice_of(spec),
-                )
-                connection = zygote.ask(self._zygote, wanted, memory)
-            except Unavailable:
-                return  # the zygote's end is heard next, and is the end of the agent
-            except OSError as error:  # no descriptor or memory is free at the moment
-                self._note_end(spec.name, f"cannot be started: {error}")
-                return
-            undo.pop_all()
+        try:
+            control = self._host.start(spec)
+        except Unavailable:
+            return  # the reason is heard next
+        except OSError as error:  # no descriptor or memory is free at the moment
+            self._note_end(spec.name, f"cannot be started: {error}")
+            return
         self.health.note_start(spec.name)
-        self.processes[spec.name] = ContainerProcess(spec, connection, memory)
+        self.processes[spec.name] = ContainerProcess(spec, control)
 
     def _forget(
         self, process: ContainerProcess, how: ProcessEnd | str = "ended"
@@ -258,19 +264,16 @@ class Supervisor:
         """Record a container's end, so that it can be started again later."""
         del self.processes[process.name]
         process.close()
-        self.cpu_weights.forget(process.name)
+        self._host.release(process.name)
         self.cpu_of_ended += process.status.cpu if process.status else 0.0
         if process.is_stopping or self._is_ending:
             if process.name not in self._specs():
                 self.health.forget(process.name)
             return
-        if process.may_be_oom(how) and self._oom_kills.claim(self._clock.now()):
-            how = (
-                "was killed because its computer ran out of memory (OOM)"
-                f"{self._oom_kills.limit()}: give the computer more, or move "
-                "components to another"
-            )
-        parts = [str(how), process.last_error(), process.loss(self._folder)]
+        if process.may_be_oom(how):
+            how = self._host.explain_kill(self._clock.now()) or how
+        loss = process.loss(self._checkpoint_age)
+        parts = [str(how), process.last_error(), loss]
         said = "; ".join(filter(None, parts))
         self._note_end(process.name, said)
 
@@ -279,7 +282,12 @@ class Supervisor:
         self.health.note_fault(container, said)
         self.health.enter(container, "restarting")
         backoff = self._backoffs.setdefault(container, BackOff())
-        backoff.note_end(self._clock.now(), random.uniform(0.5, 1))  # noqa: S311, jitter
+        backoff.note_end(self._clock.now(), self._random.uniform(0.5, 1))
+
+
+def part_of(container: str) -> str:
+    """Return the name of what an agent does for a container, for `Supervised`."""
+    return f"container '{container}'"
 
 
 def _without_lease(spec: ContainerSpec) -> ContainerSpec:

@@ -1,0 +1,317 @@
+"""What an agent decides. It reaches the world through its `Surroundings` alone.
+
+The agent tells it what happened, on one thread, and calls `tick` after that and at
+`moment`. An error in one part of a tick, in one request or in what concerns one
+container is shown in the status and stops nothing else (`Supervised`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple, TypeVar
+
+from msgspec import structs
+
+from poise.runtime.agent.agent_setup import AgentSetup
+from poise.runtime.agent.fence import Fence
+from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
+from poise.runtime.agent.sampling.watchdog import Silence
+from poise.runtime.agent.status_reports import StatusReports
+from poise.runtime.agent.supervised import Supervised
+from poise.runtime.agent.supervision.adoption import ADOPT_LIMIT
+from poise.runtime.agent.supervision.agent_state import AgentState
+from poise.runtime.agent.supervision.container_processes import STOP_LIMIT, ProcessEnd
+from poise.runtime.agent.supervision.health import HealthRecords
+from poise.runtime.agent.supervision.migration_relay import MigrationRelay
+from poise.runtime.agent.supervision.supervisor import Supervisor, part_of
+from poise.runtime.agent.surroundings import ContainerControl, Reply, Surroundings
+from poise.wire.records.checkpoints import CheckpointCopy
+from poise.wire.records.container import FromContainer, Order
+from poise.wire.records.migration import StepsFailed
+from poise.wire.records.output import ReadOutput
+from poise.wire.records.requests import (
+    Accepted,
+    Claim,
+    Claimed,
+    ManagerRequest,
+    Refused,
+)
+from poise.wire.records.status import AgentStatus
+
+T = TypeVar("T")
+
+
+class _Part(NamedTuple):
+    """A part of each tick, and when it is due though nothing happens [s]."""
+
+    name: str
+    act: Callable[[], object]
+    due: Callable[[], float] = lambda: float("inf")
+
+
+class AgentCore:
+    """The logic of the agent of one computer.
+
+    Parameters
+    ----------
+    left
+        What an agent before it, which was killed, has kept.
+
+    Attributes
+    ----------
+    is_ready
+        Whether managers may see the agent: what an earlier one left is known.
+    """
+
+    def __init__(
+        self, setup: AgentSetup, world: Surroundings, left: AgentState
+    ) -> None:
+        self.is_ready = False
+        self._setup = setup
+        self._world = world
+        self._clock = world.clock
+        self._born = world.clock.now()
+        self._end_limit = float("inf")
+        self.supervised = Supervised(world.clock, world.wall)
+        self.supervisor = Supervisor(
+            world.host,
+            world.clock,
+            self.supervised,
+            HealthRecords(world.clock.now, world.wall),
+            world.random,
+            world.adoption.awaits,
+            world.disk.checkpoint_age,
+        )
+        if left.wanted is not None:
+            self.supervisor.take(left.wanted)
+            world.disk.keep_only(left.wanted)
+        self._relay = MigrationRelay(self.supervisor.processes)
+        self.fence = Fence(
+            setup.robot,
+            setup.computer,
+            world.wake,
+            world.say,
+            left.manager,
+            left.token,
+            world.wall,
+        )
+        self.heartbeats = HeartbeatExchange(
+            setup.robot,
+            setup.computer,
+            self.fence,
+            world.clock,
+            world.key,
+            world.heartbeats,
+        )
+        self.heartbeats.begin_again(left.agents, left.is_leased)
+        self._last = self._status()
+        self._reports = StatusReports(world.publish, world.clock, self._last)
+        self._parts: tuple[_Part, ...] = (
+            _Part("state", self._keep_state),
+            _Part("lease", self._note_lease),
+            _Part("steps", self._give_up_steps, self._relay.moment),
+            _Part("adoption", world.adoption.give_up, world.adoption.moment),
+            _Part("containers", self.supervisor.reconcile, self.supervisor.moment),
+            _Part("clocks", self._tell_clocks),
+            _Part("status", self._report, self._report_due),
+        )
+
+    def on_request(self, asked: ManagerRequest, reply: Reply) -> None:
+        """Do what a manager asks for, or refuse it; it is answered once."""
+        try:
+            self._attend(asked, reply)
+        except Exception as error:  # noqa: BLE001, it is logged and shown
+            self.supervised.report("requests", error)
+            why = f"its agent failed at that, which is an error of Poise: {error!r}"
+            if isinstance(asked.request, Order):
+                reply(StepsFailed(asked.request.number, why))
+            else:
+                reply(Refused(why))
+
+    def on_record(self, container: str, said: FromContainer) -> None:
+        """Take in what a container says."""
+        outcome = self._about(container, self.supervisor.note, container, said)
+        if outcome is not None:
+            self.supervised.attempt("steps", self._relay.end, outcome)
+
+    def on_deaf(self, container: str, why: str) -> None:
+        """Kill a container that cannot be understood, or that closed its connection.
+
+        Parameters
+        ----------
+        why
+            What is wrong with what it says; empty: it closed its connection.
+        """
+        self._about(container, self.supervisor.note_deaf, container, why)
+
+    def on_born(self, container: str, pid: int) -> None:
+        """Note that the process of a container began."""
+        self._about(container, self.supervisor.note_born, container, pid)
+
+    def on_not_born(self, container: str, why: str) -> None:
+        """Note that the process of a container could not begin."""
+        self._about(container, self.supervisor.note_not_born, container, why)
+
+    def on_ended(self, pid: int, how: ProcessEnd | str) -> None:
+        """Note that a process ended."""
+        name = self.supervisor.name_of(pid)
+        self._about(name, self.supervisor.note_ended, pid, how)
+
+    def on_orphan(self, container: str, pid: int, control: ContainerControl) -> bool:
+        """Adopt a container of an earlier agent; return whether that is done."""
+        adopt = partial(self.supervisor.adopt, container, pid, control)
+        return self._about(container, adopt) or False
+
+    def on_silence(self, silence: Silence) -> None:
+        """Note that a container does not respond, or that it responds again."""
+        self._about(silence.container, self.supervisor.note_silence, silence)
+
+    def on_no_more_starts(self, why: str) -> None:
+        """Note that no container can be started or seen to end by its host."""
+        self.supervisor.trouble = why
+        for process in self.supervisor.processes.values():
+            if process.pid:
+                self._about(process.name, self._world.adoption.watch, process.pid)
+
+    def tick(self) -> None:
+        """Do what is due; harmless when nothing is."""
+        for part in self._parts:
+            self.supervised.run(part.name, part.act)
+
+    def moment(self) -> float:
+        """Return when `tick` is due though nothing happens [s]."""
+        moments = [self._born + ADOPT_LIMIT] if not self.is_ready else []
+        for part in self._parts:
+            due = self.supervised.run(part.name, part.due) or float("-inf")
+            moments.append(max(due, self.supervised.again_at(part.name)))
+        return min([*moments, self._end_limit])
+
+    def end(self) -> None:
+        """End every container in stages, in the ticks until `has_ended`."""
+        self._end_limit = self._clock.now() + STOP_LIMIT + 1
+        self._parts = tuple(
+            part for part in self._parts if part.name in {"steps", "containers"}
+        )
+        self.supervised.attempt("adoption", self._world.adoption.close)
+        self.supervised.attempt("state", self._world.disk.forget)
+        self.supervisor.end()
+
+    def has_ended(self) -> bool:
+        """Return whether no container runs any more, or they had time enough."""
+        is_late = self._clock.now() >= self._end_limit
+        return is_late or not self.supervisor.processes
+
+    def kill_all(self) -> None:
+        """Kill the containers that still run."""
+        for process in list(self.supervisor.processes.values()):
+            self._about(process.name, process.kill)
+
+    def _about(self, container: str, work: Callable[..., T], *args: object) -> T | None:
+        return self.supervised.attempt(part_of(container), work, *args)
+
+    def _attend(self, asked: ManagerRequest, reply: Reply) -> None:
+        request, refusal = asked.request, self.fence.refusal(asked.token)
+        wanted = self.supervisor.wanted
+        if isinstance(request, Claim):
+            refused = self.fence.claim(request, asked.token)
+            if refused is None:
+                self.heartbeats.begin(
+                    request.manager.key, request.agents, is_leased=request.is_leased
+                )
+                self._world.disk.resend()
+            reply(refused or Claimed(wanted))
+        elif isinstance(request, Order):
+            if refusal:
+                reply(StepsFailed(request.number, refusal))
+            else:
+                self._relay.pass_on(request, reply, self._clock.now())
+        elif refusal:
+            reply(Refused(refusal))
+        elif isinstance(request, ReadOutput | CheckpointCopy):
+            self._world.disk.serve(request, reply)
+        elif wanted and request.generation < wanted.generation:
+            older = f"generation {request.generation} is older than "
+            reply(Refused(f"{older}{wanted.generation}"))
+        else:
+            self.supervisor.take(request)
+            self.fence.note_told()
+            self._world.disk.keep_only(request)
+            reply(Accepted())
+
+    def _keep_state(self) -> None:
+        self._world.disk.keep(
+            AgentState(
+                gateway=self._world.gateway,
+                manager=self.fence.manager,
+                token=self.fence.token,
+                wanted=self.supervisor.wanted,
+                agents=self.heartbeats.agents,
+                is_leased=self.heartbeats.is_leased,
+            )
+        )
+
+    def _note_lease(self) -> None:
+        self.fence.look()
+        self.supervisor.is_cut_off = bool(self.fence.cut_off)
+
+    def _give_up_steps(self) -> None:
+        self._relay.give_up(self._clock.now())
+
+    def _tell_clocks(self) -> None:
+        self.supervisor.tell_clocks(self.heartbeats.clocks)
+
+    def _report_due(self) -> float:
+        return self._reports.due if self.is_ready else self._born + ADOPT_LIMIT
+
+    def _report(self) -> None:
+        if not self.is_ready:
+            if not self._knows_containers():
+                return
+            self._world.appear()
+            self.is_ready = True
+        try:
+            self._last = self._status()
+        except Exception:  # what went wrong is said with what was known last
+            self._last = structs.replace(self._last, errors=self.supervised.errors())
+            raise
+        finally:
+            self._reports.note(self._last, self.fence.arrivals)
+
+    def _knows_containers(self) -> bool:
+        """Return whether all that an earlier agent left have said how they are.
+
+        Before, a manager would take what runs for gone. It waits no longer than
+        `ADOPT_LIMIT`.
+        """
+        processes = self.supervisor.processes.values()
+        is_settled = self._world.adoption.is_settled()
+        is_known = is_settled and all(process.status for process in processes)
+        return is_known or self._clock.now() >= self._born + ADOPT_LIMIT
+
+    def _status(self) -> AgentStatus:
+        world, supervisor, wanted = self._world, self.supervisor, self.supervisor.wanted
+        statuses, usage = supervisor.statuses(), world.usage()
+        troubles = world.gateway_trouble(), world.disk.trouble(), supervisor.trouble
+        return AgentStatus(
+            computer=self._setup.computer,
+            pid=world.pid,
+            adopted=world.adoption.num_adopted,
+            generation=wanted.generation if wanted else 0,
+            token=self.fence.token,
+            manager=self.fence.manager,
+            uptime=self._clock.now() - self._born,
+            cpu=world.cpu() + supervisor.cpu_of_ended + sum(s.cpu for s in statuses),
+            load=sum(cores for cores, _ in usage.values()),
+            memory=sum(size for _, size in usage.values()),
+            gateway=world.gateway,
+            trouble="; ".join(filter(None, troubles)),
+            errors=self.supervised.errors(),
+            cpu_weights=world.host.cpu_weights,
+            containers=statuses,
+            faults=supervisor.health.faults(),
+            health=supervisor.records(usage),
+            clocks=self.heartbeats.clocks,
+            cut_off=self.fence.cut_off,
+            links=self.heartbeats.links(),
+        )

@@ -1,0 +1,206 @@
+"""What an agent's logic needs of the world: time, processes, disk and network.
+
+`AgentCore` decides, and reaches the world through these Protocols alone. The agent
+gives it the real one; a simulator gives it a modelled one in virtual time. All methods
+are called on the agent's own thread and return soon, unless said otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from random import Random
+from signal import Signals
+from typing import Protocol
+
+from msgspec import Struct
+
+from poise.clock import Clock
+from poise.runtime.agent.supervision.agent_state import AgentState
+from poise.runtime.agent.supervision.health import Usage
+from poise.wire.heartbeats import Address
+from poise.wire.records.checkpoints import CheckpointCopy
+from poise.wire.records.container import ToContainer
+from poise.wire.records.deployment import ContainerSpec, Deployment
+from poise.wire.records.heartbeats import Heartbeat
+from poise.wire.records.output import ReadOutput
+from poise.wire.records.requests import Answer
+from poise.wire.records.status import AgentStatus
+
+Reply = Callable[[Answer], object]
+"""Answers a request; called once, now or later, on any thread."""
+
+
+class ContainerControl(Protocol):
+    """The process of one container, and the agent's connection to it."""
+
+    def note_born(self, pid: int) -> None:
+        """Take note of its process; OSError or RuntimeError: no memory is free."""
+
+    def send(self, record: ToContainer) -> None:
+        """Tell it something; may wait up to `poise.wire.record_channel.LIMIT`.
+
+        Raises
+        ------
+        Timeout
+            It does not read.
+        Unavailable
+            It is gone.
+        WireError
+            The record is too large.
+        """
+
+    def signal(self, number: Signals) -> None:
+        """Send its process a signal; harmless when that has ended."""
+
+    def heartbeat(self) -> int | None:
+        """Return how often its control thread has run; None before it is born."""
+
+    def close(self) -> None:
+        """Let go of what leads to it."""
+
+
+class ContainerHost(Protocol):
+    """Where container processes are started, and what each gets of the computer."""
+
+    @property
+    def cpu_weights(self) -> str:
+        """What gives containers their CPU weights, as in `AgentStatus`."""
+
+    def start(self, spec: ContainerSpec) -> ContainerControl:
+        """Begin to start a container; its birth and its end are told to the core.
+
+        Raises
+        ------
+        Unavailable
+            No container can be started any more.
+        OSError
+            It cannot be started now.
+        """
+
+    def settle(self, spec: ContainerSpec, pid: int) -> None:
+        """Give a process what its container is to have of the CPU and the memory."""
+
+    def release(self, container: str) -> None:
+        """Free what a container had that ended."""
+
+    def count_kills(self, now: float) -> None:
+        """Take note of processes that the kernel killed until `now` [s]."""
+
+    def explain_kill(self, now: float) -> str:
+        """Return why the kernel killed a process lately; empty: it killed none.
+
+        A kill explains one end.
+        """
+
+
+class Adoption(Protocol):
+    """Containers that an earlier agent has left: some may run and not have asked."""
+
+    num_adopted: int
+
+    def awaits(self, container: str) -> bool:
+        """Return whether a container may run still, and so must not be started."""
+
+    def is_settled(self) -> bool:
+        """Return whether all that were left have asked, or have ended."""
+
+    def watch(self, pid: int) -> bool:
+        """Tell the core when a process ends that nobody else watches."""
+
+    def moment(self) -> float:
+        """Return when `give_up` has something to do [s]."""
+
+    def give_up(self) -> None:
+        """Kill what did not ask in time; harmless when repeated."""
+
+    def close(self) -> None:
+        """Kill what was not adopted, and adopt no more."""
+
+
+class AgentDisk(Protocol):
+    """The folder of an agent. No method waits for the disk."""
+
+    def keep(self, state: AgentState) -> None:
+        """Keep what the next agent must know, if it changed; the last one counts."""
+
+    def forget(self) -> None:
+        """Leave nothing to the next agent: nothing runs any more."""
+
+    def serve(self, request: ReadOutput | CheckpointCopy, reply: Reply) -> None:
+        """Read or write what a manager asks for; answers when that is done."""
+
+    def keep_only(self, wanted: Deployment) -> None:
+        """Remove the checkpoints of all that is not wanted, and send the others."""
+
+    def resend(self) -> None:
+        """Send all checkpoints again: there is another manager."""
+
+    def checkpoint_age(self, component: str, epoch: int) -> float | None:
+        """Return how old the last checkpoint is [s]; None: there is none."""
+
+    def trouble(self) -> str:
+        """Return what is wrong with it, in words; empty: nothing is."""
+
+
+class HeartbeatTransport(Protocol):
+    """Sends and takes heartbeats, from `start` on."""
+
+    def start(self) -> None:
+        """Begin."""
+
+    def send_to(self, targets: Mapping[str, Address]) -> None:
+        """Send to these from now on; by name."""
+
+    def close(self) -> None:
+        """End."""
+
+
+Hear = Callable[[Heartbeat, Address], bool]
+NextBeat = Callable[[], tuple[Heartbeat, float]]
+"""As for `poise.wire.heartbeats.Heartbeats`, on whose thread both are called."""
+
+
+class Surroundings(Struct, frozen=True, kw_only=True):
+    """All that an agent's logic is given of the world.
+
+    Parameters
+    ----------
+    wall
+        Returns the time [s since 1970]; for records that people read.
+    random
+        Spreads restarts over time.
+    say
+        Called with a sentence when a manager comes or goes.
+    publish
+        Sends a status to all managers.
+    appear
+        Lets managers see the agent, just before the first status.
+    wake
+        Lets `AgentCore.tick` be called soon; from any thread, never blocks.
+    heartbeats
+        Opens the transport of heartbeats; None: there is none.
+    usage, cpu
+        What the agent and the containers use, and the agent's CPU time so far [s].
+    gateway, gateway_trouble
+        Its address, and why it accepts no connection; empty: it does.
+    pid, key
+        The agent's process, and a text that no other start of an agent has.
+    """
+
+    clock: Clock
+    wall: Callable[[], float]
+    random: Random
+    say: Callable[[str], object]
+    publish: Callable[[AgentStatus], object]
+    appear: Callable[[], object]
+    wake: Callable[[], None]
+    host: ContainerHost
+    adoption: Adoption
+    disk: AgentDisk
+    heartbeats: Callable[[Hear, NextBeat], HeartbeatTransport | None]
+    usage: Callable[[], Usage]
+    cpu: Callable[[], float]
+    gateway: str
+    gateway_trouble: Callable[[], str]
+    pid: int
+    key: str

@@ -1,0 +1,78 @@
+"""Threads whose failures are known.
+
+Python prints the exception that ends a thread, and goes on without the thread. Here the
+program that owns the threads hears of it, and a thread whose work must go on is started
+again.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+import threading
+import time
+from collections.abc import Callable
+
+from poise.back_off import BackOff
+
+log = logging.getLogger(__name__)
+
+
+def hear_failures(report: Callable[[str, BaseException], object]) -> None:
+    """Let a program hear of the exceptions that end threads of its process.
+
+    It hears of all threads, also those that libraries started. The last call counts.
+
+    Parameters
+    ----------
+    report
+        Called on the thread, with its name and the exception; must not block.
+    """
+
+    def hook(args: threading.ExceptHookArgs) -> None:
+        name = args.thread.name if args.thread is not None else "unknown"
+        error = args.exc_value or args.exc_type()
+        if isinstance(error, SystemExit):
+            return
+        log.error("thread '%s' failed", name, exc_info=error)
+        try:
+            report(name, error)
+        except Exception:  # the log has both
+            log.exception("the failure of thread '%s' could not be reported", name)
+
+    threading.excepthook = hook
+
+
+def daemon(
+    work: Callable[..., object], name: str, *args: object, again: bool = False
+) -> threading.Thread:
+    """Return a thread, which is to be started, that ends with the process.
+
+    Parameters
+    ----------
+    name
+        What it does, for reports of its failure.
+    args
+        Of `work`.
+    again
+        Whether to do the work again after an exception, with a delay that grows to
+        some seconds. Each one is reported.
+    """
+    target = _do_again if again else work
+    given = (work, *args) if again else args
+    return threading.Thread(target=target, name=name, args=given, daemon=True)
+
+
+def _do_again(work: Callable[..., object], *args: object) -> None:
+    back_off = BackOff()
+    while True:
+        try:
+            work(*args)
+        except Exception:  # noqa: BLE001, the hook reports it
+            failure = (*sys.exc_info(), threading.current_thread())
+            threading.excepthook(threading.ExceptHookArgs(failure))
+        else:
+            return
+        now = time.monotonic()
+        back_off.note_end(now)
+        time.sleep(max(0.0, back_off.again_at - now))

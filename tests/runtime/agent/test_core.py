@@ -1,0 +1,390 @@
+"""An agent's decisions, in a modelled world: no process, socket or real time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from random import Random
+from signal import SIGKILL, SIGTERM, Signals
+from typing import Any
+
+import pytest
+
+from poise.errors import Unavailable
+from poise.runtime.agent.agent_setup import AgentSetup
+from poise.runtime.agent.core import AgentCore
+from poise.runtime.agent.supervised import SHOWN_FOR
+from poise.runtime.agent.supervision.agent_state import AgentState
+from poise.runtime.agent.supervision.container_processes import ProcessEnd
+from poise.runtime.agent.surroundings import Reply, Surroundings
+from poise.testing import VirtualClock
+from poise.wire.records.container import ContainerFailure, ToContainer
+from poise.wire.records.deployment import ContainerSpec, Deployment
+from poise.wire.records.migration import MigrationSteps, StepsFailed
+from poise.wire.records.requests import (
+    Accepted,
+    Claim,
+    Claimed,
+    ManagerId,
+    ManagerRequest,
+    Refused,
+)
+from poise.wire.records.status import AgentStatus, ContainerStatus
+
+MANAGER = ManagerId(key="first", user="ann", host="desk", pid=7, since=0.0)
+EXIT_1 = ProcessEnd(1 << 8)
+
+
+class Process:
+    """A modelled container process; `fault` is raised by what is sent to it."""
+
+    def __init__(self) -> None:
+        self.sent: list[ToContainer] = []
+        self.signals: list[Signals] = []
+        self.fault: Exception | None = None
+
+    def note_born(self, pid: int) -> None:
+        pass
+
+    def send(self, record: ToContainer) -> None:
+        if self.fault:
+            raise self.fault
+        self.sent.append(record)
+
+    def signal(self, number: Signals) -> None:
+        self.signals.append(number)
+
+    def heartbeat(self) -> int | None:
+        return 1
+
+    def close(self) -> None:
+        pass
+
+
+class Host:
+    """A modelled computer."""
+
+    cpu_weights = ""
+
+    def __init__(self) -> None:
+        self.started: list[str] = []
+        self.processes: dict[str, Process] = {}
+        self.faults: dict[str, Exception] = {}
+
+    def start(self, spec: ContainerSpec) -> Process:
+        if fault := self.faults.get(spec.name):
+            raise fault
+        self.started.append(spec.name)
+        process = self.processes[spec.name] = Process()
+        return process
+
+    def settle(self, spec: ContainerSpec, pid: int) -> None:
+        pass
+
+    def release(self, container: str) -> None:
+        pass
+
+    def count_kills(self, now: float) -> None:
+        if fault := self.faults.get("kills"):
+            raise fault
+
+    def explain_kill(self, now: float) -> str:
+        return ""
+
+
+class Adopted:
+    """Nothing to adopt."""
+
+    num_adopted = 0
+
+    def __init__(self) -> None:
+        self.watched: list[int] = []
+        self.is_closed = False
+
+    def awaits(self, container: str) -> bool:
+        return False
+
+    def is_settled(self) -> bool:
+        return True
+
+    def watch(self, pid: int) -> bool:
+        self.watched.append(pid)
+        return True
+
+    def moment(self) -> float:
+        return float("inf")
+
+    def give_up(self) -> None:
+        pass
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+class Disk:
+    """A folder in memory."""
+
+    def __init__(self) -> None:
+        self.kept: AgentState | None = None
+
+    def keep(self, state: AgentState) -> None:
+        self.kept = state
+
+    def forget(self) -> None:
+        self.kept = None
+
+    def serve(self, request: object, reply: Reply) -> None:
+        reply(Accepted())
+
+    def keep_only(self, wanted: Deployment) -> None:
+        pass
+
+    def resend(self) -> None:
+        pass
+
+    def checkpoint_age(self, component: str, epoch: int) -> float | None:
+        return None
+
+    def trouble(self) -> str:
+        return ""
+
+
+class World:
+    """An agent and what it is in."""
+
+    def __init__(self, left: AgentState | None = None) -> None:
+        self.clock = VirtualClock()
+        self.host, self.adoption, self.disk = Host(), Adopted(), Disk()
+        self.statuses: list[AgentStatus] = []
+        self.said: list[str] = []
+        self.num_appeared = 0
+        surroundings = Surroundings(
+            clock=self.clock,
+            wall=lambda: 1e9 + self.clock.now(),
+            random=Random(1),
+            say=self.said.append,
+            publish=self.statuses.append,
+            appear=self._appear,
+            wake=lambda: None,
+            host=self.host,
+            adoption=self.adoption,
+            disk=self.disk,
+            heartbeats=lambda _hear, _next_beat: None,
+            usage=dict,
+            cpu=lambda: 0.0,
+            gateway="10.0.0.1:7000",
+            gateway_trouble=str,
+            pid=1,
+            key="start",
+        )
+        setup = AgentSetup(robot="test", computer="main", address="10.0.0.1", folder="")
+        self.core = AgentCore(setup, surroundings, left or AgentState())
+        self._generation = 0
+
+    def _appear(self) -> None:
+        self.num_appeared += 1
+
+    def ask(self, request: Any, token: int = 1) -> Any:
+        """Return the one answer to a request; None: it was not answered yet."""
+        answers: list[Any] = []
+        self.core.on_request(
+            ManagerRequest(token=token, request=request), answers.append
+        )
+        assert len(answers) <= 1
+        return answers[0] if answers else None
+
+    def deploy(self, *names: str) -> None:
+        """Claim the agent, and let containers run; they report at once."""
+        if not self._generation:
+            assert isinstance(self.ask(Claim(MANAGER)), Claimed)
+        self._generation += 1
+        wanted = Deployment(generation=self._generation, containers=specs(*names))
+        assert self.ask(wanted) == Accepted()
+        self.core.tick()
+        for pid, name in enumerate(self.host.processes, 100):
+            self.core.on_born(name, pid)
+            self.core.on_record(name, ContainerStatus(name=name, pid=pid))
+        self.core.tick()
+
+    def run(self, seconds: float) -> None:
+        """Let time pass, and tick whenever the core wants to."""
+        until = self.clock.now() + seconds
+        for _ in range(1000):  # a core that wants to tick without end fails
+            self.core.tick()
+            moment = min(self.core.moment(), until)
+            if moment >= until:
+                break
+            self.clock.sleep(max(0.0, moment - self.clock.now()))
+        else:
+            pytest.fail("the core ticks without end")
+        self.clock.sleep(max(0.0, until - self.clock.now()))
+        self.core.tick()
+
+    @property
+    def status(self) -> AgentStatus:
+        return self.statuses[-1]
+
+    def errors(self) -> Mapping[str, int]:
+        return {error.where: error.count for error in self.status.errors}
+
+
+def specs(*names: str) -> tuple[ContainerSpec, ...]:
+    return tuple(
+        ContainerSpec(name=name, folder="", components=(), connectors=())
+        for name in names
+    )
+
+
+def raising(error: Exception) -> Callable[..., Any]:
+    def fail(*_: object, **__: object) -> Any:
+        raise error
+
+    return fail
+
+
+def test_a_container_that_ends_is_started_again_with_a_delay_that_grows() -> None:
+    world = World()
+    world.deploy("see")
+    for num_starts in (2, 3):
+        world.core.on_ended(100, EXIT_1)
+        world.run(0.11)  # at once the first time, after 0.05 to 0.1 s the second time
+        assert world.host.started == ["see"] * num_starts
+        world.core.on_born("see", 100)
+    assert [fault.container for fault in world.status.faults] == ["see", "see"]
+
+
+def test_what_a_container_said_before_it_ended_is_in_its_fault() -> None:
+    world = World()
+    world.deploy("see")
+    world.core.on_record("see", ContainerFailure("its command ended"))
+    world.core.on_record("see", ContainerStatus(name="see", pid=100, cpu=1.5))
+    world.core.on_ended(100, EXIT_1)
+    world.core.tick()
+    (fault,) = world.status.faults
+    assert fault.message == "ended with exit code 1; its command ended"
+    assert world.status.cpu == 1.5
+
+
+def test_an_error_in_what_concerns_one_container_stops_no_other() -> None:
+    world = World()
+    world.host.faults["bad"] = KeyError("bad")
+    world.deploy("bad", "good")
+    assert world.host.started == ["good"]
+    assert "container 'bad'" in world.errors()
+    assert "KeyError: 'bad'" in world.status.errors[0].text
+    world.run(30.0)
+    # 0, 0.1, 0.3, 0.7, 1.5, 3.1, 6.3, 11.3, 16.3, 21.3, 26.3 s: not at each tick
+    assert world.errors()["container 'bad'"] <= 12
+    world.host.faults.clear()
+    world.run(5.0)
+    assert world.host.started == ["good", "bad"]
+    world.run(SHOWN_FOR)
+    assert not world.errors()
+
+
+@pytest.mark.parametrize(
+    ("where", "owner", "name"),
+    [
+        ("lease", "fence", "look"),
+        ("steps", "_relay", "give_up"),
+        ("containers", "supervisor", "reconcile"),
+        ("clocks", "supervisor", "tell_clocks"),
+    ],
+)
+def test_an_error_in_one_part_of_the_tick_stops_no_other(
+    monkeypatch: pytest.MonkeyPatch, where: str, owner: str, name: str
+) -> None:
+    world = World()
+    world.deploy("see")
+    part = getattr(world.core, owner)
+    monkeypatch.setattr(part, name, raising(ValueError("a bug")))
+    # the table has the methods of some parts already
+    world.core._parts = tuple(
+        each._replace(act=getattr(part, name)) if each.name == where else each
+        for each in world.core._parts
+    )
+    world.run(2.0)
+    assert world.errors().keys() == {where}
+    assert not world.host.processes["see"].signals
+    assert world.disk.kept is not None
+    assert world.disk.kept.wanted is not None
+    num = len(world.statuses)
+    world.run(2.0)
+    assert len(world.statuses) > num
+
+
+@pytest.mark.parametrize("name", ["keep", "trouble"])
+def test_an_error_of_the_disks_code_is_shown(
+    monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    world = World()
+    world.deploy("see")
+    monkeypatch.setattr(world.disk, name, raising(ValueError("a bug")))
+    world.run(2.0)
+    assert "ValueError: a bug" in world.status.errors[0].text
+    assert world.status.containers  # a status that cannot be made is the last one's
+
+
+def test_a_request_that_fails_is_answered_and_the_next_one_is_done(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    world = World()
+    world.deploy("see")
+    monkeypatch.setattr(world.disk, "keep_only", raising(ValueError("a bug")))
+    refused = world.ask(Deployment(generation=5, containers=()))
+    assert isinstance(refused, Refused)
+    assert "an error of Poise: ValueError('a bug')" in refused.reason
+    world.core.tick()
+    assert world.errors() == {"requests": 1}
+    monkeypatch.undo()
+    assert world.ask(Deployment(generation=6, containers=())) == Accepted()
+
+
+def test_steps_for_a_container_that_does_not_run_are_answered_at_once() -> None:
+    world = World()
+    world.deploy()
+    steps = MigrationSteps(number=3, migration=1, container="see", steps=(), limit=1.0)
+    answer = world.ask(steps)
+    assert isinstance(answer, StepsFailed)
+    assert "does not run" in answer.reason
+
+
+def test_without_starts_what_runs_goes_on_and_the_status_says_so() -> None:
+    world = World()
+    world.deploy("see", "act")
+    world.core.on_no_more_starts("the zygote is gone")
+    assert world.adoption.watched == [100, 101]
+    world.host.faults["see"] = Unavailable("the zygote is gone")
+    world.core.on_ended(100, "ended")
+    world.run(20.0)
+    assert "the zygote is gone" in world.status.trouble
+    assert [each.name for each in world.status.containers] == ["act"]
+    assert not world.host.processes["act"].signals
+
+
+def test_the_end_asks_first_and_kills_what_does_not_end() -> None:
+    world = World()
+    world.deploy("see", "act")
+    world.core.end()
+    world.core.tick()
+    assert world.disk.kept is None
+    assert world.adoption.is_closed
+    world.core.on_ended(100, ProcessEnd(0))
+    assert not world.core.has_ended()
+    assert world.host.processes["act"].signals == [SIGTERM]
+    world.run(2.1)  # it may take 2 s to end
+    assert world.host.processes["act"].signals == [SIGTERM, SIGKILL]
+    world.core.on_ended(101, ProcessEnd(9))
+    assert world.core.has_ended()
+    assert not world.status.faults
+
+
+def test_what_an_earlier_agent_wanted_is_started_without_a_manager() -> None:
+    wanted = Deployment(generation=4, containers=specs("see"))
+    world = World(AgentState(manager=MANAGER, token=2, wanted=wanted))
+    world.run(0.1)
+    assert world.host.started == ["see"]
+    assert not world.num_appeared  # before its containers are known, up to 5 s
+    world.run(5.0)
+    assert world.num_appeared == 1
+    assert world.status.generation == 4
+    assert world.status.token == 2
