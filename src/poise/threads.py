@@ -17,6 +17,9 @@ from poise.back_off import BackOff
 
 log = logging.getLogger(__name__)
 
+SHOWN_FOR = 60.0
+"""A failure is shown for this time [s]."""
+
 
 def hear_failures(report: Callable[[str, BaseException], object]) -> None:
     """Let a program hear of the exceptions that end threads of its process.
@@ -43,6 +46,30 @@ def hear_failures(report: Callable[[str, BaseException], object]) -> None:
     threading.excepthook = hook
 
 
+class Failures:
+    """The failures of a program's threads, for its status.
+
+    Parameters
+    ----------
+    program
+        Whose threads, for people.
+    """
+
+    def __init__(self, program: str) -> None:
+        self._program = program
+        self._last = "", float("-inf")
+
+    def note(self, thread: str, error: BaseException) -> None:
+        """Take note of a failure, as `hear_failures` reports it."""
+        text = f"in {self._program} the thread '{thread}' failed: {error!r}"
+        self._last = f"{text} (its log has the traceback)", time.monotonic()
+
+    def trouble(self) -> str:
+        """Return the last failure, if it was within `SHOWN_FOR`; else nothing."""
+        text, at = self._last
+        return text if time.monotonic() - at < SHOWN_FOR else ""
+
+
 def daemon(
     work: Callable[..., object], name: str, *args: object, again: bool = False
 ) -> threading.Thread:
@@ -58,21 +85,28 @@ def daemon(
         Whether to do the work again after an exception, with a delay that grows to
         some seconds. Each one is reported.
     """
-    target = _do_again if again else work
+    target = keep_at if again else work
     given = (work, *args) if again else args
     return threading.Thread(target=target, name=name, args=given, daemon=True)
 
 
-def _do_again(work: Callable[..., object], *args: object) -> None:
+def report_failure() -> None:
+    """Report the exception that is being handled, though its thread goes on."""
+    failure = (*sys.exc_info(), threading.current_thread())
+    threading.excepthook(threading.ExceptHookArgs(failure))
+
+
+def keep_at(work: Callable[..., object], *args: object) -> None:
+    """Do work on this thread until it returns; again after each exception."""
     back_off = BackOff()
     while True:
         try:
             work(*args)
-        except Exception:  # noqa: BLE001, the hook reports it
-            failure = (*sys.exc_info(), threading.current_thread())
-            threading.excepthook(threading.ExceptHookArgs(failure))
+        except Exception:  # noqa: BLE001, it is reported
+            report_failure()
         else:
             return
         now = time.monotonic()
         back_off.note_end(now)
-        time.sleep(max(0.0, back_off.again_at - now))
+        if back_off.again_at > now:
+            time.sleep(back_off.again_at - now)

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+from poise import threads
 from poise.emulate import EmulatedComputer, set_for
 from poise.errors import RunError, UsageError
 from poise.estimate.success.learning import actions_in, learned
@@ -48,7 +49,7 @@ class Up(Running):
         self._manager = manager
         self._error: Exception | None = None
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._main, name="manager", daemon=True)
+        self._thread = threads.daemon(self._main, "manager")
 
     def __enter__(self) -> Self:
         self._thread.start()

@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 
 import msgspec
 
+from poise import threads
 from poise.clock import Clock
 from poise.endpoint import Endpoint
 from poise.priority import go_first
@@ -24,6 +25,8 @@ log = logging.getLogger(__name__)
 
 _LARGEST = 16384
 _JOIN_LIMIT = 1.0
+_READING = 0.02
+"""What waits is read for this time at most [s]: far more than the kernel holds."""
 Address = tuple[str, int]
 
 
@@ -65,9 +68,7 @@ class Heartbeats:
                 raise
         self._ended = threading.Event()
         self._decode = msgspec.msgpack.Decoder(Heartbeat).decode
-        self._thread = threading.Thread(
-            target=self._main, name="heartbeats", daemon=True
-        )
+        self._thread = threads.daemon(self._main, "heartbeats", again=True)
 
     def start(self) -> None:
         """Begin."""
@@ -91,14 +92,18 @@ class Heartbeats:
             self._take(due)
             try:
                 due = self._clock.now() + self._send()
-            except Exception:  # the next may work again
-                log.exception("a heartbeat could not be sent")
+            except Exception:  # noqa: BLE001, it is reported
+                threads.report_failure()
                 due = self._clock.now() + EVERY
 
     def _take(self, until: float) -> None:
-        """Take in what comes until a moment [s]; first of all what is there."""
-        while True:
-            left = until - self._clock.now()
+        """Take in what comes until a moment [s]; first of all what is there.
+
+        When more comes than can be read, the own heartbeat goes first.
+        """
+        most = max(until, self._clock.now() + _READING)
+        while (now := self._clock.now()) < most:
+            left = until - now
             self._socket.settimeout(max(left, 1e-6))
             try:
                 data, source = self._socket.recvfrom(_LARGEST)

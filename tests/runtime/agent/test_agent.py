@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import resource
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -21,6 +22,7 @@ import zenoh
 from msgspec import structs
 
 from poise.runtime.waker import wait_readable
+from poise.wire.connections.socket_path import agent_path
 from poise.wire.control_session import open_session
 from poise.wire.records.deployment import (
     ComponentSpec,
@@ -135,6 +137,21 @@ while not os.path.exists(os.path.join(os.path.dirname(__file__), "go_on")):
     time.sleep(0.01)
 
 class Slow(Component): pass
+"""
+
+
+BROKEN_LOOP = """
+import os
+from poise.runtime.agent import core
+
+before = core.AgentCore.tick
+
+def tick(self):
+    if os.path.exists(os.path.join(self._setup.folder, "break")):
+        raise KeyError("a bug")
+    before(self)
+
+core.AgentCore.tick = tick
 """
 
 
@@ -728,9 +745,58 @@ def test_without_its_zygote_what_runs_goes_on_and_the_status_says_so(
     doomed.wait_for(lambda status: any(doomed.faults(status)))
     doomed.process.kill()
     doomed.process.wait()
+    assert doomed.process.stderr
+    doomed.process.stderr.close()  # the container has it, too: it does not end
     doomed.process = doomed.start_agent()
     assert doomed.wait_adopted("quiet").pid == pids[0]
     doomed.wait_active("stubborn", but_not=pids[1])
+
+
+@pytest.mark.parametrize("data", [b"8 bytes.", b"", b"x" * 4000])
+def test_what_is_no_container_at_its_socket_is_shown_and_stops_nothing(
+    doomed: Manager, data: bytes
+) -> None:
+    doomed.deploy("quiet")
+    pid = doomed.wait_active("quiet").pid
+    held = len(list(_descriptors(doomed.process.pid)))
+    out, into = os.pipe()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
+        asking.connect(os.fspath(agent_path(doomed.folder)))
+        for _ in range(5):
+            socket.send_fds(asking, [data], [out, into])
+    if data:
+        status = doomed.wait_for(lambda status: bool(status.errors))
+        assert "no container of this version" in status.errors[0].text
+    os.close(out)
+    os.close(into)
+    doomed.deploy("quiet", "stubborn")
+    doomed.wait_active("stubborn")
+    assert doomed.wait_active("quiet").pid == pid
+    wait_until(  # a control socket and a stats page for the second container
+        lambda: len(list(_descriptors(doomed.process.pid))) <= held + 2
+    )
+
+
+def test_an_error_of_its_loop_leaves_containers_and_what_should_run(
+    doomed: Manager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(doomed.folder))
+    (doomed.folder / "sitecustomize.py").write_text(BROKEN_LOOP)
+    doomed.process.kill()
+    doomed.process.communicate()
+    doomed.process = doomed.start_agent()
+    doomed.wait_agent()
+    doomed.ask(Claim(manager_id("second")), token=9)
+    doomed.token = 9
+    doomed.deploy("quiet")
+    pid = doomed.wait_active("quiet").pid
+    (doomed.folder / "break").touch()
+    assert doomed.process.wait(LIMIT) == 1
+    assert doomed.process.stderr
+    doomed.process.stderr.close()
+    (doomed.folder / "break").unlink()
+    doomed.process = doomed.start_agent()
+    assert doomed.wait_adopted("quiet").pid == pid
 
 
 def test_no_container_holds_anothers_end(manager: Manager) -> None:

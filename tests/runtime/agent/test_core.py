@@ -83,11 +83,11 @@ class Host:
     def release(self, container: str) -> None:
         pass
 
-    def count_kills(self, now: float) -> None:
+    def count_kills(self, _now: float) -> None:
         if fault := self.faults.get("kills"):
             raise fault
 
-    def explain_kill(self, now: float) -> str:
+    def explain_kill(self, _now: float) -> str:
         return ""
 
 
@@ -100,7 +100,7 @@ class Adopted:
         self.watched: list[int] = []
         self.is_closed = False
 
-    def awaits(self, container: str) -> bool:
+    def awaits(self, _container: str) -> bool:
         return False
 
     def is_settled(self) -> bool:
@@ -132,7 +132,7 @@ class Disk:
     def forget(self) -> None:
         self.kept = None
 
-    def serve(self, request: object, reply: Reply) -> None:
+    def serve(self, _request: object, reply: Reply) -> None:
         reply(Accepted())
 
     def keep_only(self, wanted: Deployment) -> None:
@@ -141,7 +141,7 @@ class Disk:
     def resend(self) -> None:
         pass
 
-    def checkpoint_age(self, component: str, epoch: int) -> float | None:
+    def checkpoint_age(self, _component: str, _epoch: int) -> float | None:
         return None
 
     def trouble(self) -> str:
@@ -156,7 +156,7 @@ class World:
         self.host, self.adoption, self.disk = Host(), Adopted(), Disk()
         self.statuses: list[AgentStatus] = []
         self.said: list[str] = []
-        self.num_appeared = 0
+        self.appeared_at: list[float] = []
         surroundings = Surroundings(
             clock=self.clock,
             wall=lambda: 1e9 + self.clock.now(),
@@ -181,7 +181,7 @@ class World:
         self._generation = 0
 
     def _appear(self) -> None:
-        self.num_appeared += 1
+        self.appeared_at.append(self.clock.now())
 
     def ask(self, request: Any, token: int = 1) -> Any:
         """Return the one answer to a request; None: it was not answered yet."""
@@ -383,8 +383,8 @@ def test_what_an_earlier_agent_wanted_is_started_without_a_manager() -> None:
     world = World(AgentState(manager=MANAGER, token=2, wanted=wanted))
     world.run(0.1)
     assert world.host.started == ["see"]
-    assert not world.num_appeared  # before its containers are known, up to 5 s
+    assert not world.appeared_at  # before its containers are known, up to 5 s
     world.run(5.0)
-    assert world.num_appeared == 1
+    assert world.appeared_at == [5.0]
     assert world.status.generation == 4
     assert world.status.token == 2

@@ -17,6 +17,7 @@ from concurrent.futures import CancelledError, Future, wait
 from pathlib import Path
 from typing import Self
 
+from poise import threads
 from poise.errors import RunError, UsageError
 from poise.manage.control_socket.location import is_alive, path_of
 from poise.manage.control_socket.records import Command, Refusal, Result, StatusCommand
@@ -55,9 +56,7 @@ class ControlServer:
         self._is_closed = threading.Event()
         self._free = threading.Semaphore(MOST_CLIENTS)
         self._threads: set[threading.Thread] = set()
-        self._acceptor = threading.Thread(
-            target=self._accept, name="control", daemon=True
-        )
+        self._acceptor = threads.daemon(self._accept, "control")
         self._since = time.time()
         self._submit: Submit | None = None
         self._is_up = threading.Event()
@@ -120,9 +119,7 @@ class ControlServer:
                 connection, _ = self._listener.accept()
             except OSError:  # it was closed
                 return
-            thread = threading.Thread(
-                target=self._serve, args=(connection,), daemon=True
-            )
+            thread = threads.daemon(self._serve, "client", connection)
             self._threads.add(thread)
             thread.start()
 

@@ -88,10 +88,7 @@ class CheckpointFiles:
         self._has_work.wait()  # most robots have no checkpoints
         while not self._ended.wait(LOOK_EVERY):
             for copy in self._news():
-                try:
-                    self._send(copy)
-                except Exception:  # the next may be sent again
-                    log.exception("no copy of a checkpoint could be sent")
+                self._send(copy)
 
     def _news(self) -> Iterator[CheckpointCopy]:
         sent, self._sent = self._sent, dict(self._sent)

@@ -18,6 +18,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from poise import threads
 from poise.errors import CallError, RunError, Timeout, Unavailable
 from poise.runtime.component.error_report import Sparing
 from poise.runtime.component.ports import Port
@@ -335,7 +336,7 @@ class Sender:
         if self._may_drain() and not self._is_draining:
             if self._buffer:
                 self._is_draining = True
-                threading.Thread(target=self._flush, name="drain", daemon=True).start()
+                threads.daemon(self._flush, "drain").start()
             else:
                 self._buffer = None
                 self._changed.notify_all()

@@ -6,10 +6,10 @@ import takes.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 
+from poise import threads
 from poise.clock import ComponentClock
 from poise.priority import give_way
 from poise.runtime.component.component import Component
@@ -68,5 +68,5 @@ def prepare(
             prepared.set_result(runner)
 
     name = f"import {spec.name}"[:15]
-    threading.Thread(target=main, name=name, daemon=True).start()
+    threads.daemon(main, name).start()
     return prepared

@@ -22,6 +22,7 @@ from types import FrameType
 
 from msgspec import structs
 
+from poise import threads
 from poise.errors import PoiseError, RunError, Timeout, Unavailable
 from poise.priority import as_usual, go_first
 from poise.runtime.component.error_report import told
@@ -112,6 +113,7 @@ class Container:
         self._step_threads = ThreadPoolExecutor(_STEP_THREADS, "step", go_first)
         self._paused: dict[Runner, float] = {}
         self._stopping = False
+        self._thread_failures = threads.Failures(f"container '{name}'")
         self._stop_limit = _STOP_LIMIT
         self._waker = Waker()
         self._stats_page = StatsPage(stats_page)
@@ -126,6 +128,7 @@ class Container:
             cannot be understood; the agent was told.
         """
         sys.setswitchinterval(_SWITCH_EVERY)
+        threads.hear_failures(self._thread_failures.note)
         signal.signal(signal.SIGTERM, self._on_signal)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -362,7 +365,7 @@ class Container:
             name=self._name,
             pid=os.getpid(),
             at=self._clock.now(),
-            trouble=self._server.warning.trouble(),
+            trouble=self._server.warning.trouble() or self._thread_failures.trouble(),
             cpu=time.process_time()
             + sum(r.counters.cpu() for r in self._runners.values() if r.spec.command),
             components=tuple((components | broken | self._unjoined).values()),

@@ -19,12 +19,12 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 from pathlib import Path
 from typing import ClassVar
 
 import msgspec
 
+from poise import threads
 from poise.errors import RobotError
 from poise.runtime.component.component import Component
 from poise.runtime.hosting.output import LONGEST, write_as
@@ -70,8 +70,8 @@ class CommandLine(Component):
             raise self._not_started(error) from None
         self._context.count_process(self._process.pid)
         self._is_stopping = False
-        threading.Thread(target=self._pass_output_on, daemon=True).start()
-        self._watcher = threading.Thread(target=self._watch, daemon=True)
+        threads.daemon(self._pass_output_on, "output").start()
+        self._watcher = threads.daemon(self._watch, "command")
         self._watcher.start()
 
     def deactivate(self) -> None:

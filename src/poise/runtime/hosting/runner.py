@@ -8,13 +8,13 @@ others run on theirs, under the component's exclusion. `ExecutionGate` pauses bo
 from __future__ import annotations
 
 import logging
-import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import nullcontext
 from functools import partial
 from typing import Any
 
+from poise import threads
 from poise.clock import ComponentClock
 from poise.errors import Timeout
 from poise.priority import ahead
@@ -118,9 +118,7 @@ class Runner:
         self._ends: dict[str, ActionEnd] = {}
         self._wishes: deque[TaskWish] = deque(maxlen=_MOST_WISHES)
         self._num_wishes = 0
-        self._thread = threading.Thread(
-            target=self._main, name=spec.name[:15], daemon=True
-        )
+        self._thread = threads.daemon(self._main, spec.name[:15])
         self.asked_at = clock.now()
         self.reason_to_end = ""
         self.checkpoints: Checkpoints | None = None

@@ -17,12 +17,12 @@ It is run for every component in `After`, and asks for the states in `Before` al
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from typing import Any
 
+from poise import threads
 from poise.errors import Timeout, UsageError
 from poise.priority import ahead, first
 from poise.runtime.component.component import Component
@@ -134,12 +134,7 @@ class StateReceiver:
         for name, channel in self._channels.items():
             requested = self._requested[name] = Future()
             with first():
-                threading.Thread(
-                    target=_fetch_all,
-                    args=(channel, requested),
-                    name="receiver",
-                    daemon=True,
-                ).start()
+                threads.daemon(_fetch_all, "receiver", channel, requested).start()
 
     def restore(self, limit: float) -> None:
         """Restore the state within `limit` [s], as soon as the sources send it.

@@ -9,12 +9,12 @@ import contextlib
 import os
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Self
 
+from poise import threads
 from poise.back_off import BackOff
 from poise.emulate import EmulatedComputer, EmulatedSet, Emulation, find_set
 from poise.emulate.registry import locked
@@ -78,7 +78,7 @@ class EmulatedAgents:
         self._ended = {name: BackOff() for name in emulation.computers}
         self._down: set[str] = set()
         self._closing = Waker()
-        self._keeper = threading.Thread(target=self._keep, name="keeper", daemon=True)
+        self._keeper = threads.daemon(self._keep, "keeper", again=True)
 
     def __enter__(self) -> Self:
         for name in self.emulation.computers:

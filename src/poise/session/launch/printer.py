@@ -5,10 +5,11 @@ from __future__ import annotations
 import logging
 import os
 import queue
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Self
+
+from poise import threads
 
 STDOUT, STDERR = 1, 2
 LONGEST_LINE = 1 << 16
@@ -33,7 +34,7 @@ class Printer:
         self._fd = fd
         self._lines: queue.Queue[str | None] = queue.Queue(MOST_LINES)
         self._dropped = 0
-        self._thread = threading.Thread(target=self._run, name="printer", daemon=True)
+        self._thread = threads.daemon(self._run, "printer")
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -82,7 +83,7 @@ def relay(printer: Printer) -> Iterator[int]:
             while line := lines.readline(LONGEST_LINE):
                 printer.print(line.decode(errors="replace").removesuffix("\n"))
 
-    thread = threading.Thread(target=run, name="relay", daemon=True)
+    thread = threads.daemon(run, "relay")
     thread.start()
     try:
         yield writing

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from poise import threads
 from poise.errors import RobotError, RunError
 from poise.model.robot import Robot
 from poise.runtime.hosting.command_line import die_with_parent, program
@@ -38,7 +39,7 @@ class SimulatorProcess:
         self._first: bytes | None = None
         self._last = b""
         self._has_spoken = threading.Event()
-        self._reader = threading.Thread(target=self._read, name="world", daemon=True)
+        self._reader = threads.daemon(self._read, "world")
         self._reader.start()
 
     def wait_ready(self, check: Check) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import subprocess
 import sys
-import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -13,6 +12,7 @@ from pathlib import Path
 
 from msgspec import Struct
 
+from poise import threads
 from poise.errors import PoiseError
 from poise.manage.agent_connections.statuses import components_of
 from poise.model.robot import Robot
@@ -74,7 +74,7 @@ def kill_manager(robot: Robot, say: Say, check: Check) -> ManagerKilledScene:
             wait(WARM_UP, check)
             before = _places(running)
             say(f"'{_MOVED}' is to move to '{_TARGET}'")
-            threading.Thread(target=_move, args=[running], daemon=True).start()
+            threads.daemon(_move, "move", running).start()
             wait_until(lambda: _is_prepared(running), time.monotonic(), check)
             wait(_AMID, check)
             first.kill()
@@ -130,7 +130,7 @@ def _manager(robot: Robot, name: str, say: Say) -> Iterator[subprocess.Popen[str
             for line in process.stdout or ():
                 say(f"  {name}: {line.rstrip()}")
 
-        reader = threading.Thread(target=pass_on, daemon=True)
+        reader = threads.daemon(pass_on, "output")
         reader.start()
         try:
             yield process

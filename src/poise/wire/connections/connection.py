@@ -27,6 +27,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 from weakref import WeakValueDictionary
 
+from poise import threads
 from poise.errors import Timeout, Unavailable
 from poise.wire import _channel
 from poise.wire.address import LOST_AFTER
@@ -130,9 +131,7 @@ class Connection:
         Unavailable
             No thread can be started.
         """
-        self._reader = threading.Thread(
-            target=self._follow, args=(handle,), name="credit", daemon=True
-        )
+        self._reader = threads.daemon(self._follow, "credit", handle)
         try:
             self._reader.start()
         except RuntimeError as error:

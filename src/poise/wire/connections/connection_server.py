@@ -20,6 +20,7 @@ from pathlib import Path
 
 from msgspec import Struct
 
+from poise import threads
 from poise.errors import Timeout, Unavailable
 from poise.wire import frame
 from poise.wire.codec import Unreadable, WireError
@@ -99,7 +100,7 @@ class ConnectionServer:
         kinds = socket.SOCK_STREAM, socket.SOCK_DGRAM
         self._neighbours, self._from_gateway = map(_bound, self._paths, kinds)
         self._neighbours.listen(64)
-        threading.Thread(target=self._accept, name="accept", daemon=True).start()
+        threads.daemon(self._main, "accept").start()
 
     def open(
         self,
@@ -144,29 +145,30 @@ class ConnectionServer:
         for path in self._paths:
             path.unlink(missing_ok=True)
 
+    def _main(self) -> None:
+        with self._neighbours, self._from_gateway:
+            threads.keep_at(self._accept)
+
     def _accept(self) -> None:
         poll = select.poll()
         poll.register(self._neighbours, select.POLLIN)
         poll.register(self._from_gateway, select.POLLIN)
-        with self._neighbours, self._from_gateway:
-            while not self._closed.is_set():
-                ready = {file for file, _ in poll.poll()}
-                try:
-                    if self._neighbours.fileno() in ready:
-                        self._start(self._neighbours.accept()[0])
-                    if self._from_gateway.fileno() in ready:
-                        self._start(_handed_over(self._from_gateway))
-                except OSError as error:
-                    if not self._closed.is_set():
-                        self.warning.note(error)
-                        self._closed.wait(_PAUSE)
+        while not self._closed.is_set():
+            ready = {file for file, _ in poll.poll()}
+            try:
+                if self._neighbours.fileno() in ready:
+                    self._start(self._neighbours.accept()[0])
+                if self._from_gateway.fileno() in ready:
+                    self._start(_handed_over(self._from_gateway))
+            except OSError as error:
+                if not self._closed.is_set():
+                    self.warning.note(error)
+                    self._closed.wait(_PAUSE)
 
     def _start(self, sock: socket.socket) -> None:
         connection = Connection(sock)
         served = _ServedConnection(connection, threading.current_thread())
-        served.thread = threading.Thread(
-            target=self._serve, args=(served,), name="connection", daemon=True
-        )
+        served.thread = threads.daemon(self._serve, "connection", served)
         with self._lock:
             is_full = len(self._connections) >= _MOST_CONNECTIONS
             if not is_full and not self._closed.is_set():

@@ -18,6 +18,7 @@ import time
 from pathlib import Path
 from typing import Self
 
+from poise import threads
 from poise.endpoint import Endpoint
 from poise.errors import CallError, RunError
 from poise.wire import frame, record_channel
@@ -79,7 +80,7 @@ class Gateway:
             ) from None
         self._address = str(Endpoint(*self._listener.getsockname()[:2]))
         tune(self._listener)
-        self._thread = threading.Thread(target=self._main, name="gateway", daemon=True)
+        self._thread = threads.daemon(self._main, "gateway")
         self._thread.start()
 
     def __str__(self) -> str:
@@ -101,21 +102,24 @@ class Gateway:
 
     def _main(self) -> None:
         with self._listener:
-            while not self._closed.is_set():
-                self._room.acquire()
-                try:
-                    self._accept()
-                except OSError as error:
-                    self._room.release()
-                    if not self._closed.is_set():
-                        self.warning.note(error)
-                        self._closed.wait(_PAUSE)
+            threads.keep_at(self._accept_all)
+
+    def _accept_all(self) -> None:
+        while not self._closed.is_set():
+            self._room.acquire()
+            try:
+                self._accept()
+            except Exception as error:
+                self._room.release()
+                if not isinstance(error, OSError):
+                    raise
+                if not self._closed.is_set():
+                    self.warning.note(error)
+                    self._closed.wait(_PAUSE)
 
     def _accept(self) -> None:
         connection, _ = self._listener.accept()
-        attending = threading.Thread(
-            target=self._attend, args=(connection,), name="arrival", daemon=True
-        )
+        attending = threads.daemon(self._attend, "arrival", connection)
         try:
             attending.start()
         except RuntimeError as error:  # other threads may end

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
+from poise import threads
 from poise.errors import RunError
 from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.observe.estimates import Estimates
@@ -79,9 +79,7 @@ class MetricsServer:
             where = "{}:{}".format(*address)
             raise RunError(f"metrics cannot be served on {where}: {error}") from error
         self._server.daemon_threads = True
-        self._thread = threading.Thread(
-            target=self._server.serve_forever, name="metrics", daemon=True
-        )
+        self._thread = threads.daemon(self._server.serve_forever, "metrics")
         self._thread.start()
 
     @property

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 import msgspec
 from msgspec import Struct, structs
 
+from poise import threads
 from poise.runtime._calls import PageSampler
 from poise.runtime.agent.sampling.kernel_counters import (
     ComputerCpu,
@@ -80,7 +81,7 @@ class Sampler:
         self._usage: Usage = {}
         self._ended = threading.Event()
         self._encoder = msgspec.msgpack.Encoder()
-        self._thread = threading.Thread(target=self._main, name="sampler", daemon=True)
+        self._thread = threads.daemon(self._main, "sampler", again=True)
 
     def start(self) -> None:
         """Begin to sample and to watch."""
@@ -128,18 +129,15 @@ class Sampler:
         period = min(self._every or LOOK_EVERY, LOOK_EVERY)
         sample_at = usage_at = time.monotonic()
         while not self._ended.wait(period):
-            try:
-                for silence in self._watchdog.look(self._containers()):
-                    self._on_silence(silence)
-                now = time.monotonic()
-                is_due = bool(self._every) and now >= sample_at
-                if is_due or now >= usage_at:
-                    sample, usage_at = self.sample(), now + USAGE_EVERY
-                if is_due:
-                    sample_at = max(sample_at + self._every, now)
-                    self._publish(sample)
-            except Exception:  # the next sample may be published again
-                log.exception("a sample could not be published")
+            for silence in self._watchdog.look(self._containers()):
+                self._on_silence(silence)
+            now = time.monotonic()
+            is_due = bool(self._every) and now >= sample_at
+            if is_due or now >= usage_at:
+                sample, usage_at = self.sample(), now + USAGE_EVERY
+            if is_due:
+                sample_at = max(sample_at + self._every, now)
+                self._publish(sample)
 
     def _weigh(self, containers: Sequence[tuple[str, int, PageSampler]]) -> None:
         """Read the memory of new and grown containers; of others one after another."""

@@ -1,0 +1,101 @@
+"""Heartbeats over real sockets."""
+
+from __future__ import annotations
+
+import os
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from poise import threads
+from poise.clock import SystemClock
+from poise.endpoint import Endpoint
+from poise.wire.heartbeats import Address, Heartbeats
+from poise.wire.records.heartbeats import Heartbeat
+from tests.runtime.conftest import free_port
+from tests.waiting import wait_until
+
+pytestmark = pytest.mark.slow
+
+HOST = "127.0.0.1"
+
+
+@contextmanager
+def flood(port: int) -> Iterator[None]:
+    """Send to a port without end, from more threads than there is time to read for."""
+    ended = threading.Event()
+
+    def send() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sending:
+            sending.connect((HOST, port))
+            while not ended.is_set():
+                try:
+                    sending.send(b"no heartbeat")
+                except ConnectionRefusedError:
+                    return
+
+    senders = [threading.Thread(target=send) for _ in range(3)]
+    for thread in senders:
+        thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        for thread in senders:
+            thread.join()
+
+
+def test_heartbeats_go_out_while_others_flood_the_port() -> None:
+    clock, number = SystemClock(), 0
+
+    def next_beat() -> tuple[Heartbeat, float]:
+        nonlocal number
+        number += 1
+        beat = Heartbeat(
+            robot="r", sender="a", key=str(os.getpid()), number=number, sent=0.0
+        )
+        return beat, 0.01
+
+    def hear(_beat: Heartbeat, _source: Address) -> bool:
+        return False
+
+    listen = Endpoint(HOST, free_port())
+    heartbeats = Heartbeats(clock, hear, next_beat, listen)
+    with flood(listen.port):
+        heartbeats.start()
+        wait_until(lambda: number >= 20)  # 0.2 s without the flood
+    heartbeats.close()
+
+
+def test_an_error_in_what_hears_them_does_not_end_them(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """The thread that fails is started again, and the failure is reported."""
+    heard, failures = [], []
+
+    def next_beat() -> tuple[Heartbeat, float]:
+        beat = Heartbeat(robot="r", sender="a", key="k", number=1, sent=0.0)
+        return beat, 0.01
+
+    def hear(_beat: Heartbeat, _source: Address) -> bool:
+        heard.append(1)
+        if len(heard) < 3:
+            raise KeyError("a bug")
+        return False
+
+    hook = threading.excepthook
+    threads.hear_failures(lambda name, error: failures.append((name, str(error))))
+    listen = Endpoint(HOST, free_port())
+    heartbeats = Heartbeats(SystemClock(), hear, next_beat, listen)
+    heartbeats.send_to({"itself": (HOST, listen.port)})
+    heartbeats.start()
+    try:
+        wait_until(lambda: len(heard) >= 5)
+    finally:
+        heartbeats.close()
+        threading.excepthook = hook
+    assert failures == [("heartbeats", "'a bug'")] * 2
+    assert "KeyError: 'a bug'" in caplog.text
