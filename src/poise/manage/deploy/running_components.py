@@ -234,7 +234,7 @@ class RunningComponents:
         }
         news = {
             computer: specs[computer]
-            for computer in (self.computers() if computers is None else computers)
+            for computer in sorted(self.computers() if computers is None else computers)
             if computer not in self._told
             or _said(self._told[computer]) != _said(specs[computer])
         }

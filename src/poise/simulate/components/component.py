@@ -177,7 +177,7 @@ class SimulatedComponent:
         ledger.end(self.who, self._now)
         if message is None and self._container.may_work(self.spec):
             self._container.publish(self)
-        self._container.note_change()
+        self._container.look_again()
         self._go_on()
 
     @property

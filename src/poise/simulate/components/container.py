@@ -112,6 +112,10 @@ class SimulatedContainer:
         if not self._is_reporting:
             self._is_reporting = True
             self.process.after(0.0, self._report)
+        self.look_again()
+
+    def look_again(self) -> None:
+        """Let steps that wait for something look whether it holds now."""
         waiting, self._waiting = self._waiting, []
         for task in waiting:
             self.world.scheduler.wake(task)
@@ -173,7 +177,7 @@ class SimulatedContainer:
             target.markers[spec.name] = item.number
         else:
             target.take(spec.slot or spec.name, item.number)
-        self.note_change()
+        self.look_again()
 
     def _apply(self, spec: ContainerSpec) -> None:
         wanted = {(c.name, c.epoch): c for c in spec.components}

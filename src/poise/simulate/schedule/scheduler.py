@@ -74,21 +74,16 @@ class Task:
 
 
 class Timer:
-    """Something that happens at a moment [s], unless it is cancelled."""
+    """Something that happens at its moment, unless it is cancelled."""
 
-    __slots__ = ("action", "at", "number")
+    __slots__ = ("action",)
 
-    def __init__(self, at: float, number: int, action: Callable[[], object]) -> None:
-        self.at = at
-        self.number = number
+    def __init__(self, action: Callable[[], object]) -> None:
         self.action: Callable[[], object] | None = action
 
     def cancel(self) -> None:
         """Let it not happen; harmless when repeated."""
         self.action = None
-
-    def __lt__(self, other: Timer) -> bool:
-        return (self.at, self.number) < (other.at, other.number)
 
 
 class Scheduler:
@@ -114,7 +109,7 @@ class Scheduler:
         self.on_step: Callable[[], object] = lambda: None
         self._number = 0
         self._ready: list[Task] = []
-        self._timers: list[Timer] = []
+        self._timers: list[tuple[float, int, Timer]] = []
         self._waiting: dict[int, Task] = {}
         self._world = getcurrent()
         self._trace = blake2b(digest_size=16)
@@ -142,8 +137,8 @@ class Scheduler:
 
     def at(self, moment: float, action: Callable[[], object]) -> Timer:
         """Let something happen in the simulated world at a moment [s]."""
-        timer = Timer(max(moment, self.now), self.number(), action)
-        heapq.heappush(self._timers, timer)
+        timer = Timer(action)
+        heapq.heappush(self._timers, (max(moment, self.now), self.number(), timer))
         return timer
 
     def wait(self, seconds: float = inf, why: str = "time") -> bool:
@@ -198,12 +193,12 @@ class Scheduler:
             Nothing can ever run again, or time does not pass.
         """
         while True:
-            while self._timers and self._timers[0].at <= self.now:
-                self._happen(heapq.heappop(self._timers))
+            while self._timers and self._timers[0][0] <= self.now:
+                self._happen(heapq.heappop(self._timers)[-1])
             if self._ready:
                 self._step()
                 continue
-            while self._timers and self._timers[0].action is None:
+            while self._timers and self._timers[0][-1].action is None:
                 heapq.heappop(self._timers)
             if not self._timers:
                 waiting = ", ".join(f"{t} ({t.waits_for})" for t in self.waiting())
@@ -211,10 +206,10 @@ class Scheduler:
                     f"at {self.now:.3f} s nothing can run and nothing will happen: "
                     f"{waiting or 'no task'} waits for ever"
                 )
-            if self._timers[0].at > until:
+            if self._timers[0][0] > until:
                 self.now = max(self.now, until)
                 return
-            self.now, self._at_once = self._timers[0].at, 0
+            self.now, self._at_once = self._timers[0][0], 0
 
     def waiting(self) -> list[Task]:
         """Return the tasks that wait, oldest first."""

@@ -14,10 +14,12 @@ import random
 import secrets
 import socket
 import subprocess
+import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Hashable, Iterator, Mapping
 from contextlib import contextmanager
+from types import FunctionType
 from typing import Any
 
 import zenoh
@@ -92,14 +94,43 @@ def simulated_library(
     for module, name in _FORBIDDEN:
         replaced.append((module, name, _refusal(f"{module.__name__}.{name}")))
     before = [(module, name, getattr(module, name)) for module, name, _ in replaced]
+    instead = {
+        real: _in_tasks(scheduler, function, real)
+        for (_, _, function), (_, _, real) in zip(replaced, before, strict=True)
+    }
+    bound = [(each, each.__defaults__) for each in _with_defaults(instead)]
     try:
-        for module, name, function in replaced:
-            real = getattr(module, name)
-            setattr(module, name, _in_tasks(scheduler, function, real))
+        for module, name, real in before:
+            setattr(module, name, instead[real])
+        for function, defaults in bound:
+            function.__defaults__ = tuple(_swapped(each, instead) for each in defaults)
         yield
     finally:
         for module, name, real in before:
             setattr(module, name, real)
+        for function, defaults in bound:
+            function.__defaults__ = defaults
+
+
+def _with_defaults(real: Container[object]) -> list[FunctionType]:
+    """Return functions of Poise whose default arguments were bound to the library."""
+    modules = [m for n, m in sorted(sys.modules.items()) if n.startswith("poise.")]
+    classes = [c for m in modules for c in vars(m).values() if isinstance(c, type)]
+    methods = [f for c in classes for f in vars(c).values()]
+    return [
+        function
+        for function in methods
+        if isinstance(function, FunctionType)
+        and any(_is_hashable(d) and d in real for d in function.__defaults__ or ())
+    ]
+
+
+def _swapped(default: object, instead: Mapping[Any, object]) -> object:
+    return instead.get(default, default) if _is_hashable(default) else default
+
+
+def _is_hashable(value: object) -> bool:
+    return isinstance(value, Hashable)
 
 
 class _Seconds:
