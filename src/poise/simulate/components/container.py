@@ -20,11 +20,12 @@ from poise.wire.records.clocks import Clocks
 from poise.wire.records.container import FromContainer, ToContainer
 from poise.wire.records.deployment import ComponentSpec, ConnectorSpec, ContainerSpec
 from poise.wire.records.migration import MigrationSteps
-from poise.wire.records.status import ConnectorStatus, ContainerStatus
+from poise.wire.records.status import ConnectorStatus, ContainerStatus, Side
 from poise.wire.records.taps import TapReading
 
 REPORT_EVERY = 1.0
 """As the real container's [s]."""
+_JOINING_EVERY = 0.02
 ORPHAN_LIMIT, LEASED_ORPHAN_LIMIT = 60.0, 10.0
 """A container without an agent ends after this time [s]; with leased components, after
 the shorter one."""
@@ -82,6 +83,7 @@ class SimulatedContainer:
         self.migration = MigrationModel(self)
         self._waiting: list[Task] = []
         self._is_reporting = False
+        self._reported: tuple[ConnectorStatus, ...] = ()
         self._orphan_since = inf
         process.on_end.append(self._close)
 
@@ -146,10 +148,10 @@ class SimulatedContainer:
 
     def publish(self, component: SimulatedComponent) -> None:
         """Send a message over each connector that begins at a component."""
-        for slot, sender in self.senders.items():
+        for sender in self.senders.values():
             spec = sender.spec
             if (spec.source, spec.source_epoch) == component.who[:2]:
-                sender.publish(self.world.ledger.number(slot))
+                sender.publish(self.world.ledger.number(spec.slot or spec.name))
 
     def take_item(self, spec: ConnectorSpec, item: Item) -> None:
         """Take what arrived over a connector; for the simulated world."""
@@ -241,15 +243,10 @@ class SimulatedContainer:
         self._is_reporting = False
         if self._wanted is None:
             return
-        connectors = tuple(
-            ConnectorStatus(
-                name=each.name,
-                kind=each.kind,
-                end="both" if each.kind == "direct" else self._end_of(each),
-                ready=self._is_joined(each),
-            )
-            for each in self._connectors.values()
-        )
+        connectors = self._joined()
+        self._reported = connectors
+        if not all(each.ready for each in connectors):
+            self.process.after(_JOINING_EVERY, lambda: self._report_joined(connectors))
         self.answer(
             ContainerStatus(
                 name=self.name,
@@ -260,7 +257,25 @@ class SimulatedContainer:
             )
         )
 
-    def _end_of(self, spec: ConnectorSpec) -> str:
+    def _joined(self) -> tuple[ConnectorStatus, ...]:
+        return tuple(
+            ConnectorStatus(
+                name=each.name,
+                kind=each.kind,
+                end="both" if each.kind == "direct" else self._end_of(each),
+                ready=self._is_joined(each),
+            )
+            for each in self._connectors.values()
+        )
+
+    def _report_joined(self, before: tuple[ConnectorStatus, ...]) -> None:
+        """Report when a connector is joined that was not; else look again."""
+        if self._joined() != before:
+            self.note_change()
+        elif not self._is_reporting and self._reported == before:
+            self.process.after(_JOINING_EVERY, lambda: self._report_joined(before))
+
+    def _end_of(self, spec: ConnectorSpec) -> Side:
         is_source = (spec.source, spec.source_epoch) in self.components
         return "source" if is_source else "target"
 

@@ -8,6 +8,7 @@ from signal import SIGKILL, Signals
 from typing import TYPE_CHECKING
 
 from poise.errors import Unavailable
+from poise.runtime.agent.sampling.watchdog import Silence
 from poise.runtime.agent.supervision.container_processes import ProcessEnd
 from poise.simulate.components.container import SimulatedContainer, World
 from poise.simulate.components.models import drawn
@@ -21,6 +22,7 @@ _LOCAL = 50e-6
 _FORK = 0.005, 0.03
 _END = 0.005, 0.05
 _ASK_AFTER = 0.05, 0.25
+_WATCH_EVERY, _SUSPICIOUS = 0.2, 0.35
 ADOPT_LIMIT = 5.0
 
 
@@ -124,6 +126,7 @@ class SimulatedHost:
             agent.post(lambda: agent.core.on_born(spec.name, process.pid))
 
         process.on_end.append(self._tells_end(process.pid))
+        Watchdog(agent, container)
         process.after(drawn(world.choices, _FORK), be_born)
         return control
 
@@ -211,6 +214,7 @@ class SimulatedAdoption:
             if self._left.pop(pid, None) is None:
                 return
             control = SimulatedControl(agent, container, born=True)
+            Watchdog(agent, container)
             if agent.core.on_orphan(container.name, pid, control):
                 self.num_adopted += 1
             else:
@@ -228,3 +232,33 @@ class SimulatedAdoption:
         container.process.on_end.append(
             lambda: agent.process.after(_LOCAL, lambda: agent.post(note))
         )
+
+
+class Watchdog:
+    """Tells an agent's core when a container stands still, as the sampler does."""
+
+    def __init__(self, agent: SimulatedAgent, container: SimulatedContainer) -> None:
+        self._agent = agent
+        self._container = container
+        self._since = inf
+        self._is_told = False
+        self._look()
+
+    def _look(self) -> None:
+        process, now = self._container.process, self._agent.process.computer.monotonic()
+        if process.is_dead:
+            return
+        self._since = min(self._since, now) if process.is_paused else inf
+        is_silent = now - self._since > _SUSPICIOUS
+        if is_silent != self._is_told:
+            self._is_told = is_silent
+            silence = Silence(
+                container=self._container.name,
+                pid=process.pid,
+                seconds=max(0.0, now - self._since) if is_silent else 0.0,
+                reason="its process is stopped" if is_silent else "",
+                remedy="`kill -CONT` lets it go on" if is_silent else "",
+            )
+            agent = self._agent
+            agent.post(lambda: agent.core.on_silence(silence))
+        self._agent.process.after(_WATCH_EVERY, self._look)

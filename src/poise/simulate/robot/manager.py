@@ -87,8 +87,7 @@ class SimulatedManager:
             self._come_up()
         except PoiseError as error:
             self.error = error
-        finally:
-            self.process.exit()
+        self.process.exit()
 
     def _come_up(self) -> None:
         journal, samples = Journal(":memory:", self._note), Recording()

@@ -122,6 +122,11 @@ class SimulatedRobot:
         self.managers.append(manager)
         return manager
 
+    def keep_managed(self, computer: str) -> None:
+        """Start a manager on a computer, unless one runs: somebody asks for it."""
+        if self.manager is None and not self.is_stopped:
+            self.start_manager(computer)
+
     @property
     def manager(self) -> SimulatedManager | None:
         """The last manager, if it runs."""

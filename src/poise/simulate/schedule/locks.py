@@ -38,7 +38,8 @@ class SimulatedLock:
         self._waiting.append(task)
         if scheduler.wait(timeout if timeout >= 0 else inf, "a lock"):
             return True  # it was handed over
-        self._waiting.remove(task)
+        if task in self._waiting:
+            self._waiting.remove(task)
         return False
 
     def release(self) -> None:
@@ -47,8 +48,7 @@ class SimulatedLock:
             raise RuntimeError("release unlocked lock")
         while self._waiting:
             task = self._waiting.popleft()
-            if not task.host.is_dead:
-                self._scheduler.wake(task)
+            if not task.host.is_dead and self._scheduler.wake(task):
                 return
         self._is_locked = False
 

@@ -166,11 +166,13 @@ class Scheduler:
         self.raise_if_dead(task)
         return task.is_woken
 
-    def wake(self, task: Task) -> None:
-        """End a task's wait; harmless when it does not wait."""
-        if task.number in self._waiting:
+    def wake(self, task: Task) -> bool:
+        """End a task's wait; return whether it waited."""
+        is_waiting = task.number in self._waiting
+        if is_waiting:
             task.is_woken = True
             self._make_ready(task)
+        return is_waiting
 
     def resume(self, task: Task) -> None:
         """Let a task of a process that was paused go on."""

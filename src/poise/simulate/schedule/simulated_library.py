@@ -19,7 +19,7 @@ import threading
 import time
 from collections.abc import Callable, Container, Hashable, Iterator, Mapping
 from contextlib import contextmanager
-from types import FunctionType
+from types import FunctionType, SimpleNamespace
 from typing import Any
 
 import zenoh
@@ -78,11 +78,13 @@ def simulated_library(
         (threading, "get_ident", lambda: scheduler.current.number),  # type: ignore[union-attr]
         (threading, "get_native_id", lambda: scheduler.current.number),  # type: ignore[union-attr]
         (threading, "Thread", thread),
+        (threading, "current_thread", lambda: SimpleNamespace(name=str(scheduler.current))),
         (queue, "SimpleQueue", queue._PySimpleQueue),  # type: ignore[attr-defined]  # noqa: SLF001
         (os, "getpid", lambda: process().pid),
         (os, "urandom", lambda size: process().random.randbytes(size)),
         (os, "setpriority", nothing),
         (os, "sched_setscheduler", nothing),
+        (os, "getpriority", lambda *_: 0),
         (secrets, "randbits", lambda bits: process().random.getrandbits(bits)),
         (socket, "gethostname", lambda: process().computer.name),
         (socket, "socket", lambda *kind: SimulatedSocket(addresses, network, process(), *kind)),

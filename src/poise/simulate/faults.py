@@ -1,0 +1,201 @@
+"""Faults of a simulated robot: which a seed picks, and how each is injected and ends.
+
+As a swarm: each seed allows a random subset of the kinds, with random weights, so that
+some runs have many of one kind and none of another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import log
+from typing import Literal
+
+from msgspec import Struct
+
+from poise.simulate.computers.process import Process
+from poise.simulate.robot.robot import SimulatedRobot
+from poise.simulate.schedule.choices import Choices
+
+Kind = Literal[
+    "kill agent",
+    "kill container",
+    "kill manager",
+    "pause agent",
+    "pause container",
+    "pause manager",
+    "pause computer",
+    "suspend computer",
+    "cut link",
+    "cut one way",
+    "isolate computer",
+    "clog link",
+    "lose datagrams",
+    "step wall clock",
+    "slow disk",
+    "full disk",
+]
+KINDS: tuple[Kind, ...] = Kind.__args__  # type: ignore[attr-defined]
+_ALLOWED = 0.4
+"""Each kind is allowed in this share of runs."""
+_MEAN_PAUSE = 4.0
+_LONGEST = 8.0
+
+
+class Fault(Struct, frozen=True):
+    """Something that breaks at a moment [s], and is whole again `lasts` [s] later.
+
+    Parameters
+    ----------
+    target, other
+        Computers; `other` for links. What is killed is started again when it is over.
+    pick
+        Picks one of several containers, in [0, 1).
+    """
+
+    at: float
+    kind: Kind
+    target: str
+    other: str = ""
+    lasts: float = 1.0
+    pick: float = 0.0
+
+    def __str__(self) -> str:
+        where = f"{self.target}-{self.other}" if self.other else self.target
+        return f"{self.at:.2f} s: {self.kind} {where} for {self.lasts:.2f} s"
+
+
+def plan_faults(
+    choices: Choices, computers: Sequence[str], begin: float, end: float
+) -> list[Fault]:
+    """Return the faults of a run, all over before `end` [s]."""
+    allowed = [kind for kind in KINDS if choices.happens("faults", _ALLOWED)]
+    allowed = allowed or [KINDS[choices.among("faults", len(KINDS))]]
+    weights = [choices.draw("faults") for _ in allowed]
+    faults: list[Fault] = []
+    now = begin
+    while True:
+        now += -_MEAN_PAUSE * log(1 - choices.draw("faults"))
+        lasts = _LONGEST * choices.draw("faults") ** 2
+        if now + lasts >= end:
+            return faults
+        target = choices.among("faults", len(computers))
+        step = 1 + choices.among("faults", max(1, len(computers) - 1))
+        kind = _weighted(choices.draw("faults"), allowed, weights)
+        other = computers[(target + step) % len(computers)]
+        faults.append(
+            Fault(
+                at=now,
+                kind=kind,
+                target=computers[target],
+                other=other if "link" in kind or "way" in kind else "",
+                lasts=lasts,
+                pick=choices.draw("faults"),
+            )
+        )
+
+
+def inject(robot: SimulatedRobot, fault: Fault) -> None:
+    """Let a fault begin now, and end in time."""
+    robot.note("fault", str(fault))
+    end = _begin(robot, fault)
+    robot.scheduler.at(robot.scheduler.now + fault.lasts, end)
+
+
+def _begin(robot: SimulatedRobot, fault: Fault) -> Callable[[], object]:  # noqa: PLR0911
+    """Break something; return what makes it whole."""
+    target, other, network = fault.target, fault.other, robot.network
+    match fault.kind:
+        case "kill agent":
+            agent = robot.agents.get(target)
+            if agent is not None:
+                agent.process.kill()
+            return lambda: robot.start_agent(target)
+        case "kill manager":
+            if robot.manager is not None:
+                robot.manager.process.kill()
+            return lambda: robot.keep_managed(target)
+        case "kill container":
+            for process in _containers(robot, fault):
+                process.kill()
+            return lambda: None
+        case "suspend computer":
+            robot.computers[target].suspend(fault.lasts)
+            return lambda: None
+        case "cut link" | "cut one way" | "isolate computer":
+            return _cut(robot, fault)
+        case "clog link":
+            network.clog(target, other, fault.lasts)
+            return lambda: None
+        case "lose datagrams":
+            before, network.loss = network.loss, 0.1 + 0.6 * fault.pick
+            return lambda: setattr(network, "loss", before)
+        case "step wall clock":
+            robot.computers[target].wall_ahead += (fault.pick - 0.5) * 2e8
+            return lambda: None
+        case "slow disk":
+            robot.disks[target].delay = fault.lasts
+            return lambda: setattr(robot.disks[target], "delay", 0.001)
+        case "full disk":
+            robot.disks[target].is_full = True
+            return lambda: setattr(robot.disks[target], "is_full", False)
+    return _pause(_paused_by(robot, fault))
+
+
+def _containers(robot: SimulatedRobot, fault: Fault) -> list[Process]:
+    """Return the process of the picked container of a computer, if it has any."""
+    here = [
+        c.process
+        for c in robot.containers()
+        if c.process.computer.name == fault.target
+    ]
+    return here[int(fault.pick * len(here)) :][:1]
+
+
+def _paused_by(robot: SimulatedRobot, fault: Fault) -> list[Process]:
+    manager, agent = robot.manager, robot.agents.get(fault.target)
+    match fault.kind:
+        case "pause agent":
+            return [agent.process] if agent else []
+        case "pause manager":
+            return [manager.process] if manager else []
+        case "pause computer":
+            return list(robot.computers[fault.target].processes.values())
+    return _containers(robot, fault)
+
+
+def _pause(processes: list[Process]) -> Callable[[], object]:
+    standing = [each for each in processes if not each.is_paused]
+    for process in standing:
+        process.pause()
+
+    def resume() -> None:
+        for process in standing:
+            process.resume()
+
+    return resume
+
+
+def _cut(robot: SimulatedRobot, fault: Fault) -> Callable[[], object]:
+    ways = [(fault.target, fault.other)]
+    if fault.kind == "isolate computer":
+        ways = [(fault.target, name) for name in robot.computers if name != fault.target]
+    if fault.kind != "cut one way":
+        ways += [(there, here) for here, there in ways]
+    for way in ways:
+        robot.network.cut(*way)
+
+    def heal() -> None:
+        for way in ways:
+            robot.network.heal(*way)
+
+    return heal
+
+
+def _weighted(draw: float, kinds: Sequence[Kind], weights: Sequence[float]) -> Kind:
+    """Return one of the kinds, as often as its weight says."""
+    left = draw * sum(weights)
+    for kind, weight in zip(kinds, weights, strict=True):
+        left -= weight
+        if left < 0:
+            return kind
+    return kinds[-1]
