@@ -26,7 +26,7 @@ CONVERGE_LIMIT = 5.0
 COMMAND_LIMIT = 60.0
 """An accepted command ends within this time [s]."""
 _LOOK_EVERY = 0.05
-_COMMAND_EVERY = 5.0
+_COMMAND_EVERY, _COMMANDED = 1.0, 0.2
 _LINES = 400
 
 
@@ -90,8 +90,8 @@ class Outcome(Struct, frozen=True, kw_only=True):
 
     @property
     def signature(self) -> tuple[str, str]:
-        """What makes two failures the same: type and message, without numbers."""
-        return self.failure, re.sub(r"\d[\d.]*", "#", self.message)
+        """What makes two failures the same: type and message, but for what is named."""
+        return self.failure, re.sub(r"'[^']*'|\d[\d.]*", "#", self.message)
 
 
 def simulate(
@@ -236,15 +236,16 @@ class _Run:
         robot, choices = self.robot, self.robot.choices
         if self._scheduler.now >= end:
             return
-        pause = _COMMAND_EVERY * 2 * choices.draw("components")
-        self._scheduler.at(self._scheduler.now + 0.1 + pause, lambda: self._move(end))
-        manager = robot.manager
-        if manager is None or manager.manager is None or manager.process.is_paused:
+        self._scheduler.at(
+            self._scheduler.now + _COMMAND_EVERY, lambda: self._move(end)
+        )
+        manager, wants = robot.manager, choices.happens("clients", _COMMANDED)
+        if not wants or manager is None or manager.manager is None:
             return
         names = sorted(self._scenario.placement)
         computers = sorted(robot.computers)
-        component = names[choices.among("components", len(names))]
-        computer = computers[choices.among("components", len(computers))]
+        component = names[choices.among("clients", len(names))]
+        computer = computers[choices.among("clients", len(computers))]
         command = MoveCommand(component, computer)
         robot.note("client", f"move {component} to {computer}")
         is_done = False

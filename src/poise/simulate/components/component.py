@@ -168,8 +168,8 @@ class SimulatedComponent:
         world.ledger.begin(self.who, self._now)
         if message is not None:
             world.ledger.process(*message, self.who)
-        seconds = drawn(world.choices, self.model.duration)
-        self._container.process.after(seconds, lambda: self._end(message))
+        work = drawn(world.choices, self.model.duration)
+        self._container.cpu.run(work, lambda: self._end(message))
 
     def _end(self, message: tuple[str, int] | None) -> None:
         self.is_busy = False

@@ -26,6 +26,8 @@ from poise.wire.records.taps import TapReading
 REPORT_EVERY = 1.0
 """As the real container's [s]."""
 _JOINING_EVERY = 0.02
+_WEIGHT = 100.0
+"""Of a container that is given none."""
 ORPHAN_LIMIT, LEASED_ORPHAN_LIMIT = 60.0, 10.0
 """A container without an agent ends after this time [s]; with leased components, after
 the shorter one."""
@@ -68,6 +70,8 @@ class SimulatedContainer:
         Sends its agent a record; None: it has no agent at the moment.
     lease_end
         The end of the lease that its page shows [s, CLOCK_BOOTTIME].
+    cpu
+        What its threads share: one interpreter, so one core at most.
     """
 
     def __init__(self, world: World, process: Process, name: str) -> None:
@@ -85,6 +89,8 @@ class SimulatedContainer:
         self._is_reporting = False
         self._reported: tuple[ConnectorStatus, ...] = ()
         self._orphan_since = inf
+        self.cpu = process.computer.cpu.group()
+        process.on_pause = lambda is_paused: self.cpu.pause(is_paused=is_paused)
         process.on_end.append(self._close)
 
     def hear(self, record: ToContainer) -> None:
@@ -92,6 +98,7 @@ class SimulatedContainer:
         if isinstance(record, ContainerSpec):
             self.migration.note_deployment()
             self._wanted = record
+            self.cpu.weight = record.weight or _WEIGHT
             self._apply(record)
             self._report()
             self._report_later()
@@ -296,5 +303,6 @@ class SimulatedContainer:
         return True
 
     def _close(self) -> None:
+        self.cpu.end()
         for sender in self.senders.values():
             sender.close()

@@ -17,7 +17,7 @@ class ComponentModel(Struct, frozen=True, kw_only=True):
     period
         Of its timer [s]; 0: it only handles messages.
     duration
-        Shortest and longest time that a handler takes [s]; drawn for each.
+        Least and most work of a handler [core-seconds]; drawn for each.
     start
         Shortest and longest time until it is configured [s].
     activate

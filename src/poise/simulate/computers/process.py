@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from random import Random
 
+from poise.simulate.computers.cpu import Cpu
 from poise.simulate.schedule.scheduler import Scheduler, SimulationError, Task, Timer
 
 FIRST_PID = 10_000_000
@@ -28,6 +29,8 @@ class Computer:
         What its monotonic clock shows when the run begins [s].
     drift
         How much quicker its clocks run than virtual time [s/s].
+    cores
+        Of its CPU.
 
     Attributes
     ----------
@@ -39,10 +42,16 @@ class Computer:
     """The wall clocks begin here: 2026 [s since 1970]."""
 
     def __init__(
-        self, scheduler: Scheduler, name: str, boot: float = 0.0, drift: float = 0.0
+        self,
+        scheduler: Scheduler,
+        name: str,
+        boot: float = 0.0,
+        drift: float = 0.0,
+        cores: float = 4.0,
     ) -> None:
         self.scheduler = scheduler
         self.name = name
+        self.cpu = Cpu(scheduler, cores)
         self.wall_ahead = 0.0
         self.processes: dict[int, Process] = {}
         self._boot = boot
@@ -91,6 +100,8 @@ class Process:
         What its code draws from.
     on_end
         Called when it has ended, in order.
+    on_pause
+        Called when it is paused, or goes on, with whether it is.
     """
 
     def __init__(
@@ -105,6 +116,7 @@ class Process:
         self.is_paused = False
         self.held: list[Task] = []
         self.on_end: list[Callable[[], object]] = []
+        self.on_pause: Callable[[bool], object] = lambda _: None
         self.on_failure: Callable[[TaskFailed], object] | None = None
         self.random: Random = self.scheduler.choices.random(f"code/{name}/{pid}")
         self._tasks: dict[int, Task] = {}
@@ -126,10 +138,12 @@ class Process:
     def pause(self) -> None:
         """Let it stand still, as SIGSTOP does."""
         self.is_paused = True
+        self.on_pause(True)
 
     def resume(self) -> None:
         """Let it go on."""
         self.is_paused = False
+        self.on_pause(False)
         held, self.held = self.held, []
         for task in held:
             self.scheduler.resume(task)

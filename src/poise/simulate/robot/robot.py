@@ -23,6 +23,7 @@ from poise.simulate.schedule.simulated_library import simulated_library
 
 _LONGEST_UPTIME = 1e5
 _DRIFT = 25e-6
+_CORES = 4.0
 
 
 class SimulatedRobot:
@@ -75,7 +76,10 @@ class SimulatedRobot:
         random = choices.random("clocks")
         for each in robot.computers:
             boot, drift = random.uniform(1, _LONGEST_UPTIME), random.uniform(-1, 1)
-            computer = Computer(self.scheduler, each.name, boot, drift * _DRIFT)
+            cores = each.capacity.get("cpu", _CORES)
+            computer = Computer(
+                self.scheduler, each.name, boot, drift * _DRIFT, cores
+            )
             self.computers[each.name] = computer
             self.disks[each.name] = SimulatedDisk(computer)
             host = self.addresses.add(each.name)

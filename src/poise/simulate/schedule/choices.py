@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from random import Random
 from typing import Literal
 
-Stream = Literal["schedule", "network", "faults", "components", "code"]
+Stream = Literal["schedule", "network", "faults", "clients", "components"]
 """What a choice is about. One more draw in a stream changes no other stream."""
 
 
@@ -24,8 +24,8 @@ class Choices:
     Attributes
     ----------
     made
-        Stream -> all draws so far. The stream ``code``, which the code under test
-        draws from, is not recorded.
+        Stream -> all draws so far. What the code under test draws itself comes from
+        generators of its processes (`random`), and is not recorded.
     """
 
     def __init__(
