@@ -202,13 +202,13 @@ class Scheduler:
                 continue
             while self._timers and self._timers[0][-1].action is None:
                 heapq.heappop(self._timers)
-            if not self._timers:
+            if not self._timers and self._waiting:
                 waiting = ", ".join(f"{t} ({t.waits_for})" for t in self.waiting())
                 raise SimulationError(
                     f"at {self.now:.3f} s nothing can run and nothing will happen: "
-                    f"{waiting or 'no task'} waits for ever"
+                    f"{waiting} waits for ever"
                 )
-            if self._timers[0][0] > until:
+            if not self._timers or self._timers[0][0] > until:
                 self.now = max(self.now, until)
                 return
             self.now, self._at_once = self._timers[0][0], 0
