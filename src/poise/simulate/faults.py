@@ -6,7 +6,8 @@ some runs have many of one kind and none of another.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from math import log
 from typing import Literal
 
@@ -39,6 +40,8 @@ _ALLOWED = 0.4
 """Each kind is allowed in this share of runs."""
 _MEAN_PAUSE = 4.0
 _LONGEST = 8.0
+_LONGEST_STEP = 2e8
+"""A wall clock steps by up to half of that [s]: three years."""
 
 
 class Fault(Struct, frozen=True):
@@ -97,56 +100,88 @@ def plan_faults(
 def inject(robot: SimulatedRobot, fault: Fault) -> None:
     """Let a fault begin now, and end in time."""
     robot.note("fault", str(fault))
-    end = _begin(robot, fault)
-    robot.scheduler.at(robot.scheduler.now + fault.lasts, end)
+    mend = _begin(robot, fault)
+    robot.scheduler.at(robot.scheduler.now + fault.lasts, mend)
 
 
-def _begin(robot: SimulatedRobot, fault: Fault) -> Callable[[], object]:  # noqa: PLR0911
+Mend = Callable[[], object]
+
+
+def _begin(robot: SimulatedRobot, fault: Fault) -> Mend:
     """Break something; return what makes it whole."""
-    target, other, network = fault.target, fault.other, robot.network
-    match fault.kind:
-        case "kill agent":
-            agent = robot.agents.get(target)
-            if agent is not None:
-                agent.process.kill()
-            return lambda: robot.start_agent(target)
-        case "kill manager":
-            if robot.manager is not None:
-                robot.manager.process.kill()
-            return lambda: robot.keep_managed(target)
-        case "kill container":
-            for process in _containers(robot, fault):
-                process.kill()
-            return lambda: None
-        case "suspend computer":
-            robot.computers[target].suspend(fault.lasts)
-            return lambda: None
-        case "cut link" | "cut one way" | "isolate computer":
-            return _cut(robot, fault)
-        case "clog link":
-            network.clog(target, other, fault.lasts)
-            return lambda: None
-        case "lose datagrams":
-            before, network.loss = network.loss, 0.1 + 0.6 * fault.pick
-            return lambda: setattr(network, "loss", before)
-        case "step wall clock":
-            robot.computers[target].wall_ahead += (fault.pick - 0.5) * 2e8
-            return lambda: None
-        case "slow disk":
-            robot.disks[target].delay = fault.lasts
-            return lambda: setattr(robot.disks[target], "delay", 0.001)
-        case "full disk":
-            robot.disks[target].is_full = True
-            return lambda: setattr(robot.disks[target], "is_full", False)
-    return _pause(_paused_by(robot, fault))
+    verb = fault.kind.partition(" ")[0]
+    begin: Mapping[str, Callable[[SimulatedRobot, Fault], Mend]] = {
+        "kill": _kill,
+        "pause": _pause,
+        "suspend": _suspend,
+        "cut": _cut,
+        "isolate": _cut,
+        "clog": _clog,
+        "lose": _lose,
+        "step": _step_clock,
+        "slow": _slow_disk,
+        "full": _fill_disk,
+    }
+    return begin[verb](robot, fault)
+
+
+def _nothing() -> None:
+    """Mend nothing: it ends by itself, or stays."""
+
+
+def _kill(robot: SimulatedRobot, fault: Fault) -> Mend:
+    agent, manager = robot.agents.get(fault.target), robot.manager
+    if fault.kind == "kill agent":
+        killed = [agent.process] if agent else []
+        mend: Mend = partial(robot.start_agent, fault.target)
+    elif fault.kind == "kill manager":
+        killed = [manager.process] if manager else []
+        mend = partial(robot.keep_managed, fault.target)
+    else:
+        killed, mend = _containers(robot, fault), _nothing
+    for process in killed:
+        process.kill()
+    return mend
+
+
+def _suspend(robot: SimulatedRobot, fault: Fault) -> Mend:
+    robot.computers[fault.target].suspend(fault.lasts)
+    return _nothing
+
+
+def _clog(robot: SimulatedRobot, fault: Fault) -> Mend:
+    robot.network.clog(fault.target, fault.other, fault.lasts)
+    return _nothing
+
+
+def _lose(robot: SimulatedRobot, fault: Fault) -> Mend:
+    network = robot.network
+    lost = 0.1 + 0.6 * fault.pick
+    network.loss += lost
+    return lambda: setattr(network, "loss", network.loss - lost)
+
+
+def _step_clock(robot: SimulatedRobot, fault: Fault) -> Mend:
+    robot.computers[fault.target].wall_ahead += (fault.pick - 0.5) * _LONGEST_STEP
+    return _nothing
+
+
+def _slow_disk(robot: SimulatedRobot, fault: Fault) -> Mend:
+    disk, before = robot.disks[fault.target], robot.disks[fault.target].delay
+    disk.delay = before + fault.lasts
+    return lambda: setattr(disk, "delay", disk.delay - fault.lasts)
+
+
+def _fill_disk(robot: SimulatedRobot, fault: Fault) -> Mend:
+    disk = robot.disks[fault.target]
+    disk.is_full = True
+    return lambda: setattr(disk, "is_full", False)
 
 
 def _containers(robot: SimulatedRobot, fault: Fault) -> list[Process]:
     """Return the process of the picked container of a computer, if it has any."""
     here = [
-        c.process
-        for c in robot.containers()
-        if c.process.computer.name == fault.target
+        c.process for c in robot.containers() if c.process.computer.name == fault.target
     ]
     return here[int(fault.pick * len(here)) :][:1]
 
@@ -163,8 +198,8 @@ def _paused_by(robot: SimulatedRobot, fault: Fault) -> list[Process]:
     return _containers(robot, fault)
 
 
-def _pause(processes: list[Process]) -> Callable[[], object]:
-    standing = [each for each in processes if not each.is_paused]
+def _pause(robot: SimulatedRobot, fault: Fault) -> Mend:
+    standing = [p for p in _paused_by(robot, fault) if not p.is_paused]
     for process in standing:
         process.pause()
 
@@ -175,10 +210,12 @@ def _pause(processes: list[Process]) -> Callable[[], object]:
     return resume
 
 
-def _cut(robot: SimulatedRobot, fault: Fault) -> Callable[[], object]:
+def _cut(robot: SimulatedRobot, fault: Fault) -> Mend:
     ways = [(fault.target, fault.other)]
     if fault.kind == "isolate computer":
-        ways = [(fault.target, name) for name in robot.computers if name != fault.target]
+        ways = [
+            (fault.target, name) for name in robot.computers if name != fault.target
+        ]
     if fault.kind != "cut one way":
         ways += [(there, here) for here, there in ways]
     for way in ways:

@@ -1,4 +1,4 @@
-"""One run of a simulated robot: faults from a seed, then heal and require convergence."""
+"""One run of a simulated robot: faults by a seed, then it must converge."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import re
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 from msgspec import Struct
 
@@ -172,7 +173,7 @@ class _Run:
             names = tuple(robot.computers)
             self.faults = tuple(plan_faults(robot.choices, names, begin, end))
         for fault in self.faults:
-            self._scheduler.at(fault.at, lambda f=fault: inject(robot, f))
+            self._scheduler.at(fault.at, partial(inject, robot, fault))
         if self._scenario.moves:
             self._scheduler.at(begin + 1.0, lambda: self._move(end))
         robot.run(max([end, *(f.at + f.lasts for f in self.faults)]) + 0.01)
@@ -227,9 +228,9 @@ class _Run:
         if self.robot.ledger.violations:
             raise Violation(*self.robot.ledger.violations[0])
         last = self.robot.managers[-1] if self.robot.managers else None
-        if last is not None and last.error is not None and last.manager is not None:
-            if not isinstance(last.error, TakenOver):
-                raise Violation("no-bug-stops-the-robot", str(last.error))
+        error = None if last is None or last.manager is None else last.error
+        if error is not None and not isinstance(error, TakenOver):
+            raise Violation("no-bug-stops-the-robot", str(error))
 
     def _move(self, end: float) -> None:
         """Let a client move a component, and do so again later."""

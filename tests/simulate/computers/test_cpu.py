@@ -71,7 +71,7 @@ def test_what_is_paused_leaves_its_share_to_others(scheduler: Scheduler) -> None
     stopped, other = cpu.group(), cpu.group()
     for name, group in (("stopped", stopped), ("other", other)):
         group.run(0.5, lambda n=name: ends.update({n: scheduler.now}))
-    scheduler.at(0.2, lambda: stopped.pause())
+    scheduler.at(0.2, stopped.pause)
     scheduler.at(2.0, lambda: stopped.pause(is_paused=False))
     scheduler.run(5.0)
     # each has 0.1 at 0.2 s; the other does its 0.4 alone until 0.6 s, the stopped one

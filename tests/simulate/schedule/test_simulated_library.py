@@ -126,9 +126,7 @@ def test_chance_is_drawn_from_the_seed() -> None:
         sessions = ZenohNetwork(Network(scheduler, scheduler.choices), Addresses())
         scheduler.at(9.0, lambda: None)
         process = Computer(scheduler, "a").start("program")
-        process.spawn(
-            "test", lambda: found.append((random.random(), uuid.uuid4().hex))
-        )
+        process.spawn("test", lambda: found.append((random.random(), uuid.uuid4().hex)))
         with simulated_library(scheduler, sessions):
             scheduler.run(1.0)
         return found[0]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 from poise.simulate.components.ledger import Incarnation
 from poise.simulate.components.models import drawn
 from poise.wire.records.deployment import ComponentSpec
-from poise.wire.records.status import ComponentStatus, State, TimerStatus, Summary
+from poise.wire.records.status import ComponentStatus, State, Summary, TimerStatus
 
 if TYPE_CHECKING:
     from poise.simulate.components.container import SimulatedContainer

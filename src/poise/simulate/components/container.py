@@ -105,7 +105,9 @@ class SimulatedContainer:
         elif isinstance(record, MigrationSteps):
             self.migration.receive(record)
         elif not isinstance(record, Clocks):
-            self.answer(TapReading(record.number, record.connector, ""))
+            self.answer(
+                TapReading(number=record.number, connector=record.connector, carries="")
+            )
 
     def answer(self, record: FromContainer) -> None:
         """Tell the agent something; in vain when there is none."""

@@ -25,19 +25,26 @@ if TYPE_CHECKING:
 
 _SHARE = 0.75
 """As in the real container: the rest of the limit is for the answer."""
+_LOOK_EVERY = 0.002
 State = tuple[tuple[str, int], ...]
 """What moves beside the state itself: the messages that wait."""
 
 
 class MigrationModel:
-    """The steps of one container."""
+    """The steps of one container.
+
+    Attributes
+    ----------
+    states
+        Component and epoch -> what sources here have sent.
+    """
 
     def __init__(self, container: SimulatedContainer) -> None:
         self._container = container
         self._num_deployments = 0
         self._is_committed = False
         self._phases: dict[tuple[str, int], tuple[int, MigrationPhases]] = {}
-        self._states: dict[tuple[str, int], State] = {}
+        self.states: dict[tuple[str, int], State] = {}
 
     def note_deployment(self) -> None:
         """Refuse the steps that were received until now."""
@@ -116,9 +123,12 @@ class MigrationModel:
             return
         component = self._component(step)
         with self._phases_of(component, step, migration).taking(step.name, step.phase):
-            self._take_part(component, step, migration, deadline)
+            if step.role == "source":
+                self._take_source(component, step, migration, deadline)
+            else:
+                self._take_target(component, step, deadline)
 
-    def _take_part(
+    def _take_source(
         self,
         component: SimulatedComponent,
         step: Step,
@@ -127,33 +137,37 @@ class MigrationModel:
     ) -> None:
         container, key = self._container, component.who[:2]
         match step.name:
+            case "await idle":
+                until = min(deadline, self._now + step.limit)
+                while component.is_busy and self._now < until:
+                    container.world.scheduler.wait(_LOOK_EVERY, "an idle component")
             case "pause":
                 component.pause()
                 container.wait(lambda: not component.is_busy, deadline, "its handler")
                 for sender in container.senders.values():
                     if (sender.spec.source, sender.spec.source_epoch) == key:
                         sender.mark(migration)
-            case "await idle":
-                until = min(deadline, self._now + step.limit)
-                while component.is_busy and self._now < until:
-                    container.world.scheduler.wait(0.001, "an idle component")
             case "send state":
-                state = tuple(component.mailbox)
+                self.states[key] = tuple(component.mailbox)
                 component.mailbox.clear()
-                self._states[key] = state
+            case "roll back":
+                component.mailbox.extendleft(reversed(self.states.pop(key, ())))
+                component.resume()
+
+    def _take_target(
+        self, component: SimulatedComponent, step: Step, deadline: float
+    ) -> None:
+        match step.name:
             case "restore state":
                 self._restore(component, deadline)
             case "activate":
-                component.is_paused = True
+                component.pause()
                 component.aim("ready")
-                container.wait(
+                self._container.wait(
                     lambda: component.state == "active", deadline, "`activate`"
                 )
             case "resume":
                 component.goal = "active"
-                component.resume()
-            case "roll back":
-                component.mailbox.extendleft(reversed(self._states.pop(key, ())))
                 component.resume()
 
     def _restore(self, component: SimulatedComponent, deadline: float) -> None:
@@ -177,14 +191,9 @@ class MigrationModel:
         while not is_there():
             if self._now >= deadline or source.process.is_dead:
                 raise RunError(f"the state of '{name}' did not come from '{there}'")
-            world.scheduler.wait(0.002, "a state")
+            world.scheduler.wait(_LOOK_EVERY, "a state")
         world.scheduler.wait(seconds, "a state's transfer")
         component.mailbox.extendleft(reversed(states[name, epoch]))
-
-    @property
-    def states(self) -> dict[tuple[str, int], State]:
-        """What sources here have sent, by component and epoch."""
-        return self._states
 
     def _source_of(
         self, component: SimulatedComponent
@@ -192,9 +201,9 @@ class MigrationModel:
         name = component.spec.name
         for container in self._container.world.containers():
             for (other, epoch), each in container.components.items():
-                if other == name and epoch < component.spec.epoch:
-                    if each.state != "finalized":
-                        return container, epoch
+                is_older = other == name and epoch < component.spec.epoch
+                if is_older and each.state != "finalized":
+                    return container, epoch
         return None
 
     def _component(self, step: Step) -> SimulatedComponent:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -49,7 +50,7 @@ class Connection:
             side.begin(other)
 
     def close(self, by: Side, *, is_told: bool) -> None:
-        """End it on one side; the other learns it if nothing is cut, or by its lease."""
+        """End it on one side; the other learns it, over a cut by its lease."""
         if by.is_closed:
             return
         other = by.other
@@ -155,9 +156,9 @@ class Side:
         if self in self.session.sides:
             self.session.sides.remove(self)
         for key in list(self.known):
-            self._post(lambda k=key: self.take_token(k, zenoh.SampleKind.DELETE))
+            self._post(partial(self.take_token, key, zenoh.SampleKind.DELETE))
         for number in list(self._asked):
-            self._post(lambda n=number: self._end_asked(n))
+            self._post(partial(self._end_asked, number))
 
     def _replied(self, number: int, said: SimpleNamespace) -> None:
         if number in self._asked:

@@ -79,7 +79,7 @@ class Network:
                     stream.go_on(min(lasted, _BACK_OFF))
 
     def clog(self, source: str, target: str, seconds: float) -> None:
-        """Let all that is sent from now on arrive after `seconds` [s] at the soonest."""
+        """Let what is sent from now on arrive after `seconds` [s] at the soonest."""
         until = self.scheduler.now + seconds
         key = source, target
         self._clogs[key] = max(until, self._clogs.get(key, 0.0))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, Self
 
@@ -154,7 +155,12 @@ class Session:
         return SimpleNamespace(put=lambda data: self._put(key, data))
 
     def get(
-        self, key: str, handler: Callable[[Any], object], *, payload: bytes, timeout: float
+        self,
+        key: str,
+        handler: Callable[[Any], object],
+        *,
+        payload: bytes,
+        timeout: float,
     ) -> None:
         """Ask whom the key reaches; `handler.drop` is called after the last reply."""
         side = next((s for s in self.sides if s.other.session.queryable(key)), None)
@@ -181,8 +187,8 @@ class Session:
 
     def _put(self, key: str, data: bytes) -> None:
         for side in list(self.sides):
-            other = side.other
-            side.send(len(data), lambda o=other: o.session.take_put(key, data))
+            take = partial(side.other.session.take_put, key, data)
+            side.send(len(data), take)
 
     def _declare_token(self, key: str) -> SimpleNamespace:
         self.tokens.append(key)
@@ -201,9 +207,8 @@ class Session:
         declared = _Declared(self._watchers, key, take)
         known = [t for s in self.sides for t in s.known if matches(key, t)]
         for token in known if history else ():
-            self.process.spawn(
-                "zenoh", lambda t=token: take(_sample(t, zenoh.SampleKind.PUT))
-            )
+            sample = _sample(token, zenoh.SampleKind.PUT)
+            self.process.spawn("zenoh", partial(take, sample))
         return declared
 
 

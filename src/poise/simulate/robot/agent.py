@@ -14,10 +14,10 @@ from poise.runtime.agent.agent_setup import AgentSetup
 from poise.runtime.agent.core import AgentCore
 from poise.runtime.agent.inbox import AgentInbox
 from poise.runtime.agent.surroundings import Hear, NextBeat, Surroundings
+from poise.simulate.components.container import World
 from poise.simulate.computers.process import Process
 from poise.simulate.robot.container_host import SimulatedAdoption, SimulatedHost
 from poise.simulate.robot.disk import SimulatedDisk
-from poise.simulate.components.container import World
 from poise.simulate.schedule.scheduler import Task
 from poise.wire.control_session import identity_key, locator, open_session
 from poise.wire.heartbeats import Heartbeats
@@ -25,8 +25,6 @@ from poise.wire.records.status import AgentStatus
 
 PORT = 7447
 LEASE = 2.0
-
-
 
 
 class SimulatedAgent:
@@ -107,8 +105,8 @@ class SimulatedAgent:
             inbox = AgentInbox(
                 name, self.core.on_request, self.wake, self.core.supervised
             )
-            answers = session.declare_queryable(f"{prefix}/agent/{name}", inbox.hear)
-            managers = session.liveliness().declare_subscriber(
+            session.declare_queryable(f"{prefix}/agent/{name}", inbox.hear)
+            session.liveliness().declare_subscriber(
                 f"{prefix}/manager/*", self._note_manager, history=True
             )
             adoption.begin()
@@ -118,7 +116,6 @@ class SimulatedAgent:
                     self._events.popleft()()
                 inbox.work()
                 self.core.tick()
-        del answers, managers
 
     def _surroundings(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from math import inf
 from signal import SIGKILL, Signals
 from typing import TYPE_CHECKING
@@ -30,7 +31,11 @@ class SimulatedControl:
     """An agent's end of the connection to a container."""
 
     def __init__(
-        self, agent: SimulatedAgent, container: SimulatedContainer, born: bool = False
+        self,
+        agent: SimulatedAgent,
+        container: SimulatedContainer,
+        *,
+        born: bool = False,
     ) -> None:
         self._agent = agent
         self._container = container
@@ -176,7 +181,7 @@ class SimulatedAdoption:
         for container in self._left.values():
             self._watch_end(container)
             pause = drawn(self._world.choices, _ASK_AFTER)
-            container.process.after(pause, lambda c=container: self._ask(c))
+            container.process.after(pause, partial(self._ask, container))
 
     def awaits(self, container: str) -> bool:
         """Return whether a container may run still."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from poise.runtime.agent.supervision.agent_state import AgentState
 from poise.runtime.agent.surroundings import Reply
@@ -60,7 +61,7 @@ class SimulatedDisk:
     def serve(self, request: ReadOutput | CheckpointCopy, reply: Reply) -> None:
         """Write a checkpoint, or read output, of which there is none."""
         if isinstance(request, ReadOutput):
-            reply(OutputLines(()))
+            reply(OutputLines())
         elif self.is_full:
             reply(Refused("it cannot use its folder: no space left on device"))
         else:
@@ -110,5 +111,5 @@ class SimulatedDisk:
                 copy = CheckpointCopy(
                     component=key[0], epoch=key[1], data=data, age=age
                 )
-                self._process.spawn("checkpoint", lambda c=copy: self._send(c))
+                self._process.spawn("checkpoint", partial(self._send, copy))
         self._process.after(_LOOK_EVERY, self._look)

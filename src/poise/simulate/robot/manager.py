@@ -45,7 +45,7 @@ class SimulatedManager:
         Why it could not come up, or ended; None: it has not.
     """
 
-    def __init__(  # noqa: PLR0913, PLR0917, each is needed
+    def __init__(
         self,
         robot: Robot,
         process: Process,

@@ -46,7 +46,7 @@ class SimulatedRobot:
         Those that run, by computer; and all managers so far, the last one last.
     """
 
-    def __init__(  # noqa: PLR0913, PLR0917, each is needed
+    def __init__(
         self,
         robot: Robot,
         choices: Choices,
@@ -77,9 +77,7 @@ class SimulatedRobot:
         for each in robot.computers:
             boot, drift = random.uniform(1, _LONGEST_UPTIME), random.uniform(-1, 1)
             cores = each.capacity.get("cpu", _CORES)
-            computer = Computer(
-                self.scheduler, each.name, boot, drift * _DRIFT, cores
-            )
+            computer = Computer(self.scheduler, each.name, boot, drift * _DRIFT, cores)
             self.computers[each.name] = computer
             self.disks[each.name] = SimulatedDisk(computer)
             host = self.addresses.add(each.name)

@@ -69,7 +69,7 @@ class SimulatedLock:
 class SimulatedThread:
     """As `threading.Thread`: a task of the process that starts it."""
 
-    def __init__(  # noqa: PLR0913, PLR0917, as the library's
+    def __init__(
         self,
         group: None = None,
         target: Callable[..., object] | None = None,

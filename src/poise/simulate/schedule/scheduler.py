@@ -59,11 +59,12 @@ class Task:
         What it waits for, in words; empty while it runs.
     """
 
-    def __init__(self, number: int, name: str, host: Host, run: greenlet) -> None:
+    greenlet: greenlet
+
+    def __init__(self, number: int, name: str, host: Host) -> None:
         self.number = number
         self.name = name
         self.host = host
-        self.greenlet = run
         self.waits_for = ""
         self.timer: Timer | None = None
         self.is_woken = False
@@ -130,8 +131,8 @@ class Scheduler:
 
     def spawn(self, host: Host, name: str, work: Callable[[], object]) -> Task:
         """Let a process have a new task."""
-        run = greenlet(lambda: self._main(task, work), self._world)
-        task = Task(self.number(), name, host, run)
+        task = Task(self.number(), name, host)
+        task.greenlet = greenlet(lambda: self._main(task, work), self._world)
         self._ready.append(task)
         return task
 

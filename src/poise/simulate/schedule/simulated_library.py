@@ -28,43 +28,71 @@ from poise.simulate.computers.process import Process
 from poise.simulate.network.datagrams import SimulatedSocket
 from poise.simulate.network.zenoh_sessions import ZenohNetwork
 from poise.simulate.schedule.locks import SimulatedLock, SimulatedThread
-from poise.simulate.schedule.scheduler import Scheduler, SimulationError
+from poise.simulate.schedule.scheduler import SLACK, Scheduler, SimulationError
 
 _FORBIDDEN = ((os, "fork"), (subprocess, "Popen"), (socket, "socketpair"))
 
 
+Replaced = tuple[Any, str, Callable[..., Any]]
+"""A module, the name of what is replaced in it, and what tasks get instead."""
+
+
 @contextmanager
-def simulated_library(
-    scheduler: Scheduler, sessions: ZenohNetwork
-) -> Iterator[None]:
+def simulated_library(scheduler: Scheduler, sessions: ZenohNetwork) -> Iterator[None]:
     """Replace what the code under test uses of the library, until the block ends."""
-    network, addresses = sessions.network, sessions.addresses
+    replaced = [
+        *_clocks(scheduler),
+        *_threads(scheduler),
+        *_process(scheduler),
+        *_chance(scheduler),
+        *_network(scheduler, sessions),
+        *((m, name, _refusal(f"{m.__name__}.{name}")) for m, name in _FORBIDDEN),
+    ]
+    real = [getattr(module, name) for module, name, _ in replaced]
+    instead = {
+        before: _in_tasks(scheduler, function, before)
+        for (_, _, function), before in zip(replaced, real, strict=True)
+    }
+    bound = [(each, each.__defaults__ or ()) for each in _with_defaults(instead)]
+    try:
+        for (module, name, _), before in zip(replaced, real, strict=True):
+            setattr(module, name, instead[before])
+        for function, defaults in bound:
+            function.__defaults__ = tuple(_swapped(each, instead) for each in defaults)
+        yield
+    finally:
+        for (module, name, _), before in zip(replaced, real, strict=True):
+            setattr(module, name, before)
+        for function, defaults in bound:
+            function.__defaults__ = defaults
 
-    def process() -> Process:
-        assert scheduler.current is not None  # noqa: S101, only tasks get here
-        assert isinstance(scheduler.current.host, Process)  # noqa: S101
-        return scheduler.current.host
 
+def _host(scheduler: Scheduler) -> Process:
+    """Return the process of the task that runs."""
+    assert scheduler.current is not None  # noqa: S101, only tasks get here
+    assert isinstance(scheduler.current.host, Process)  # noqa: S101
+    return scheduler.current.host
+
+
+def _clocks(scheduler: Scheduler) -> list[Replaced]:
     def clock_gettime(number: int) -> float:
-        computer = process().computer
+        computer = _host(scheduler).computer
         if number == time.CLOCK_REALTIME:
             return computer.wall()
         is_boot = number == time.CLOCK_BOOTTIME
         return computer.boottime() if is_boot else computer.monotonic()
 
-    def lock() -> SimulatedLock:
-        return SimulatedLock(scheduler)
+    def wall() -> float:
+        return _host(scheduler).computer.wall()
+
+    def monotonic() -> float:
+        return _host(scheduler).computer.monotonic()
 
     def sleep(seconds: float) -> None:
-        scheduler.wait(max(seconds, 1e-9), "sleep")
+        scheduler.wait(max(seconds, SLACK), "sleep")
 
-    def nothing(*_: object) -> None:
-        """Priorities of tasks are the scheduler's affair."""
-
-    thread = type("Thread", (SimulatedThread,), {"scheduler": scheduler})
-    monotonic = _Seconds(lambda: process().computer.monotonic())
-    replaced: list[tuple[Any, str, Callable[..., Any]]] = [
-        (time, "time", lambda: process().computer.wall()),
+    return [
+        (time, "time", wall),
         (time, "monotonic", monotonic),
         (time, "perf_counter", monotonic),
         (time, "process_time", lambda: 0.0),
@@ -72,46 +100,75 @@ def simulated_library(
         (time, "sleep", sleep),
         (threading, "_time", monotonic),
         (queue, "time", monotonic),
+    ]
+
+
+def _threads(scheduler: Scheduler) -> list[Replaced]:
+    def lock() -> SimulatedLock:
+        return SimulatedLock(scheduler)
+
+    def ident() -> int:
+        return 0 if scheduler.current is None else scheduler.current.number
+
+    def current() -> SimpleNamespace:
+        return SimpleNamespace(name=str(scheduler.current), ident=ident(), daemon=True)
+
+    thread = type("Thread", (SimulatedThread,), {"scheduler": scheduler})
+    return [
         (threading, "Lock", lock),
         (threading, "_allocate_lock", lock),
-        (threading, "RLock", threading._PyRLock),  # type: ignore[attr-defined]  # noqa: SLF001
-        (threading, "get_ident", lambda: scheduler.current.number),  # type: ignore[union-attr]
-        (threading, "get_native_id", lambda: scheduler.current.number),  # type: ignore[union-attr]
+        (threading, "RLock", threading._PyRLock),  # type: ignore[attr-defined]  # noqa: SLF001, written in Python
+        (threading, "get_ident", ident),
+        (threading, "get_native_id", ident),
+        (threading, "current_thread", current),
         (threading, "Thread", thread),
-        (threading, "current_thread", lambda: SimpleNamespace(name=str(scheduler.current))),
-        (queue, "SimpleQueue", queue._PySimpleQueue),  # type: ignore[attr-defined]  # noqa: SLF001
-        (os, "getpid", lambda: process().pid),
-        (os, "urandom", lambda size: process().random.randbytes(size)),
+        (queue, "SimpleQueue", queue._PySimpleQueue),  # type: ignore[attr-defined]  # noqa: SLF001, the same
+    ]
+
+
+def _process(scheduler: Scheduler) -> list[Replaced]:
+    def nothing(*_: object) -> int:
+        """Return the usual priority: who runs first is the scheduler's affair."""
+        return 0
+
+    return [
+        (os, "getpid", lambda: _host(scheduler).pid),
+        (os, "getpriority", nothing),
         (os, "setpriority", nothing),
         (os, "sched_setscheduler", nothing),
-        (os, "getpriority", lambda *_: 0),
-        (secrets, "randbits", lambda bits: process().random.getrandbits(bits)),
-        (socket, "gethostname", lambda: process().computer.name),
-        (socket, "socket", lambda *kind: SimulatedSocket(addresses, network, process(), *kind)),
-        (socket, "create_connection", lambda *a: sessions.probe(process(), *a)),
-        (zenoh, "open", lambda config: sessions.open(process(), config)),
+        (socket, "gethostname", lambda: _host(scheduler).computer.name),
     ]
-    for name in ("random", "uniform", "randint", "choice", "gauss", "expovariate"):
-        replaced.append((random, name, _drawn(process, name)))
-    for module, name in _FORBIDDEN:
-        replaced.append((module, name, _refusal(f"{module.__name__}.{name}")))
-    before = [(module, name, getattr(module, name)) for module, name, _ in replaced]
-    instead = {
-        real: _in_tasks(scheduler, function, real)
-        for (_, _, function), (_, _, real) in zip(replaced, before, strict=True)
-    }
-    bound = [(each, each.__defaults__) for each in _with_defaults(instead)]
-    try:
-        for module, name, real in before:
-            setattr(module, name, instead[real])
-        for function, defaults in bound:
-            function.__defaults__ = tuple(_swapped(each, instead) for each in defaults)
-        yield
-    finally:
-        for module, name, real in before:
-            setattr(module, name, real)
-        for function, defaults in bound:
-            function.__defaults__ = defaults
+
+
+def _chance(scheduler: Scheduler) -> list[Replaced]:
+    def drawn(name: str) -> Callable[..., Any]:
+        def draw(*limits: float) -> Any:  # noqa: ANN401, as the library's
+            return getattr(_host(scheduler).random, name)(*limits)
+
+        return draw
+
+    names = ("random", "uniform", "randint", "choice", "gauss", "expovariate")
+    return [
+        *((random, name, drawn(name)) for name in names),
+        (os, "urandom", drawn("randbytes")),
+        (secrets, "randbits", drawn("getrandbits")),
+    ]
+
+
+def _network(scheduler: Scheduler, sessions: ZenohNetwork) -> list[Replaced]:
+    def open_socket(*kind: int) -> SimulatedSocket:
+        network, addresses = sessions.network, sessions.addresses
+        return SimulatedSocket(addresses, network, _host(scheduler), *kind)
+
+    return [
+        (socket, "socket", open_socket),
+        (
+            socket,
+            "create_connection",
+            lambda *to: sessions.probe(_host(scheduler), *to),
+        ),
+        (zenoh, "open", lambda config: sessions.open(_host(scheduler), config)),
+    ]
 
 
 def _with_defaults(real: Container[object]) -> list[FunctionType]:
@@ -135,23 +192,11 @@ def _is_hashable(value: object) -> bool:
     return isinstance(value, Hashable)
 
 
-class _Seconds:
-    """A clock; a class, so that no default argument takes it for a method."""
-
-    def __init__(self, read: Callable[[], float]) -> None:
-        self._read = read
-
-    def __call__(self) -> float:
-        return self._read()
-
-
-def _drawn(process: Callable[[], Process], name: str) -> Callable[..., Any]:
-    return lambda *limits: getattr(process().random, name)(*limits)
-
-
 def _refusal(what: str) -> Callable[..., Any]:
     def refuse(*_: object, **__: object) -> None:
-        raise SimulationError(f"{what} would leave the simulation: pass in what it is for")
+        raise SimulationError(
+            f"{what} would leave the simulation: pass in what it is for"
+        )
 
     return refuse
 
