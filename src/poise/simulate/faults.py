@@ -68,11 +68,15 @@ class Fault(Struct, frozen=True):
 
 
 def plan_faults(
-    choices: Choices, computers: Sequence[str], begin: float, end: float
+    choices: Choices,
+    computers: Sequence[str],
+    begin: float,
+    end: float,
+    kinds: Sequence[Kind] = KINDS,
 ) -> list[Fault]:
     """Return the faults of a run, all over before `end` [s]."""
-    allowed = [kind for kind in KINDS if choices.happens("faults", _ALLOWED)]
-    allowed = allowed or [KINDS[choices.among("faults", len(KINDS))]]
+    allowed = [kind for kind in kinds if choices.happens("faults", _ALLOWED)]
+    allowed = allowed or [kinds[choices.among("faults", len(kinds))]]
     weights = [choices.draw("faults") for _ in allowed]
     faults: list[Fault] = []
     now = begin

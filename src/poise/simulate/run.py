@@ -14,7 +14,7 @@ from poise.errors import TakenOver
 from poise.manage.control_socket.records import MoveCommand, Refusal, Result
 from poise.model.robot import Robot
 from poise.simulate.components.models import ComponentModel
-from poise.simulate.faults import Fault, inject, plan_faults
+from poise.simulate.faults import KINDS, Fault, Kind, inject, plan_faults
 from poise.simulate.invariants import Violation
 from poise.simulate.robot.robot import SimulatedRobot
 from poise.simulate.schedule.choices import Choices
@@ -42,6 +42,8 @@ class Scenario(Struct, frozen=True, kw_only=True):
         Of faults; to come up and to converge take their own time.
     faults
         What breaks; None: the seed decides.
+    kinds
+        What of it may break.
     moves
         Whether clients move components meanwhile.
     converges
@@ -54,6 +56,7 @@ class Scenario(Struct, frozen=True, kw_only=True):
     models: Mapping[str, ComponentModel] = {}
     seconds: float = 60.0
     faults: tuple[Fault, ...] | None = None
+    kinds: tuple[Kind, ...] = KINDS
     moves: bool = True
     converges: float = CONVERGE_LIMIT
 
@@ -171,7 +174,8 @@ class _Run:
         self.faults = self._scenario.faults or ()
         if self._scenario.faults is None:
             names = tuple(robot.computers)
-            self.faults = tuple(plan_faults(robot.choices, names, begin, end))
+            kinds = self._scenario.kinds
+            self.faults = tuple(plan_faults(robot.choices, names, begin, end, kinds))
         for fault in self.faults:
             self._scheduler.at(fault.at, partial(inject, robot, fault))
         if self._scenario.moves:

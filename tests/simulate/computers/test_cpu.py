@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 
 from poise.simulate.computers.cpu import Claim, Cpu, shares
@@ -40,7 +42,7 @@ def test_equal_work_of_unequal_weights_ends_one_after_the_other(
 ) -> None:
     cpu, ends = Cpu(scheduler, 1.0), dict[str, float]()
     for name, weight in (("light", 100), ("heavy", 300)):
-        cpu.group(weight).run(0.3, lambda n=name: ends.update({n: scheduler.now}))
+        cpu.group(weight).run(0.3, partial(_note, ends, name, scheduler))
     scheduler.run(5.0)
     # heavy has 3/4 of the core: 0.3 / 0.75 = 0.4 s; light has done 0.1 by then, and
     # the 0.2 that are left take the whole core
@@ -70,7 +72,7 @@ def test_what_is_paused_leaves_its_share_to_others(scheduler: Scheduler) -> None
     cpu, ends = Cpu(scheduler, 1.0), dict[str, float]()
     stopped, other = cpu.group(), cpu.group()
     for name, group in (("stopped", stopped), ("other", other)):
-        group.run(0.5, lambda n=name: ends.update({n: scheduler.now}))
+        group.run(0.5, partial(_note, ends, name, scheduler))
     scheduler.at(0.2, stopped.pause)
     scheduler.at(2.0, lambda: stopped.pause(is_paused=False))
     scheduler.run(5.0)
@@ -87,3 +89,7 @@ def test_what_ends_takes_its_work_along(scheduler: Scheduler) -> None:
     scheduler.at(0.2, gone.end)
     scheduler.run(5.0)
     assert ends == [pytest.approx(0.6)]  # 0.1 until 0.2 s, then 0.4 alone
+
+
+def _note(ends: dict[str, float], name: str, scheduler: Scheduler) -> None:
+    ends[name] = scheduler.now

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable
 
 import pytest
 import zenoh
@@ -52,12 +52,19 @@ class Two:
     def ask(self) -> list[str]:
         """Return what comes of a request that may take 3 s."""
         replies: list[str] = []
-        handler = Callback(
-            lambda reply: replies.append(reply.ok.payload.to_bytes().decode()),
+        handler: Callback[zenoh.Reply] = Callback(
+            self._take(replies),
             lambda: replies.append(f"end at {self.scheduler.now:.1f}"),
         )
         self.asking.get("agent/b", handler, payload=b"?", timeout=3.0)
         return replies
+
+    def _take(self, replies: list[str]) -> Callable[[zenoh.Reply], None]:
+        def take(reply: zenoh.Reply) -> None:
+            assert reply.ok is not None
+            replies.append(reply.ok.payload.to_bytes().decode())
+
+        return take
 
     def _note(self, sample: zenoh.Sample) -> None:
         came = sample.kind == zenoh.SampleKind.PUT
@@ -69,7 +76,7 @@ class Two:
 
 
 @pytest.fixture
-def two(scheduler: Scheduler) -> Iterator[Two]:
+def two(scheduler: Scheduler) -> Two:
     return Two(scheduler)
 
 

@@ -97,7 +97,8 @@ def test_not_one_statement_of_a_killed_process_runs(
 def test_an_error_that_nobody_catches_ends_the_run_and_names_the_task(
     scheduler: Scheduler, process: Process
 ) -> None:
-    process.spawn("worker", lambda: {}["missing"])
+    known: dict[str, str] = {}
+    process.spawn("worker", lambda: known["missing"])
     with pytest.raises(TaskFailed, match="a/program/worker: KeyError: 'missing'"):
         scheduler.run(1.0)
 
