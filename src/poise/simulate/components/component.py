@@ -174,8 +174,9 @@ class SimulatedComponent:
     def _end(self, message: tuple[str, int] | None) -> None:
         self.is_busy = False
         ledger = self._container.world.ledger
-        ledger.end(self.who, self._now)
+        ledger.end(self.who, self._container.process.awake_since, self._now)
         if message is None and self._container.may_work(self.spec):
+            ledger.act(self.who, self._now)
             self._container.publish(self)
         self._container.look_again()
         self._go_on()

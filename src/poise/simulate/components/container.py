@@ -144,9 +144,11 @@ class SimulatedContainer:
             left = deadline - scheduler.now
             if left <= 0:
                 raise RunError(f"container '{self.name}': {what} took too long")
-            assert scheduler.current is not None  # noqa: S101, steps are tasks
-            self._waiting.append(scheduler.current)
-            scheduler.wait(left, what)
+            task = scheduler.current
+            assert task is not None  # noqa: S101, steps are tasks
+            self._waiting.append(task)
+            if not scheduler.wait(left, what):
+                self._waiting.remove(task)
 
     def connector(self, name_or_key: str) -> ConnectorSpec:
         """Return a connector of the present deployment, by its name or key."""

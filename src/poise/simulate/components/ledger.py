@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-LATE_HANDLER = 0.5
+LATE_HANDLER = 0.75
 """A handler that runs while its lease ends may go on this long beside a newer
-incarnation, without any effect [s]."""
+incarnation, without any effect [s]: its container is killed then."""
 
 
 class Incarnation(NamedTuple):
@@ -59,19 +59,31 @@ class Ledger:
             self._past.add(known[0])
         self._current[who.component] = who, now
 
-    def end(self, who: Incarnation, now: float) -> None:
-        """Note that a handler ended, with all that it does to others."""
+    def end(self, who: Incarnation, awake: float, now: float) -> None:
+        """Note that a handler ended.
+
+        Parameters
+        ----------
+        awake
+            Since when its process runs without a pause [s].
+        """
         current, since = self._current[who.component]
-        if who in self._past and now - since > LATE_HANDLER:
+        if who in self._past and now - max(since, awake) > LATE_HANDLER:
             self._violate(
                 "nothing-active-twice",
                 f"a handler of {who} went on until {now:.3f} s, but {current} has "
                 f"worked since {since:.3f} s",
             )
 
-    def is_superseded(self, who: Incarnation) -> bool:
-        """Return whether another incarnation has worked since."""
-        return who in self._past
+    def act(self, who: Incarnation, now: float) -> None:
+        """Note that a handler publishes."""
+        if who in self._past:
+            current, since = self._current[who.component]
+            self._violate(
+                "nothing-active-twice",
+                f"{who} published at {now:.3f} s, but {current} has worked since "
+                f"{since:.3f} s",
+            )
 
     def number(self, connector: str) -> int:
         """Return the number of the next message of a connector."""

@@ -100,6 +100,8 @@ class Process:
         What its code draws from.
     on_end
         Called when it has ended, in order.
+    awake_since
+        When it began, or its last pause ended [s].
     on_pause
         Called when it is paused, or goes on, with whether it is.
     """
@@ -114,6 +116,7 @@ class Process:
         self.parent = parent
         self.is_dead = False
         self.is_paused = False
+        self.awake_since = self.scheduler.now
         self.held: list[Task] = []
         self.on_end: list[Callable[[], object]] = []
         self.on_pause: Callable[[bool], object] = lambda _: None
@@ -142,7 +145,7 @@ class Process:
 
     def resume(self) -> None:
         """Let it go on."""
-        self.is_paused = False
+        self.is_paused, self.awake_since = False, self.scheduler.now
         self.on_pause(False)
         held, self.held = self.held, []
         for task in held:

@@ -25,6 +25,7 @@ from poise.wire.records.status import AgentStatus
 
 PORT = 7447
 LEASE = 2.0
+_NEWS = "news"
 
 
 class SimulatedAgent:
@@ -75,7 +76,7 @@ class SimulatedAgent:
     def wake(self) -> None:
         """Let it tick soon; from any task."""
         self._is_woken = True
-        if self._task is not None:
+        if self._task is not None and self._task.waits_for == _NEWS:
             self._world.scheduler.wake(self._task)
 
     def _main(self) -> None:
@@ -162,5 +163,5 @@ class SimulatedAgent:
         if not self._is_woken:
             left = moment - self.process.computer.monotonic()
             if left > 0:
-                self._world.scheduler.wait(left, "news")
+                self._world.scheduler.wait(left, _NEWS)
         self._is_woken = False

@@ -23,6 +23,7 @@ class SimulatedLock:
     def __init__(self, scheduler: Scheduler) -> None:
         self._scheduler = scheduler
         self._is_locked = False
+        self._granted: Task | None = None
         self._waiting: deque[Task] = deque()
 
     def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:  # noqa: FBT001, FBT002, as the library's
@@ -36,8 +37,11 @@ class SimulatedLock:
         if not blocking or task is None:
             return False
         self._waiting.append(task)
-        if scheduler.wait(timeout if timeout >= 0 else inf, "a lock"):
-            return True  # it was handed over
+        until = scheduler.now + timeout if timeout >= 0 else inf
+        while scheduler.wait(until - scheduler.now, "a lock"):
+            if self._granted is task:
+                self._granted = None
+                return True
         if task in self._waiting:
             self._waiting.remove(task)
         return False
@@ -49,6 +53,7 @@ class SimulatedLock:
         while self._waiting:
             task = self._waiting.popleft()
             if not task.host.is_dead and self._scheduler.wake(task):
+                self._granted = task
                 return
         self._is_locked = False
 

@@ -19,6 +19,7 @@ import threading
 import time
 from collections.abc import Callable, Container, Hashable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from types import FunctionType, SimpleNamespace
 from typing import Any
 
@@ -113,6 +114,13 @@ def _threads(scheduler: Scheduler) -> list[Replaced]:
     def current() -> SimpleNamespace:
         return SimpleNamespace(name=str(scheduler.current), ident=ident(), daemon=True)
 
+    def raise_(failed: threading.ExceptHookArgs) -> None:
+        """Raise in the simulated world what ended a thread."""
+        task = scheduler.current
+        assert task is not None  # noqa: S101, only tasks get here
+        error = failed.exc_value or failed.exc_type()
+        scheduler.at(scheduler.now, partial(task.host.note_failure, task, error))
+
     thread = type("Thread", (SimulatedThread,), {"scheduler": scheduler})
     return [
         (threading, "Lock", lock),
@@ -122,6 +130,7 @@ def _threads(scheduler: Scheduler) -> list[Replaced]:
         (threading, "get_native_id", ident),
         (threading, "current_thread", current),
         (threading, "Thread", thread),
+        (threading, "excepthook", raise_),
         (queue, "SimpleQueue", queue._PySimpleQueue),  # type: ignore[attr-defined]  # noqa: SLF001, the same
     ]
 
