@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 from msgspec import structs
 
-from poise.runtime.agent.fence import Fence
 from poise.simulate.faults import Fault
 from poise.simulate.run import Scenario, simulate
 from poise.simulate.shrink import Shrunk
 
+_LEASE_END = "poise.manage.agent_connections.reachability.SURELY_ENDED"
 _ROOT = Path(__file__).parents[2]
 _DIGEST = """
 from poise.simulate.run import simulate
@@ -57,11 +57,11 @@ def test_the_next_manager_takes_over(scenario: Scenario) -> None:
     assert any("took over" in line for line in outcome.trace)
 
 
-def test_a_lease_that_nobody_keeps_is_found(
+def test_a_lease_that_nobody_waits_for_is_found(
     scenario: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without the end of the lease, a component works on both sides of a cut."""
-    monkeypatch.setattr(Fence, "cut", lambda _: None)
+    """A manager that does not wait for its end lets a component work twice."""
+    monkeypatch.setattr(_LEASE_END, 0.1)
     fault = Fault(3.0, "isolate computer", "c", lasts=4.0)
     outcome = simulate(with_fault(scenario, fault), 1)
     assert outcome.failure == "nothing-active-twice"
@@ -82,7 +82,7 @@ def test_an_error_of_the_manager_is_found(
 def test_a_failure_is_shrunk_to_the_fault_that_it_needs(
     scenario: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Fence, "cut", lambda _: None)
+    monkeypatch.setattr(_LEASE_END, 0.1)
     faults = [
         Fault(1.0, "full disk", "b", lasts=1.0),
         Fault(2.0, "step wall clock", "c", lasts=1.0, pick=0.9),

@@ -34,6 +34,7 @@ Kind = Literal[
     "step wall clock",
     "slow disk",
     "full disk",
+    "another manager",
 ]
 KINDS: tuple[Kind, ...] = Kind.__args__  # type: ignore[attr-defined]
 _ALLOWED = 0.4
@@ -125,6 +126,7 @@ def _begin(robot: SimulatedRobot, fault: Fault) -> Mend:
         "step": _step_clock,
         "slow": _slow_disk,
         "full": _fill_disk,
+        "another": _start_manager,
     }
     return begin[verb](robot, fault)
 
@@ -146,6 +148,12 @@ def _kill(robot: SimulatedRobot, fault: Fault) -> Mend:
     for process in killed:
         process.kill()
     return mend
+
+
+def _start_manager(robot: SimulatedRobot, fault: Fault) -> Mend:
+    """Let somebody run `poise up` on a computer, though another may be at work."""
+    robot.start_manager(fault.target)
+    return _nothing
 
 
 def _suspend(robot: SimulatedRobot, fault: Fault) -> Mend:

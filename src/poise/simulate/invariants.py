@@ -14,7 +14,6 @@ INVARIANTS: Mapping[str, str] = {
     "desired-is-reached": "What is desired runs soon after the last fault ended.",
     "failures-are-shown": "A failure is in `status` within a second.",
     "no-bug-stops-the-robot": "No error ends a manager, an agent or a thread of them.",
-    "queues-are-bounded": "No queue grows without a bound.",
 }
 """Id -> what it says; `docs/design/simulation.md` cites the ids."""
 

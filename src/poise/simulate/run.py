@@ -12,10 +12,12 @@ from msgspec import Struct
 
 from poise.errors import TakenOver
 from poise.manage.control_socket.records import MoveCommand, Refusal, Result
+from poise.manage.migration.report import MigrationReport
 from poise.model.robot import Robot
 from poise.simulate.components.models import ComponentModel
 from poise.simulate.faults import KINDS, Fault, Kind, inject, plan_faults
 from poise.simulate.invariants import Violation
+from poise.simulate.robot.manager import SimulatedManager
 from poise.simulate.robot.robot import SimulatedRobot
 from poise.simulate.schedule.choices import Choices
 from poise.simulate.schedule.scheduler import SimulationError
@@ -24,6 +26,9 @@ UP_LIMIT = 30.0
 """A robot without faults is up within this time [s]."""
 CONVERGE_LIMIT = 5.0
 """What is desired runs this long [s] after the last fault ended, at most."""
+SHOWN_WITHIN = 1.0
+"""A lost computer or agent is in `status` within this time [s]."""
+_LOSSES = {"kill agent", "pause agent", "pause computer", "isolate computer"}
 COMMAND_LIMIT = 60.0
 """An accepted command ends within this time [s]."""
 _LOOK_EVERY = 0.05
@@ -177,7 +182,7 @@ class _Run:
             kinds = self._scenario.kinds
             self.faults = tuple(plan_faults(robot.choices, names, begin, end, kinds))
         for fault in self.faults:
-            self._scheduler.at(fault.at, partial(inject, robot, fault))
+            self._scheduler.at(fault.at, partial(self._inject, fault))
         if self._scenario.moves:
             self._scheduler.at(begin + 1.0, lambda: self._move(end))
         robot.run(max([end, *(f.at + f.lasts for f in self.faults)]) + 0.01)
@@ -227,14 +232,40 @@ class _Run:
                 raise Violation("desired-is-reached", f"{what}: {'; '.join(found)}")
             self.robot.run(self._scheduler.now + _LOOK_EVERY)
 
+    def _inject(self, fault: Fault) -> None:
+        """Let a fault begin; in a second `status` has to say what is lost."""
+        manager, agent = self.robot.manager, self.robot.agents.get(fault.target)
+        is_new = agent is not None and not agent.process.is_paused
+        inject(self.robot, fault)
+        if fault.kind not in _LOSSES or fault.lasts < SHOWN_WITHIN or not is_new:
+            return
+        is_judge = manager is not None and manager.process.computer.name != fault.target
+        if manager is None or not is_judge or fault.target in _lost(manager):
+            return
+        at = self._scheduler.now
+
+        def look() -> None:
+            process = manager.process
+            if process.is_dead or process.is_paused or process.awake_since > at:
+                return
+            status = manager.status()
+            said = [d.what for d in status.deviations] if status else []
+            if status and not any(f"'{fault.target}'" in what for what in said):
+                raise Violation(
+                    "failures-are-shown",
+                    f"status says {said} {SHOWN_WITHIN:g} s after {fault}",
+                )
+
+        self._scheduler.at(at + SHOWN_WITHIN, look)
+
     def _check(self) -> None:
         """Raise what was violated in this step."""
         if self.robot.ledger.violations:
             raise Violation(*self.robot.ledger.violations[0])
-        last = self.robot.managers[-1] if self.robot.managers else None
-        error = None if last is None or last.manager is None else last.error
-        if error is not None and not isinstance(error, TakenOver):
-            raise Violation("no-bug-stops-the-robot", str(error))
+        for each in self.robot.managers:
+            error = None if each.manager is None else each.error
+            if error is not None and not isinstance(error, TakenOver):
+                raise Violation("no-bug-stops-the-robot", str(error))
 
     def _move(self, end: float) -> None:
         """Let a client move a component, and do so again later."""
@@ -258,6 +289,10 @@ class _Run:
         def take(result: Result | Refusal) -> None:
             nonlocal is_done
             is_done = True
+            if isinstance(result, MigrationReport) and result.committed:
+                assert manager.run is not None  # noqa: S101, it answered
+                epoch = manager.run.placed[component].epoch
+                robot.ledger.commit(component, epoch)
             robot.note("client", f"move {component} to {computer}: {_short(result)}")
 
         def look() -> None:
@@ -266,6 +301,10 @@ class _Run:
 
         manager.ask(command, take)
         self._scheduler.at(self._scheduler.now + COMMAND_LIMIT, look)
+
+
+def _lost(manager: SimulatedManager) -> frozenset[str]:
+    return manager.manager.lost() if manager.manager else frozenset()
 
 
 def _short(result: Result | Refusal) -> str:

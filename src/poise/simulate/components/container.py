@@ -236,6 +236,8 @@ class SimulatedContainer:
             return
         if component.state in {"finalized", "failed"}:
             del self.components[key]
+            if self._wanted is not None:
+                self._apply(self._wanted)  # it may be wanted again by now
             self.note_change()
         else:
             self.process.after(0.002, lambda: self._remove_later(key))

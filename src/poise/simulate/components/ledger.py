@@ -39,6 +39,7 @@ class Ledger:
         self.missed = 0
         self._current: dict[str, tuple[Incarnation, float]] = {}
         self._past: set[Incarnation] = set()
+        self._committed: dict[str, int] = {}
         self._sent: dict[str, int] = {}
         self._last: dict[str, int] = {}
 
@@ -48,8 +49,14 @@ class Ledger:
         known = self._current.get(who.component)
         if known is not None and known[0] == who:
             return
+        if who.epoch < self._committed.get(who.component, 0):
+            self.violate(
+                "committed-stays",
+                f"{who} began a handler at {now:.3f} s, but a move to incarnation "
+                f"{self._committed[who.component]} was committed",
+            )
         if who in self._past and known is not None:
-            self._violate(
+            self.violate(
                 "nothing-active-twice",
                 f"{who} began a handler at {now:.3f} s, but {known[0]} has worked "
                 f"since {known[1]:.3f} s",
@@ -69,7 +76,7 @@ class Ledger:
         """
         current, since = self._current[who.component]
         if who in self._past and now - max(since, awake) > LATE_HANDLER:
-            self._violate(
+            self.violate(
                 "nothing-active-twice",
                 f"a handler of {who} went on until {now:.3f} s, but {current} has "
                 f"worked since {since:.3f} s",
@@ -79,11 +86,15 @@ class Ledger:
         """Note that a handler publishes."""
         if who in self._past:
             current, since = self._current[who.component]
-            self._violate(
+            self.violate(
                 "nothing-active-twice",
                 f"{who} published at {now:.3f} s, but {current} has worked since "
                 f"{since:.3f} s",
             )
+
+    def commit(self, component: str, epoch: int) -> None:
+        """Note that a client was told that a move to an incarnation is committed."""
+        self._committed[component] = epoch
 
     def number(self, connector: str) -> int:
         """Return the number of the next message of a connector."""
@@ -95,11 +106,12 @@ class Ledger:
         self.processed += 1
         last = self._last.get(connector, 0)
         if number <= last:
-            self._violate(
+            self.violate(
                 "each-message-once-in-order",
                 f"{who} processed message {number} of '{connector}' after {last}",
             )
         self._last[connector] = number
 
-    def _violate(self, invariant: str, what: str) -> None:
+    def violate(self, invariant: str, what: str) -> None:
+        """Note what must never be; the run ends with this step."""
         self.violations.append((invariant, what))

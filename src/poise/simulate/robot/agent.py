@@ -127,6 +127,9 @@ class SimulatedAgent:
         clock, process = SystemClock(), self.process
 
         def publish(status: AgentStatus) -> None:
+            for error in status.errors:
+                what = f"{process.name}: {error.where}: {error.text}"
+                self._world.ledger.violate("no-bug-stops-the-robot", what)
             put(msgspec.msgpack.encode(status))
 
         def heartbeats(hear: Hear, next_beat: NextBeat) -> Heartbeats:

@@ -110,7 +110,12 @@ class SimulatedRobot:
         process = self.computers[computer].start(f"manager {number}")
 
         def note(entry: JournalEntry) -> None:
+            if process.is_dead:
+                return
             self.note(f"manager {number}", f"{entry.kind}: {entry.what}")
+            if "traceback" in entry.facts:
+                what = f"{process.name}: {entry.facts['traceback']}"
+                self.ledger.violate("no-bug-stops-the-robot", what)
 
         manager = SimulatedManager(
             self.robot,
@@ -131,9 +136,10 @@ class SimulatedRobot:
 
     @property
     def manager(self) -> SimulatedManager | None:
-        """The last manager, if it runs."""
-        last = self.managers[-1] if self.managers else None
-        return None if last is None or last.process.is_dead else last
+        """The last manager that is up, or starts; None: none runs."""
+        running = [each for each in self.managers if not each.process.is_dead]
+        up = [each for each in running if each.manager is not None]
+        return next(reversed(up or running), None)
 
     def note(self, who: str, what: str) -> None:
         """Add a line to the trace."""

@@ -29,6 +29,9 @@ class SimulatedLock:
     def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:  # noqa: FBT001, FBT002, as the library's
         """Take it; return whether that was done within `timeout` [s]."""
         scheduler, task = self._scheduler, self._scheduler.current
+        if task is not None and task.host.is_dead:  # it only unwinds
+            self._is_locked = True
+            return True
         if not self._is_locked:
             self._is_locked = True
             if task is not None and blocking:

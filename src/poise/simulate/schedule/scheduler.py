@@ -272,6 +272,7 @@ class Scheduler:
         except Killed:
             pass
         except BaseException as error:  # noqa: BLE001, its process says what it means
-            task.host.note_failure(task, error)
+            if not task.host.is_dead:
+                task.host.note_failure(task, error)
         finally:
             task.has_ended = True
