@@ -14,7 +14,7 @@ from poise.simulate.faults import Fault
 from poise.simulate.run import Scenario, simulate
 from poise.simulate.shrink import Shrunk
 
-_LEASE_END = "poise.manage.agent_connections.reachability.SURELY_ENDED"
+_LEASE = "poise.runtime.agent.lease.LEASE"
 _ROOT = Path(__file__).parents[2]
 _DIGEST = """
 from poise.simulate.run import simulate
@@ -57,11 +57,11 @@ def test_the_next_manager_takes_over(scenario: Scenario) -> None:
     assert any("took over" in line for line in outcome.trace)
 
 
-def test_a_lease_that_nobody_waits_for_is_found(
+def test_a_lease_that_is_kept_too_long_is_found(
     scenario: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A manager that does not wait for its end lets a component work twice."""
-    monkeypatch.setattr(_LEASE_END, 0.1)
+    """Agents that keep it for longer than the manager thinks work on."""
+    monkeypatch.setattr(_LEASE, 2.0)
     fault = Fault(3.0, "isolate computer", "c", lasts=4.0)
     outcome = simulate(with_fault(scenario, fault), 1)
     assert outcome.failure == "nothing-active-twice"
@@ -82,7 +82,7 @@ def test_an_error_of_the_manager_is_found(
 def test_a_failure_is_shrunk_to_the_fault_that_it_needs(
     scenario: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_LEASE_END, 0.1)
+    monkeypatch.setattr(_LEASE, 2.0)
     faults = [
         Fault(1.0, "full disk", "b", lasts=1.0),
         Fault(2.0, "step wall clock", "c", lasts=1.0, pick=0.9),
