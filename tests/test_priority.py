@@ -9,7 +9,7 @@ from collections.abc import Callable
 import pytest
 
 from poise.priority import REAL_TIME as REAL_TIME_WANTED
-from poise.priority import ahead, as_usual, first, give_way, go_first
+from poise.priority import ahead, as_usual, first, give_way, go_first, goes_first
 
 USUAL = os.getpriority(os.PRIO_PROCESS, 0)
 REAL_TIME = 1000
@@ -103,3 +103,17 @@ def on_a_thread(do: Callable[[], object]) -> None:
     thread = threading.Thread(target=do)
     thread.start()
     thread.join()
+
+
+def test_a_thread_knows_whether_it_goes_first() -> None:
+    found: list[bool] = []
+
+    def run() -> None:
+        found.append(goes_first())
+        go_first()
+        found.append(goes_first())
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    assert found == [False, may(be_ahead)]

@@ -44,6 +44,12 @@ def go_first() -> None:
     _set_nice(_usual + _AHEAD)
 
 
+def goes_first() -> bool:
+    """Return whether the system let this thread go before all that work."""
+    nice = os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+    return nice <= _usual + _AHEAD or os.sched_getscheduler(0) != os.SCHED_OTHER
+
+
 @contextmanager
 def first() -> Iterator[None]:
     """Let this thread go first for a while."""

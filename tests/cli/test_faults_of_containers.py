@@ -163,9 +163,11 @@ def test_a_lack_of_file_descriptors_is_told_until_it_is_over(
     assert f"Process {short} may open 8 files: raise that where" in shown
     wait_long(lambda: not status().deviations)
     assert pid() == container
-    wrong, right = journal(up)
-    assert wrong.what.startswith(told)
-    assert right.what == f"no more: {wrong.what}"
+    said = [entry.what for entry in journal(up)]
+    assert said[0].startswith(told)
+    # beside it the agent may say that it cannot keep its state, until that is over
+    ended = {what for what in said if what.startswith("no more: ")}
+    assert ended == {f"no more: {what}" for what in said if what not in ended}
     assert run_poise("status", "--robot", NAME).returncode == 0
 
 

@@ -16,6 +16,7 @@ from poise.wire.records.status import (
     ContainerHealth,
     ContainerState,
     ContainerStatus,
+    ErrorCount,
     Fault,
     State,
 )
@@ -120,3 +121,22 @@ def test_names_a_connector_that_is_not_joined(
     assert len(found) == count
     for each in found:
         assert each.what == "connector 'eye.x-mind.x' from 'a' does not reach 'a'"
+
+
+def test_an_error_of_an_agents_own_code_is_shown_with_its_part(robot: Robot) -> None:
+    error = ErrorCount(
+        where="container 'see'",
+        text="Traceback ...\nKeyError: 'a bug'\n",
+        first=1.0,
+        count=3,
+    )
+    status = AgentStatus(
+        computer="a", generation=1, uptime=9.0, cpu=0.0, errors=(error,)
+    )
+    plan = DeploymentPlan(robot, "")
+    (found,) = find_deviations([], [], plan, {"a": status}, 5.0)
+    assert found.computer == "a"
+    assert found.what == (
+        "agent of 'a': an error of Poise in its part \"container 'see'\": KeyError: "
+        "'a bug' (traceback in its log); the rest goes on"
+    )

@@ -21,6 +21,7 @@ import pytest
 import zenoh
 from msgspec import structs
 
+from poise.runtime.agent.agent_setup import BROKEN
 from poise.runtime.waker import wait_readable
 from poise.wire.connections.socket_path import agent_path
 from poise.wire.control_session import open_session
@@ -791,7 +792,7 @@ def test_an_error_of_its_loop_leaves_containers_and_what_should_run(
     doomed.deploy("quiet")
     pid = doomed.wait_active("quiet").pid
     (doomed.folder / "break").touch()
-    assert doomed.process.wait(LIMIT) == 1
+    assert doomed.process.wait(LIMIT) == BROKEN
     assert doomed.process.stderr
     doomed.process.stderr.close()
     (doomed.folder / "break").unlink()

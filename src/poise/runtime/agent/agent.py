@@ -29,7 +29,7 @@ from poise import threads
 from poise.clock import SystemClock
 from poise.endpoint import Endpoint
 from poise.errors import RunError, Unavailable, UsageError
-from poise.priority import ahead, go_first
+from poise.priority import ahead, go_first, goes_first
 from poise.runtime.agent.agent_folder import AgentFolder
 from poise.runtime.agent.agent_setup import AgentSetup
 from poise.runtime.agent.checkpoint_files import CheckpointFiles
@@ -132,9 +132,9 @@ class Agent:
 
     def _run_in(self, setup: AgentSetup) -> None:
         with (
-            contextlib.ExitStack() as closing,
             self._open_gateway() as gateway,
             open_session(listen=[self._locator], lease=setup.lease) as session,
+            contextlib.ExitStack() as closing,
         ):
             self._say(
                 f"agent of computer '{setup.computer}' of robot '{setup.robot}' at "
@@ -150,8 +150,52 @@ class Agent:
         setup, prefix = self._setup, f"poise/{self._setup.robot}"
         sampler = self._sampler(session)
         disk = self._disk(session)
-        statuses = session.declare_publisher(f"{prefix}/status/{setup.computer}")
-        world = Surroundings(
+        world = self._surroundings(session, gateway, sampler, disk)
+        core = self._core = AgentCore(setup, world, self._left)
+        self._inbox = AgentInbox(
+            setup.computer, core.on_request, self._waker.wake, core.supervised
+        )
+        threads.hear_failures(self._note_thread)
+        answers = session.declare_queryable(
+            f"{prefix}/agent/{setup.computer}", self._inbox.hear
+        )
+        managers = session.liveliness().declare_subscriber(
+            f"{prefix}/manager/*", self._note_liveliness, history=True
+        )
+        go_first()
+        if not goes_first():
+            self._say(
+                "its heartbeats do not go before other programs: beside busy ones this "
+                "computer may be taken for lost (systemd: LimitNICE=-10)"
+            )
+        closing.callback(disk.stop)
+        with contextlib.ExitStack() as working:
+            working.callback(answers.undeclare)
+            working.callback(managers.undeclare)
+            working.callback(sampler.stop)
+            working.callback(core.heartbeats.close)
+            for thread in (sampler, disk):
+                thread.start()
+            while not self._is_asked_to_end:
+                self._inbox.work()
+                core.tick()
+                self._take_news(core.moment())
+        self._end_all()
+        for token in self._tokens:
+            token.undeclare()  # type: ignore[no-untyped-call]
+
+    def _surroundings(
+        self,
+        session: zenoh.Session,
+        gateway: Gateway,
+        sampler: Sampler,
+        disk: DiskThread,
+    ) -> Surroundings:
+        """Return the real world for the core."""
+        statuses = session.declare_publisher(
+            f"poise/{self._setup.robot}/status/{self._setup.computer}"
+        )
+        return Surroundings(
             clock=self._clock,
             wall=time.time,
             random=random.Random(),  # noqa: S311, no secret
@@ -170,33 +214,6 @@ class Agent:
             pid=os.getpid(),
             key=uuid.uuid4().hex,
         )
-        core = self._core = AgentCore(setup, world, self._left)
-        self._inbox = AgentInbox(
-            setup.computer, core.on_request, self._waker.wake, core.supervised
-        )
-        threads.hear_failures(self._note_thread)
-        answers = session.declare_queryable(
-            f"{prefix}/agent/{setup.computer}", self._inbox.hear
-        )
-        managers = session.liveliness().declare_subscriber(
-            f"{prefix}/manager/*", self._note_liveliness, history=True
-        )
-        go_first()
-        closing.callback(disk.stop)
-        with contextlib.ExitStack() as working:
-            working.callback(answers.undeclare)
-            working.callback(managers.undeclare)
-            working.callback(sampler.stop)
-            working.callback(core.heartbeats.close)
-            for thread in (sampler, disk):
-                thread.start()
-            while not self._is_asked_to_end:
-                self._inbox.work()
-                core.tick()
-                self._take_news(core.moment())
-        self._end_all()
-        for token in self._tokens:
-            token.undeclare()  # type: ignore[no-untyped-call]
 
     def _open_gateway(self) -> Gateway:
         """Open it where the agent before had it, so that connectors find it again."""

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import os
+
 from msgspec import Struct
 
 from poise.wire.control_session import LEASE
 from poise.wire.records.samples import SAMPLE_EVERY
+
+BROKEN = os.EX_SOFTWARE
+"""The exit code of an agent that an error of Poise ended: start it again."""
 
 
 class AgentSetup(Struct, frozen=True, kw_only=True):

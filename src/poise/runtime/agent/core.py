@@ -107,15 +107,7 @@ class AgentCore:
         self.heartbeats.begin_again(left.agents, left.is_leased)
         self._last = self._status()
         self._reports = StatusReports(world.publish, world.clock, self._last)
-        self._parts: tuple[_Part, ...] = (
-            _Part("state", self._keep_state),
-            _Part("lease", self._note_lease),
-            _Part("steps", self._give_up_steps, self._relay.moment),
-            _Part("adoption", world.adoption.give_up, world.adoption.moment),
-            _Part("containers", self.supervisor.reconcile, self.supervisor.moment),
-            _Part("clocks", self._tell_clocks),
-            _Part("status", self._report, self._report_due),
-        )
+        self._parts = self._table()
 
     def on_request(self, asked: ManagerRequest, reply: Reply) -> None:
         """Do what a manager asks for, or refuse it; it is answered once."""
@@ -207,6 +199,19 @@ class AgentCore:
         for process in list(self.supervisor.processes.values()):
             self._about(process.name, process.kill)
 
+    def _table(self) -> tuple[_Part, ...]:
+        """Return what each tick does, in its order."""
+        adoption = self._world.adoption
+        return (
+            _Part("state", self._keep_state),
+            _Part("lease", self._note_lease),
+            _Part("steps", self._give_up_steps, self._relay.moment),
+            _Part("adoption", adoption.give_up, adoption.moment),
+            _Part("containers", self.supervisor.reconcile, self.supervisor.moment),
+            _Part("clocks", self._tell_clocks),
+            _Part("status", self._report, self._report_due),
+        )
+
     def _about(self, container: str, work: Callable[..., T], *args: object) -> T | None:
         return self.supervised.attempt(part_of(container), work, *args)
 
@@ -292,7 +297,8 @@ class AgentCore:
     def _status(self) -> AgentStatus:
         world, supervisor, wanted = self._world, self.supervisor, self.supervisor.wanted
         statuses, usage = supervisor.statuses(), world.usage()
-        troubles = world.gateway_trouble(), world.disk.trouble(), supervisor.trouble
+        # a lack of descriptors, say, is the cause of both
+        trouble = world.gateway_trouble() or world.disk.trouble()
         return AgentStatus(
             computer=self._setup.computer,
             pid=world.pid,
@@ -305,7 +311,7 @@ class AgentCore:
             load=sum(cores for cores, _ in usage.values()),
             memory=sum(size for _, size in usage.values()),
             gateway=world.gateway,
-            trouble="; ".join(filter(None, troubles)),
+            trouble="; ".join(filter(None, [supervisor.trouble, trouble])),
             errors=self.supervised.errors(),
             cpu_weights=world.host.cpu_weights,
             containers=statuses,

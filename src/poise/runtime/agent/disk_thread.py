@@ -58,7 +58,6 @@ class DiskThread:
         self._changed = threading.Condition()
         self._busy_since = float("inf")
         self._is_stopping = False
-        self._failure = ""
         self._thread = threads.daemon(self._main, "disk", again=True)
 
     def start(self) -> None:
@@ -114,7 +113,7 @@ class DiskThread:
                 f"the disk of {self._path} has not answered for {seconds:.0f} s: what "
                 "the agent must know if it is killed is not kept meanwhile"
             )
-        return self._folder.trouble or self._failure
+        return self._folder.trouble
 
     def _put(self, key: object, job: Callable[[], object]) -> bool:
         """Queue a job, in place of one with the same key; return whether it fits."""
@@ -122,6 +121,7 @@ class DiskThread:
             # of those with a name there are only two
             if not isinstance(key, str) and len(self._jobs) >= _MOST:
                 return False
+            self._jobs.pop(key, None)
             self._jobs[key] = job
             self._changed.notify()
         return True
@@ -138,10 +138,8 @@ class DiskThread:
                 self._busy_since = self._clock.now()
             try:
                 job()
-                self._failure = ""
-            except OSError as error:
-                self._failure = f"the agent cannot use its folder: {error}"
-                log.warning("%s", self._failure)
+            except OSError as error:  # what was to be removed stays until the next time
+                log.warning("the agent cannot use its folder: %s", error)
 
     def _keep(self, state: AgentState) -> None:
         self._folder.keep(state)

@@ -77,10 +77,6 @@ class Supervised:
         rest = self._rests.get(part)
         return float("-inf") if rest is None else rest.again_at
 
-    def forget(self, part: str) -> None:
-        """Let a part that is gone not rest any more; its errors are shown on."""
-        self._rests.pop(part, None)
-
     def errors(self) -> tuple[ErrorCount, ...]:
         """Return the errors of the last `SHOWN_FOR`, the latest of each part."""
         since = self._clock.now() - SHOWN_FOR

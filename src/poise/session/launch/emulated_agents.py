@@ -21,6 +21,7 @@ from poise.emulate.registry import locked
 from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import PoiseError
 from poise.model.robot import Robot
+from poise.runtime.agent.agent_setup import BROKEN
 from poise.runtime.waker import Waker, wait_readable
 from poise.session.callbacks import Say
 from poise.session.launch.printer import STDERR, Printer, relay
@@ -130,7 +131,8 @@ class EmulatedAgents:
             return
         try:
             with locked():  # or it might start while its computer is being crashed
-                stays_down = self._kept.is_crashed(name) if self._kept else code >= 0
+                ended = 0 <= code != BROKEN  # as it was asked, or as it had to
+                stays_down = self._kept.is_crashed(name) if self._kept else ended
                 if stays_down:
                     return
                 self._start(name)

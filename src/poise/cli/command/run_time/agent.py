@@ -14,12 +14,14 @@ import typer
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import parse_option
 from poise.endpoint import AGENT_PORT, Endpoint
-from poise.errors import UsageError
+from poise.errors import PoiseError, UsageError
 from poise.runtime.agent.agent import Agent
-from poise.runtime.agent.agent_setup import AgentSetup
+from poise.runtime.agent.agent_setup import BROKEN, AgentSetup
 from poise.session.launch.temporary_folders import agent_folder
 from poise.units import SECONDS
 from poise.wire.control_session import LEASE
+
+log = logging.getLogger(__name__)
 
 _LAST = 65535
 
@@ -90,7 +92,17 @@ def agent_command(
             say=_say if lifeline is None else lambda _: None,
         )
         interrupts.check()
-        agent.run()  # with handlers of its own
+        try:
+            agent.run()  # with handlers of its own
+        except PoiseError:
+            raise
+        except Exception:
+            log.exception(
+                "agent '%s' ends by an error of Poise; its containers go on for a "
+                "minute and wait for the next agent: start it again",
+                computer,
+            )
+            raise typer.Exit(BROKEN) from None
 
 
 def _say(sentence: str) -> None:

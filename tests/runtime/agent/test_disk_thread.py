@@ -1,0 +1,141 @@
+"""The folder of an agent, on a disk that does not answer."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from poise.runtime.agent.agent_folder import AgentFolder
+from poise.runtime.agent.checkpoint_files import CheckpointFiles
+from poise.runtime.agent.disk_thread import DiskThread
+from poise.runtime.agent.supervision.agent_state import AgentState
+from poise.testing import VirtualClock
+from poise.wire.records.checkpoints import CheckpointCopy
+from poise.wire.records.deployment import ComponentSpec, ContainerSpec, Deployment
+from poise.wire.records.requests import Accepted, Answer, Refused
+from tests.waiting import wait_until
+
+pytestmark = pytest.mark.slow
+
+COPY = CheckpointCopy(component="map", epoch=1, data=b"state", age=7.0)
+MAP = ComponentSpec(
+    name="map", goal="active", implementation="m:Map", epoch=1, checkpoint=1.0
+)
+WANTED = Deployment(
+    generation=1,
+    containers=(
+        ContainerSpec(name="see", folder="", components=(MAP,), connectors=()),
+    ),
+)
+
+
+class Stalled:
+    """A folder on a disk that answers when `answers` is set."""
+
+    def __init__(
+        self, path: Path, monkeypatch: pytest.MonkeyPatch, sent: list[CheckpointCopy]
+    ) -> None:
+        self.clock = VirtualClock(100.0)
+        self.answers, self.is_asked = threading.Event(), threading.Event()
+        self.folder = AgentFolder(path)
+        keep = self.folder.keep
+
+        def wait_and_keep(state: AgentState) -> None:
+            self.is_asked.set()
+            assert self.answers.wait(20.0)
+            keep(state)
+
+        monkeypatch.setattr(self.folder, "keep", wait_and_keep)
+        files = CheckpointFiles(path, sent.append)
+        self.disk = DiskThread(path, self.folder, files, self.clock)
+        self.disk.start()
+
+
+@pytest.fixture
+def sent() -> list[CheckpointCopy]:
+    return []
+
+
+@pytest.fixture
+def stalled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sent: list[CheckpointCopy]
+) -> Iterator[Stalled]:
+    stalled = Stalled(tmp_path, monkeypatch, sent)
+    yield stalled
+    stalled.answers.set()
+    stalled.disk.stop()
+
+
+def test_nobody_waits_for_the_disk_and_the_trouble_is_said(stalled: Stalled) -> None:
+    disk, answers = stalled.disk, list[Answer]()
+    disk.keep(AgentState(token=1))
+    assert stalled.is_asked.wait(20.0)
+    for token in range(2, 300):  # the last one counts
+        disk.keep(AgentState(token=token))
+    disk.serve(COPY, answers.append)
+    stalled.clock.sleep(5.0)
+    assert "has not answered for 5 s" in disk.trouble()
+    assert not answers
+    stalled.answers.set()
+    wait_until(lambda: answers)
+    assert answers == [Accepted()]
+    wait_until(lambda: not disk.trouble())
+    assert stalled.folder.left().token == 299
+
+
+def test_requests_that_wait_for_the_disk_are_bounded(stalled: Stalled) -> None:
+    answers: list[Answer] = []
+    stalled.disk.keep(AgentState(token=1))
+    assert stalled.is_asked.wait(20.0)
+    for _ in range(150):
+        stalled.disk.serve(COPY, answers.append)
+    assert len(answers) == 50  # 100 wait
+    assert isinstance(answers[0], Refused)
+    assert "its disk is too slow" in answers[0].reason
+
+
+def test_a_checkpoint_is_as_old_as_it_was_and_is_sent(
+    stalled: Stalled, sent: list[CheckpointCopy]
+) -> None:
+    stalled.answers.set()
+    answers: list[Answer] = []
+    stalled.disk.serve(COPY, answers.append)
+    stalled.disk.keep_only(WANTED)
+    wait_until(lambda: sent)
+    assert sent[0].data == b"state"
+    assert 7.0 <= sent[0].age < 30.0
+    age = stalled.disk.checkpoint_age("map", 1)
+    assert age is not None
+    assert 7.0 <= age < 30.0
+    assert stalled.disk.checkpoint_age("map", 2) is None
+
+
+def test_what_is_forgotten_is_gone_when_it_stops(
+    stalled: Stalled, tmp_path: Path
+) -> None:
+    answers: list[Answer] = []
+    stalled.answers.set()
+    stalled.disk.keep(AgentState(token=1))
+    stalled.disk.serve(COPY, answers.append)
+    stalled.disk.forget()
+    stalled.disk.stop()
+    assert answers == [Accepted()]
+    assert {path.name for path in tmp_path.iterdir()} == {"lock"}
+
+
+def test_a_folder_that_cannot_be_used_is_said(stalled: Stalled, tmp_path: Path) -> None:
+    stalled.answers.set()
+    (tmp_path / "state.new").mkdir()
+    stalled.disk.keep(AgentState(token=1))
+    wait_until(lambda: "cannot keep what should run" in stalled.disk.trouble())
+    (tmp_path / "state.new").rmdir()
+
+    def is_mended() -> bool:
+        stalled.disk.keep(AgentState(token=1))  # as at each tick
+        return not stalled.disk.trouble()
+
+    wait_until(is_mended)
+    assert stalled.folder.left().token == 1
