@@ -125,6 +125,7 @@ class Cpu:
         self.cores = cores
         self.groups: list[Group] = []
         self.changing = self
+        self._busy: list[Group] = []
         self._scheduler = scheduler
         self._at = scheduler.now
         self._refill_at = scheduler.now + PERIOD
@@ -147,7 +148,7 @@ class Cpu:
     def _advance(self) -> None:
         """Let all that runs have had its share until now."""
         passed, self._at = self._scheduler.now - self._at, self._scheduler.now
-        for group in self.groups:
+        for group in self._busy:
             done = group.rate * passed
             group.used += done
             if group.quota < inf:
@@ -164,15 +165,16 @@ class Cpu:
 
     def _plan(self) -> None:
         """Share out anew, and plan the next moment at which that changes."""
-        rates = shares(self.cores, [group.claim() for group in self.groups])
+        self._busy = [group for group in self.groups if group.jobs]
+        rates = shares(self.cores, [group.claim() for group in self._busy])
         moments = []
-        for group, rate in zip(self.groups, rates, strict=True):
+        for group, rate in zip(self._busy, rates, strict=True):
             group.rate = rate
             if rate > 0:
                 least = min(job.left for job in group.jobs)
                 moments.append(self._at + least * len(group.jobs) / rate)
                 moments.append(self._at + group.bucket / rate)
-            elif group.jobs and group.bucket <= _DONE:
+            elif group.bucket <= _DONE:
                 moments.append(self._refill_at)
             if group.quota < inf and rate > 0:
                 moments.append(self._refill_at)
@@ -189,7 +191,7 @@ class Cpu:
         self._next = None
         done: list[Job] = []
         with self.changing:
-            for group in self.groups:
+            for group in self._busy:
                 done += [job for job in group.jobs if job.left <= _DONE]
                 group.jobs = [job for job in group.jobs if job.left > _DONE]
         for job in done:
