@@ -147,7 +147,8 @@ class SimulatedContainer:
             task = scheduler.current
             assert task is not None  # noqa: S101, steps are tasks
             self._waiting.append(task)
-            if not scheduler.wait(left, what):
+            scheduler.wait(left, what)
+            if task in self._waiting:
                 self._waiting.remove(task)
 
     def connector(self, name_or_key: str) -> ConnectorSpec:

@@ -192,8 +192,9 @@ class MigrationModel:
             if self._now >= deadline or source.process.is_dead:
                 raise RunError(f"the state of '{name}' did not come from '{there}'")
             world.scheduler.wait(_LOOK_EVERY, "a state")
+        state = states[name, epoch]
         world.scheduler.wait(seconds, "a state's transfer")
-        component.mailbox.extendleft(reversed(states[name, epoch]))
+        component.mailbox.extendleft(reversed(state))
 
     def _source_of(
         self, component: SimulatedComponent
